@@ -11,14 +11,14 @@ from typing import Literal, NamedTuple
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.names import name_from
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.frames.chains import Chains
-from gridtrack.recordings.frames.choice import NO_POSES, chosen_chains
+from gridtrack.recordings.frames.chains import ChainOptions, Chains
+from gridtrack.recordings.frames.choice import chosen_chains
 from gridtrack.recordings.frames.placing import FramedScan, ScansOnChains
-from gridtrack.recordings.frames.problems import ChainOptions
 from gridtrack.recordings.frames.trajectory import MAX_WHOLE, AllTransforms
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FrameTree, StampedTransform, frame_name
 from gridtrack.recordings.mounts import Mount
+from gridtrack.recordings.read_options import NO_POSES
 from gridtrack.recordings.recording import DamageError, Recording, Topics
 from gridtrack.recordings.recording_info import RecordingInfo
 
@@ -143,8 +143,8 @@ class FramedRecording(Recording):
         """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""
         for fault in (*self._tree.faults, *self.chains.faults):
             self.warn(fault)
-        if self.chains.note:
-            self.notify(self.chains.note)
+        for note in self.chains.notes:
+            self.notify(note)
         self._tell_shared_frames()
         scans = ScansOnChains(self.chains.of_topic, self.warn, self._known_transforms)
         try:

@@ -13,12 +13,11 @@ from gridtrack.common.files import atomic_write
 from gridtrack.common.names import check_utf8
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.formats.native_writer import write_native
-from gridtrack.recordings.frames.choice import NO_POSES
 from gridtrack.recordings.frames.placing import ClocksApartError
 from gridtrack.recordings.labels import classes_in, with_labels
 from gridtrack.recordings.mounts import Mount
 from gridtrack.recordings.opening import open_recording
-from gridtrack.recordings.read_options import CloudSlice
+from gridtrack.recordings.read_options import NO_POSES, CloudSlice
 from gridtrack.recordings.recording import Recording
 from gridtrack.recordings.recording_info import RecordingInfo, Stretch, stretch_text
 

@@ -10,6 +10,9 @@ from gridtrack.common.config import Settings
 from gridtrack.common.scan import MAX_RANGE_M
 from gridtrack.recordings.mounts import Mount
 
+NO_POSES = "none"
+"""The pose topic of a recording whose sensors stand still."""
+
 
 class CloudSlice(Settings):
     """How a point cloud becomes a scan: the nearest point of each bearing between two heights, metres, sensor frame.

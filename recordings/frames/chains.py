@@ -1,16 +1,35 @@
-"""Chains of transforms from a world frame down to each sensor."""
+"""Chains of transforms from a world frame down to each sensor, and what the user says about them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FrameTree
+from gridtrack.recordings.mounts import Mount
+from gridtrack.recordings.read_options import NO_POSES
 
 SHOWN_FRAMES = 8
 TAKEN_TO_STAND = "taken to stand still (of a robot that drives: recording import --ego-motion kiss-icp)"
+
+
+@dataclass(frozen=True, slots=True)
+class ChainOptions:
+    """What the user says about the sensors."""
+
+    sensors: dict[str, str]
+    """The topics with scans, and the names of their sensors."""
+    pose_topic: str | None
+    mounts: tuple[Mount, ...]
+    command: Callable[[Iterable[str]], str]
+    """The command that imports the recording with more options, given as words."""
+
+    @property
+    def stand(self) -> bool:
+        """Whether the user says that the sensors stand still."""
+        return self.pose_topic == NO_POSES
 
 
 class Link(NamedTuple):
@@ -71,12 +90,12 @@ class Chain:
 class Chains:
     """The chain of each topic with scans; `problem`: why they cannot be used, and what to do, empty where they can.
 
-    `faults` are those of the transforms that the chains are from, `note` what to know about the chains; a line each.
+    `faults` are those of the transforms that the chains are from, `notes` what to know about the chains; a line each.
     """
 
     of_topic: dict[str, Chain] = field(default_factory=dict)
     problem: str = ""
-    note: str = ""
+    notes: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
 
     @property

@@ -2,37 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
-from gridtrack.recordings.frames.chains import Link
+from gridtrack.recordings.frames.chains import ChainOptions, Link
 from gridtrack.recordings.frames.tree import Edge, PoseTopic
-from gridtrack.recordings.mounts import Mount
 
 MAX_SHOWN = 5
 EXAMPLE_PLACE = "0,0,0deg"
 AT_REST = "or import it with --pose-topic none where it stands still"
 
 
-@dataclass(frozen=True, slots=True)
-class ChainOptions:
-    """What the user says about the sensors."""
-
-    sensors: dict[str, str]
-    """The topics with scans, and the names of their sensors."""
-    pose_topic: str | None
-    mounts: tuple[Mount, ...]
-    command: Callable[[Iterable[str]], str]
-    """The command that imports the recording with more options, given as words."""
-
-
 def frames_in_a_cycle(options: ChainOptions, frames: Sequence[str], pose_topics: Sequence[str]) -> str:
     """Frames that are their own ancestors; `pose_topics` may tell where they are."""
-    text = f"frames in a cycle ({_shown(frames, ' -> ')}): take {_from_scans(options)}"
+    text = f"frames in a cycle ({shown(frames, ' -> ')}): take {poses_from_scans(options)}"
     if pose_topics:
         mount = ["--mount", f"{next(iter(options.sensors.values()))}={EXAMPLE_PLACE}"]
         command = options.command([*mount, "--pose-topic", pose_topics[0]])
-        text += f"; or those on {_shown(pose_topics)}, with the place of the sensor there, as in `{command}`"
+        text += f"; or those on {shown(pose_topics)}, with the place of the sensor there, as in `{command}`"
     return f"{text}; {AT_REST}"
 
 
@@ -44,8 +30,8 @@ def mounts_not_known(options: ChainOptions, names: Sequence[str], moves: bool) -
     others = [f"--topic {other}" for other in options.sensors if other != topic]
     together = options.command(word for words in mounts.values() for word in words)
     return (
-        f"several sensors ({_shown(list(options.sensors.values()))}), and how they are mounted is not known, so that"
-        f" their scans cannot share a grid: import one of them with `{one}`, or {_shown(others)}; or all with"
+        f"several sensors ({shown(list(options.sensors.values()))}), and how they are mounted is not known, so that"
+        f" their scans cannot share a grid: import one of them with `{one}`, or {shown(others)}; or all with"
         f" `{together}`, with their places on the robot (x and y in metres, and heading) in place of {EXAMPLE_PLACE}"
     )
 
@@ -77,7 +63,7 @@ def poses_not_known(
     which = "whether the poses on" if len(poses) == 1 else "which of the poses on"
     verb = "are" if len(poses) == 1 else "are, if any,"
     return (
-        f"{transforms}it is not known {which} {_shown([pose.topic for pose in poses])} {verb} those of what carries"
+        f"{transforms}it is not known {which} {shown([pose.topic for pose in poses])} {verb} those of what carries"
         f" sensor '{sensor}': name the topic that has them, as in `{command}`{mounted}; {AT_REST}"
     )
 
@@ -95,39 +81,22 @@ def motion_not_used(options: ChainOptions, child: str, second: Edge) -> str:
     """Transforms of a frame of the sensors in a second parent, which alone tell the motion."""
     return (
         f"transforms on {second.topic} ({second.parent} -> {child}) tell how the sensors move, and '{child}' has"
-        f" another parent in the transforms, so that they are not used: take {_from_scans(options)}; {AT_REST}"
+        f" another parent in the transforms, so that they are not used: take {poses_from_scans(options)}; {AT_REST}"
     )
 
 
-def motion_above(options: ChainOptions, world: str, link: Link) -> str:
-    """A world frame in which the sensors do not move, below one in which it moves by a link."""
-    return (
-        f"the sensors stand still in '{world}', which moves in '{link.parent}' by the transforms on {link.source}:"
-        f" where they drive, take {_from_scans(options)}"
-    )
-
-
-def several_topics(frames: Sequence[str], topics: Sequence[str], sensor: str, used: str) -> str:
-    """Frames of a sensor's chain whose place several topics tell, of which one is used."""
-    of = " and ".join(f"'{frame}'" for frame in frames[:MAX_SHOWN])
-    return (
-        f"transforms of frame {of} are on several topics, {_shown(topics)}, as of two robots: sensor '{sensor}' has"
-        f" those on {used}"
-    )
-
-
-def _from_scans(options: ChainOptions) -> str:
+def poses_from_scans(options: ChainOptions) -> str:
     """Poses that need no transforms: from the scans of one sensor."""
     topic = [] if len(options.sensors) == 1 else ["--topic", next(iter(options.sensors))]
     return f"the poses from the scans, with `{options.command([*topic, '--ego-motion', 'kiss-icp'])}`"
 
 
-def _not_reached(links: Sequence[Link], sensor: str, frame: str) -> str:
-    moving = _shown([f"{link.parent} -> {link.child}" for link in links])
-    return f"transforms on {links[0].source} ({moving}) do not reach frame '{frame}' of sensor '{sensor}'"
-
-
-def _shown(names: Sequence[str], separator: str = ", ") -> str:
+def shown(names: Sequence[str], separator: str = ", ") -> str:
     """The names, all but the first few left out."""
     more = f"{separator}{len(names) - MAX_SHOWN} more" if len(names) > MAX_SHOWN else ""
     return separator.join(names[:MAX_SHOWN]) + more
+
+
+def _not_reached(links: Sequence[Link], sensor: str, frame: str) -> str:
+    moving = shown([f"{link.parent} -> {link.child}" for link in links])
+    return f"transforms on {links[0].source} ({moving}) do not reach frame '{frame}' of sensor '{sensor}'"
