@@ -10,6 +10,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from gridtrack.cli import recordings, regress, report, runs, simulate, trackers
+from gridtrack.cli.completion import words_as_typed
 from gridtrack.cli.options import DEBUG_OPTION, print_note, with_defaults
 from gridtrack.common.errors import ConfigurationError, GridtrackError
 from gridtrack.common.names import check_utf8
@@ -66,7 +67,8 @@ def main() -> None:
     try:
         for argument in sys.argv[1:]:
             check_utf8(argument, ConfigurationError)
-        app(arguments)
+        with words_as_typed():
+            app(arguments)
     except GridtrackError as error:
         _fail(error, str(error))
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What the shell completes beside commands and options: names of trackers, and values of a fixed set.
+"""What the shell completes beside commands and options: trackers and their options, and values of a fixed set.
 
 The sets are those that the values are validated with; they are imported for a completion and not for every command.
 Typer keeps the values that begin as what is typed.
@@ -6,24 +6,104 @@ Typer keeps the values that begin as what is typed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, get_args
+import io
+import os
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from typing import TYPE_CHECKING, Any, get_args
 
 if TYPE_CHECKING:
     from gridtrack.common.config import Settings
 
+BREAKS = frozenset(":=@")
+"""Characters at which bash ends a word; a completion takes the place of what follows the last of them."""
+
+
+@contextmanager
+def words_as_typed() -> Iterator[None]:
+    """Where bash asks for a completion: each word is whole, as in zsh and fish, and bash gets the part it replaces."""
+    if os.environ.get("_GRIDTRACK_COMPLETE") != "complete_bash":
+        yield
+        return
+    broken, at = os.environ["COMP_WORDS"].split("\n"), int(os.environ["COMP_CWORD"])
+    words = _joined(broken[: at + 1])
+    replaced = "" if BREAKS.issuperset(broken[at]) else broken[at]
+    os.environ |= {"COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1)}
+    completions = io.StringIO()
+    try:
+        with redirect_stdout(completions):
+            yield
+    finally:
+        kept = words[-1].removesuffix(replaced)
+        sys.stdout.writelines(line.removeprefix(kept) for line in completions.getvalue().splitlines(keepends=True))
+
+
+def _joined(broken: Sequence[str]) -> list[str]:
+    """The words that bash made of each word at its BREAKS, as one again."""
+    words: list[str] = []
+    goes_on = False
+    for part in broken:
+        is_break = bool(part) and BREAKS.issuperset(part)
+        if words and part and (goes_on or is_break):
+            words[-1] += part
+        else:
+            words.append(part)
+        goes_on = is_break
+    return words
+
 
 def complete_tracker(incomplete: str) -> Iterator[str]:
-    """The registered trackers that begin with `incomplete`; none after the colon of options or in a path."""
+    """The registered trackers that begin with `incomplete`."""
     from gridtrack.trackers import registry
 
     yield from (name for name in registry.entries() if name.startswith(incomplete))
 
 
+def complete_selection(incomplete: str) -> Iterator[str]:
+    """A tracker, or after NAME: its options."""
+    return _complete_selection(incomplete, {})
+
+
 def complete_row(incomplete: str) -> Iterator[str]:
-    """Rows of a comparison, [LABEL=]NAME: the label stays as it is typed."""
-    label, equals, name = incomplete.rpartition("=")
-    yield from (f"{label}{equals}{completed}" for completed in complete_tracker(name))
+    """Rows of a comparison, [LABEL=]NAME[:KEY=VALUE,...]: the label stays as it is typed."""
+    from gridtrack.common.grid import Points
+    from gridtrack.trackers.selection import CardKind
+
+    label, equals, _ = incomplete.partition(":")[0].rpartition("=")
+    own = {"points": get_args(Points), "card": get_args(CardKind), "weights": ()}
+    rows = _complete_selection(incomplete.removeprefix(label + equals), own)
+    yield from (f"{label}{equals}{row}" for row in rows)
+
+
+def _complete_selection(incomplete: str, own: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """NAME, or the last part of NAME:KEY=VALUE,... among the options of that tracker and `own` ones."""
+    name, colon, typed = incomplete.partition(":")
+    if not colon:
+        yield from complete_tracker(name)
+        return
+    yield from (f"{name}:{part}" for part in _complete_pairs(typed, {**_options_of(name), **own}))
+
+
+def _options_of(name: str) -> dict[str, Sequence[str]]:
+    """The options of a tracker with the values of those that have few; none where it cannot say."""
+    from gridtrack.common.errors import GridtrackError
+    from gridtrack.evaluation.processes.limits import Limits
+    from gridtrack.evaluation.processes.tracker_process import describe
+    from gridtrack.trackers.selection import launch
+
+    try:
+        described = describe(launch(name), {}, Limits())
+    except GridtrackError:
+        return {}
+    schemas = described.options_schema.get("properties", {})
+    return {key: _values_of(schemas.get(key, {})) for key in described.options}
+
+
+def _values_of(schema: Mapping[str, Any]) -> Sequence[str]:
+    if schema.get("type") == "boolean":
+        return ("true", "false")
+    return [value for value in schema.get("enum", ()) if isinstance(value, str)]
 
 
 def complete_engine() -> Sequence[str]:
@@ -62,9 +142,17 @@ def complete_cloud_slice(incomplete: str) -> Iterator[str]:
 
 
 def _complete_keys(incomplete: str, model: type[Settings]) -> Iterator[str]:
-    """The last part of KEY=VALUE,... as a key of `model` that is not given yet, with its `=`."""
     from gridtrack.common.config import field_names
 
-    before, comma, _ = incomplete.rpartition(",")
+    return _complete_pairs(incomplete, dict.fromkeys(field_names(model), ()))
+
+
+def _complete_pairs(incomplete: str, values: Mapping[str, Iterable[str]]) -> Iterator[str]:
+    """The last part of KEY=VALUE,...: a key of `values` that is not given yet, with its `=`, or a value of its key."""
+    before, comma, last = incomplete.rpartition(",")
+    key, equals, _ = last.partition("=")
+    if equals:
+        yield from (f"{before}{comma}{key}={value}" for value in values.get(key, ()))
+        return
     given = {part.partition("=")[0] for part in before.split(",")}
-    yield from (f"{before}{comma}{key}=" for key in field_names(model) if key not in given)
+    yield from (f"{before}{comma}{key}=" for key in values if key not in given)

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gridtrack.cli.completion import complete_tracker
+from gridtrack.cli.completion import complete_selection, complete_tracker
 from gridtrack.cli.options import (
     GridOption,
     JsonOption,
@@ -39,7 +39,7 @@ def train_command(
             metavar="[NAME[:KEY=VALUE,...]] RECORDING[@RANGE]...",
             help="A tracker and recordings to train it on, or folders of them; may be left out with --recipe or --like",
             show_default=False,
-            autocompletion=complete_tracker,
+            autocompletion=complete_selection,
         ),
     ] = None,
     recipe: Annotated[
@@ -224,7 +224,7 @@ def check_defaults() -> dict[str, str]:
 
 @app.command("check", cls=with_defaults(check_defaults))
 def check_command(
-    tracker: Annotated[str, typer.Argument(metavar="NAME[:KEY=VALUE,...]", autocompletion=complete_tracker)],
+    tracker: Annotated[str, typer.Argument(metavar="NAME[:KEY=VALUE,...]", autocompletion=complete_selection)],
     recording: Annotated[str | None, typer.Option(help="Check with the grid, rate and site of this recording")] = None,
     weights: WeightsOption = None,
     trackers_toml: TrackersTomlOption = None,

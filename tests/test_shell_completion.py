@@ -1,0 +1,77 @@
+"""What the shell completes, asked as bash asks: it ends a word at each of : = @ and replaces what follows the last."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from typing import get_args
+
+import pytest
+
+from gridtrack.evaluation.comparison.settings import EngineName
+from gridtrack.reports.formats import FORMATS, PAGE
+
+OTHER_KINDS = ("beam-dropout", "range-noise", "frame-drop")
+"""Of degraded input, beside the jitter of poses."""
+PROGRAM = [sys.executable, "-c", "import sys; sys.argv = ['gridtrack']; from gridtrack.cli import main; main()"]
+
+
+def completed_in_bash(*typed: str) -> list[str]:
+    """What bash is offered in place of the end of the last word; "" is a new word."""
+    words = ["gridtrack"]
+    for word in typed:
+        words += re.findall(r"[:=@]+|[^:=@]+", word) or [""]
+    asked = {"COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1), "_GRIDTRACK_COMPLETE": "complete_bash"}
+    done = subprocess.run(PROGRAM, env=os.environ | asked, capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [
+        (["compare", "a.mcap", "--tracker", "ka"], ["kalman"]),
+        (["compare", "a.mcap@30s-90s", "--tracker", "slow=fact"], ["factor-graph"]),
+        (["compare", "a.mcap", "--out=runs/a", "--tracker=fact"], ["factor-graph"]),
+        (["trackers", "show", "dil"], ["dilated-convgru"]),
+        (["train", "one"], ["one-shot"]),
+        (["compare", "--tracker", "kalman", "a.mc"], []),
+        (["compare", "--tracker", "kalman:", ""], []),
+        (["rec"], ["recording"]),
+        (["compare", "a.mcap", "--engine", ""], list(get_args(EngineName))),
+        (["report", "run", "--format", ""], [PAGE, *FORMATS]),
+        (["report", "run", "--format", "la"], ["latex"]),
+        (["simulate", "tracks", "a.txt", "--format", "s"], ["sdd"]),
+        (["recording", "import", "a.bag", "--zero-range", "f"], ["free"]),
+        (["compare", "a.mcap", "--degrade", "b"], ["beam-dropout="]),
+        (["compare", "a.mcap", "--degrade", "pose-jitter=0.1,"], [f"0.1,{kind}=" for kind in OTHER_KINDS]),
+        (["compare", "a.mcap", "--degrade", "beam-dropout=0"], []),
+        (["compare", "a.mcap", "--slurm", "pa"], ["partition="]),
+        (["recording", "import", "a.bag", "--cloud-slice", "low_m=0.2,hi"], ["0.2,high_m="]),
+    ],
+)
+def test_commands_trackers_and_values_of_a_fixed_set(typed: list[str], completed: list[str]) -> None:
+    assert completed_in_bash(*typed) == completed
+
+
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [
+        (["compare", "a.mcap", "--tracker", "kalman:as"], ["association="]),
+        (["compare", "a.mcap", "--tracker", "slow=kalman:association=j"], ["jcbb"]),
+        (["compare", "a.mcap", "--tracker", "kalman:association="], ["hungarian", "jcbb"]),
+        (["compare", "a.mcap", "--tracker", "static-map:prior_frames=9,"], ["9,points=", "9,card=", "9,weights="]),
+        (["compare", "a.mcap", "--tracker", "static-map:card=g"], ["general"]),
+        (["compare", "a.mcap", "--tracker", "kalmann:as"], []),
+        (["trackers", "check", "static-map:"], ["prior_frames="]),
+        (["train", "static-map:pr"], ["prior_frames="]),
+    ],
+)
+def test_the_options_of_a_tracker_and_their_values(typed: list[str], completed: list[str]) -> None:
+    assert completed_in_bash(*typed) == completed
+
+
+def test_nothing_is_fetched_for_a_completion() -> None:
+    assert completed_in_bash("compare", "https://127.0.0.1:9/a.mcap", "--tracker", "ka") == ["kalman"]
