@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -18,6 +18,9 @@ from gridtrack.cli.options import (
     print_note,
 )
 from gridtrack.common.errors import ConfigurationError, printable
+
+if TYPE_CHECKING:
+    from gridtrack.recordings import Recording
 
 PoseTopicOption = Annotated[
     str | None,
@@ -57,7 +60,12 @@ def recording_info(
         zero_range=zero_range,
         strict=strict,
     )
-    overview = opened.overview()
+    _print_overview(opened, as_json)
+
+
+def _print_overview(recording: Recording, as_json: bool) -> None:
+    """Print what a recording holds."""
+    overview = recording.overview()
     typer.echo(overview.model_dump_json(indent=1) if as_json else "\n".join(map(printable, str(overview).split("\n"))))
 
 
@@ -93,6 +101,7 @@ def recording_import(
         ),
     ] = None,
     strict: bool = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Write a recording of any format (ROS 1 or 2 bag, ROS or Foxglove MCAP, CARMEN log, ...) as a native one."""
     from gridtrack.common.config import parse_pairs, validated
@@ -118,7 +127,7 @@ def recording_import(
         ego_motion=ego_motion or "recorded",
         strict=strict,
     )
-    typer.echo(str(recording.overview()))
+    _print_overview(recording, as_json)
 
 
 @app.command("view")

@@ -77,7 +77,15 @@ def regress_command(
         )
     if len(runs) > 1 and not update:
         raise ConfigurationError(f"{len(runs)} runs: one is judged at a time; --update makes a baseline of several")
-    for option, given in (("--confirm", confirm), ("--speed-base", speed_base), ("--history", history)):
+    of_verdict = {
+        "--confirm": confirm,
+        "--speed-base": speed_base,
+        "--history": history,
+        "--junit": junit,
+        "--markdown": markdown,
+        "--json": as_json,
+    }
+    for option, given in of_verdict.items():
         if given and update:
             raise ConfigurationError(f"{option}: --update judges nothing; leave one of the two out")
     values = {

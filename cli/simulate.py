@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import shlex
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gridtrack.cli.options import default_of, seconds, seconds_text, with_defaults
+from gridtrack.cli.options import JsonOption, default_of, seconds, seconds_text, with_defaults
 from gridtrack.common.errors import ConfigurationError, printable
 
 if TYPE_CHECKING:
     from gridtrack.simulation.stanford import Video
     from gridtrack.simulation.tracks import Tracks
+    from gridtrack.simulation.traffic import Traffic
 
 app = typer.Typer(
     no_args_is_help=True, help="Recordings with ground truth: junction, junction-set, drive-set, worlds, tracks, check."
@@ -213,21 +216,35 @@ def _command(source: Path, out: Path, video: Video) -> str:
 
 
 @app.command("check")
-def check_tracks(tracks: Annotated[list[Path], typer.Argument(metavar="TRACKS...")]) -> None:
+def check_tracks(
+    tracks: Annotated[list[Path], typer.Argument(metavar="TRACKS...")], as_json: JsonOption = False
+) -> None:
     """The traffic in the window of a .tracks file, and its faults: collisions with walls or the laser, gridlock.
 
     Exit code: 0 correct, 2 wrong use, 3 a fault was found.
     """
     from gridtrack.simulation.tracks_file import read_tracks
+    from gridtrack.simulation.traffic import check_traffic
 
-    for path in tracks:
-        _report(path, read_tracks(path))
+    found = {path: check_traffic(read_tracks(path)) for path in tracks}
+    if as_json:
+        records = [{"tracks": str(path), **asdict(traffic)} for path, traffic in found.items()]
+        typer.echo(json.dumps(records, indent=1))
+    else:
+        for path, traffic in found.items():
+            _print_traffic(path, traffic)
+    if any(traffic.faults for traffic in found.values()):
+        raise typer.Exit(FAULTY)
 
 
 def _report(path: Path, tracks: Tracks) -> None:
     from gridtrack.simulation.traffic import check_traffic
 
     traffic = check_traffic(tracks)
-    typer.echo("\n".join([printable(str(path)), *(f"  {printable(line)}" for line in str(traffic).splitlines())]))
+    _print_traffic(path, traffic)
     if traffic.faults:
         raise typer.Exit(FAULTY)
+
+
+def _print_traffic(path: Path, traffic: Traffic) -> None:
+    typer.echo("\n".join([printable(str(path)), *(f"  {printable(line)}" for line in str(traffic).splitlines())]))

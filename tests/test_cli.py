@@ -9,23 +9,20 @@ import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 import typer
 
 from gridtrack.cli import app
 from gridtrack.evaluation.comparison.recipe import Recipe
-from gridtrack.evaluation.comparison.settings import CompareSettings, EngineName
+from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.processes.limits import Limits
 from gridtrack.evaluation.regression.settings import MARGIN, SPEED_MARGIN, TURNS_MARGIN
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.degradation import Degradation
-from gridtrack.reports.formats import FORMATS, PAGE
 
 DEMO = str(packaged_recording("leg_tracker"))
-OTHER_KINDS = ("beam-dropout", "range-noise", "frame-drop")
-"""Of degraded input, beside the jitter of poses."""
 PACKAGE = str(Path(DEMO).parents[2])
 
 
@@ -45,6 +42,11 @@ def gridtrack(*arguments: str, code: int = 0, **environment: str) -> subprocess.
         (("compare", DEMO, "--tracker", "static-map:prior_frame=1"), "did you mean 'prior_frames'?"),
         (("compare", DEMO, "--tracker", "static-map:prior_frames=1e999"), "'prior_frames'"),
         (("train", "static-map", DEMO, "--out", f"{DEMO}/weights"), "Not a directory"),
+        (("regress", "run", "--baseline", "b.json", "--update", "--json"), "--json: --update judges nothing"),
+        (
+            ("regress", "run", "--baseline", "b.json", "--update", "--junit", "a.xml"),
+            "--junit: --update judges nothing",
+        ),
         (("recording", "info", "no\x1b[31m\nwhere.bag"), "no [31m where.bag: no such recording"),
         (("recording", "info", "hall\udce9.mcap"), r"hall\xe9.mcap: this path is not UTF-8"),
         (("compare", DEMO, "--out", "runs/hall\udce9"), r"runs/hall\xe9: this path is not UTF-8"),
@@ -229,6 +231,12 @@ def test_info_lists_the_content_of_a_recording():
     assert info["sensors"]["scan"]["scans"] == 1265
 
 
+def test_an_import_gives_the_content_of_what_it_wrote_as_json(tmp_path):
+    written = str(tmp_path / "again.mcap")
+    imported = gridtrack("recording", "import", DEMO, "--out", written, "--json").stdout
+    assert json.loads(imported) == json.loads(gridtrack("recording", "info", written, "--json").stdout)
+
+
 def test_a_tracker_is_trained_compared_and_reported(tmp_path):
     weights, run = tmp_path / "weights", tmp_path / "run"
     gridtrack("train", "static-map:prior_frames=3", DEMO, "--out", str(weights))
@@ -258,32 +266,3 @@ def test_a_trial_that_did_not_complete_is_exit_code_3(tmp_path):
     )  # fmt: skip
     assert "static-map@leg_tracker: not-applicable" in done.stderr or "untrained" in done.stderr
     assert "blank@leg_tracker: ok" in done.stderr
-
-
-@pytest.mark.parametrize(
-    ("typed", "completed"),
-    [
-        (["compare", "a.mcap", "--tracker", "ka"], ["kalman"]),
-        (["compare", "a.mcap", "--tracker", "slow=fact"], ["slow=factor-graph"]),
-        (["trackers", "show", "dil"], ["dilated-convgru"]),
-        (["train", "one"], ["one-shot"]),
-        (["compare", "--tracker", "kalman", "a.mc"], []),
-        (["rec"], ["recording"]),
-        (["compare", "a.mcap", "--engine", ""], list(get_args(EngineName))),
-        (["report", "run", "--format", ""], [PAGE, *FORMATS]),
-        (["report", "run", "--format", "la"], ["latex"]),
-        (["simulate", "tracks", "a.txt", "--format", "s"], ["sdd"]),
-        (["recording", "import", "a.bag", "--zero-range", "f"], ["free"]),
-        (["compare", "a.mcap", "--degrade", "b"], ["beam-dropout="]),
-        (["compare", "a.mcap", "--degrade", "pose-jitter=0.1,"], [f"pose-jitter=0.1,{kind}=" for kind in OTHER_KINDS]),
-        (["compare", "a.mcap", "--degrade", "beam-dropout=0"], []),
-        (["compare", "a.mcap", "--slurm", "pa"], ["partition="]),
-        (["recording", "import", "a.bag", "--cloud-slice", "low_m=0.2,hi"], ["low_m=0.2,high_m="]),
-    ],
-)
-def test_the_shell_completes_commands_trackers_and_values_of_a_fixed_set(typed, completed):
-    words = {"COMP_WORDS": " ".join(["gridtrack", *typed]), "COMP_CWORD": str(len(typed))}
-    environment = {**os.environ, **words, "_GRIDTRACK_COMPLETE": "complete_bash"}
-    program = [sys.executable, "-c", "import sys; sys.argv = ['gridtrack']; from gridtrack.cli import main; main()"]
-    done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.split() == completed

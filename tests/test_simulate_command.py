@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +23,14 @@ def gridtrack(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str
     )
     assert done.returncode == code, done.stdout + done.stderr
     return done
+
+
+def test_the_check_gives_every_file_as_json() -> None:
+    paths = [str(packaged_recording(f"junction/{name}")) for name in ("test-104", "test-105")]
+    found = json.loads(gridtrack("simulate", "check", *paths, "--json").stdout)
+    assert [one["tracks"] for one in found] == paths
+    assert found[0]["faults"] == []
+    assert {one["name"] for one in found[0]["classes"]} >= {"car", "pedestrian"}
 
 
 @pytest.fixture
