@@ -26,8 +26,18 @@ CARMEN_SUFFIXES = (".clf", ".clf.bz2", ".log", ".log.bz2")
 MAX_LINE_BYTES = 1 << 20
 SICK_RANGE_MAX_M = 81.8
 """A SICK LMS reports 81.83 m or more for a beam without a return; its real maximum range is shorter."""
-STEP_DEG = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5, 401: 0.25}
-"""Angle between beams, degrees, by their number: FLASER lines do not contain it."""
+ANGLES_DEG = {
+    **dict.fromkeys((180, 181), (-90.0, 1.0)),
+    **dict.fromkeys((360, 361), (-90.0, 0.5)),
+    **dict.fromkeys((400, 401), (-50.0, 0.25)),
+    **dict.fromkeys((540, 541), (-135.0, 0.5)),
+    **dict.fromkeys((1080, 1081), (-135.0, 0.25)),
+}
+"""First angle and step between beams, degrees, by the number of beams: FLASER lines do not contain them.
+
+Up to 401 of a SICK LMS 2xx, whose last beam may be left out, as CARMEN's carmen_laser_guess_fov has them; then of a
+SICK LMS 1xx and of a Hokuyo UTM-30LX.
+"""
 
 
 class CarmenLog(Recording):
@@ -48,7 +58,16 @@ class CarmenLog(Recording):
             if self.options.topic is None and len(topics.scans) > 1:
                 self.warn(f"holds FLASER and ROBOTLASER1; {wanted} is read: name the other as topic to read it instead")
             if kind == wanted and kind in topics.scans:
-                yield self._scan(kind, words, number)
+                scan = self._scan(kind, words, number)
+                if kind == "FLASER" and scan.ranges.size not in ANGLES_DEG:
+                    self._tell_guess(scan.ranges.size)
+                yield scan
+
+    def _tell_guess(self, beams: int) -> None:
+        self.notify(
+            f"FLASER lines do not contain the angles of their beams, and {beams} beams are those of no known laser:"
+            " taken as 180 deg, as CARMEN does; where that is wrong, ROBOTLASER1 lines contain the angles"
+        )
 
     def _scan(self, kind: str, words: list[str], line: int) -> Scan:
         try:
@@ -94,13 +113,12 @@ def _flaser(words: list[str]) -> Scan:
     ranges, rest = words[2 : 2 + beams], words[2 + beams :]
     if beams < 2 or len(rest) != 9:
         raise ValueError(f"{len(words)} words for {beams} beams")
-    step = math.radians(STEP_DEG.get(beams, 180.0 / (beams - 1)))
-    field_of_view = math.radians(100.0) if beams == 401 else math.pi
+    first_deg, step_deg = ANGLES_DEG.get(beams, (-90.0, 180.0 / (beams - 1)))
     return Scan(
         stamp_ns=_stamp_ns(rest[6]),
         ranges=np.array(ranges, np.float32),
-        angle_min=-field_of_view / 2.0,
-        angle_increment=step,
+        angle_min=math.radians(first_deg),
+        angle_increment=math.radians(step_deg),
         range_min=0.0,
         range_max=SICK_RANGE_MAX_M,
         sensor="scan",

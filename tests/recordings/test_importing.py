@@ -62,7 +62,7 @@ def test_warnings_of_the_source_are_kept(log: Path, tmp_path: Path) -> None:
     log.write_text(log.read_text() + "FLASER 3 1.0\n")
     imported = import_recording(log, tmp_path / "out.mcap")
     assert len(imported.survey.sensors["scan"].stamps) == 5
-    assert "line 6" in imported.warnings[0]
+    assert any("line 6" in line for line in imported.warnings)
 
 
 def test_a_failed_import_does_not_change_an_existing_file(log: Path, tmp_path: Path) -> None:

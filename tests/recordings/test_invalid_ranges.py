@@ -86,7 +86,8 @@ def test_zero_ranges_stay_without_the_option_and_an_unknown_meaning_is_refused(
 
 def test_zero_ranges_of_a_carmen_log(tmp_path: Path) -> None:
     log = tmp_path / "a.clf"
-    log.write_text("".join(f"FLASER 3 0.0 2.0 3.0 0 0 0 0 0 0 {k}.5 host 0.0\n" for k in range(5)))
+    ranges = "0.0 2.0 3.0 " * 60
+    log.write_text("".join(f"FLASER 180 {ranges} 0 0 0 0 0 0 {k}.5 host 0.0\n" for k in range(5)))
     (warning,) = open_recording(log).overview().warnings
     assert HINT in warning
     assert open_recording(log, zero_range="free").overview().warnings == ()

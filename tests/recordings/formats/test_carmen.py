@@ -50,14 +50,30 @@ def test_flaser_lines(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("beams", "first_deg", "step_deg"),
-    [(180, -90, 1.0), (181, -90, 1.0), (361, -90, 0.5), (401, -50, 0.25), (91, -90, 2.0)],
+    [
+        *[(180, -90, 1.0), (181, -90, 1.0), (360, -90, 0.5), (361, -90, 0.5), (400, -50, 0.25), (401, -50, 0.25)],
+        *[(540, -135, 0.5), (541, -135, 0.5), (1080, -135, 0.25), (1081, -135, 0.25)],
+    ],
 )
-def test_the_step_follows_from_the_number_of_beams(
+def test_the_angles_follow_from_the_number_of_beams(
     beams: int, first_deg: float, step_deg: float, tmp_path: Path
 ) -> None:
-    (scan,) = open_recording(log(tmp_path / "a.clf", flaser(0, ["1.0"] * beams))).scans()
+    recording = open_recording(log(tmp_path / "a.clf", flaser(0, ["1.0"] * beams)), strict=True)
+    (scan,) = recording.scans()
     assert math.degrees(scan.angle_min) == pytest.approx(first_deg)
     assert math.degrees(scan.angle_increment) == pytest.approx(step_deg)
+
+
+def test_angles_of_a_number_of_beams_that_no_known_laser_has_are_told(tmp_path: Path) -> None:
+    recording = open_recording(log(tmp_path / "a.clf", *(flaser(k, ["1.0"] * 91) for k in range(3))), strict=True)
+    scan = next(iter(recording.scans()))
+    assert math.degrees(scan.angle_min) == pytest.approx(-90)
+    assert math.degrees(scan.angle_increment) == pytest.approx(2.0)
+    (warning,) = recording.overview().warnings
+    assert warning.endswith(
+        "FLASER lines do not contain the angles of their beams, and 91 beams are those of no known laser: taken as 180"
+        " deg, as CARMEN does; where that is wrong, ROBOTLASER1 lines contain the angles"
+    )
 
 
 def test_robotlaser_lines_contain_their_angles(tmp_path: Path) -> None:
