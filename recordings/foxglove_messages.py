@@ -1,11 +1,13 @@
 """Foxglove messages as scans and transforms: LaserScan, FrameTransform, FrameTransforms and PoseInFrame, in Protobuf.
 
-Schemas: https://docs.foxglove.dev/docs/visualization/message-schemas
+Schemas: https://docs.foxglove.dev/docs/visualization/message-schemas. A quaternion of all zeros, the default of
+Protobuf, is that of a rotation that was not set: what has it is not turned. `tell` receives a line about it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,9 @@ from gridtrack.recordings.protobuf_time import nanoseconds_of
 from gridtrack.recordings.recording import DamageError
 
 FOXGLOVE = "foxglove."
+NOT_TURNED = "have a rotation of all zeros, as Protobuf has where none is set: taken as not turned"
+NOWHERE = SE3((math.nan, math.nan, math.nan))
+"""The place of a scan whose message has no numbers for it: StampOrder leaves the scan out."""
 _TYPES: dict[str, tuple[type[Any], Content]] = {
     "foxglove.LaserScan": (LaserScan, "scan"),
     "foxglove.FrameTransform": (FrameTransform, "transforms"),
@@ -42,16 +47,20 @@ def foxglove_frame(message: EncodedMessage) -> str:
     return str(_decoded_foxglove(message).frame_id)
 
 
-def foxglove_transforms(message: EncodedMessage) -> Iterator[StampedTransform]:
+def foxglove_transforms(message: EncodedMessage, tell: Callable[[str], None]) -> Iterator[StampedTransform]:
     """The transforms of a message, or its pose, whose child has no name. Raises DamageError."""
     decoded = _decoded_foxglove(message)
     if isinstance(decoded, PoseInFrame):
         stamp_ns = nanoseconds_of(decoded.timestamp) or message.received_ns
+        if _is_unset(decoded.pose.orientation):
+            tell(f"poses on {message.topic} {NOT_TURNED}")
         pose = _transform(decoded.pose.position, decoded.pose.orientation)
         yield StampedTransform(stamp_ns, decoded.frame_id, "", pose)
         return
     for t in decoded.transforms if isinstance(decoded, FrameTransforms) else (decoded,):
         stamp_ns = nanoseconds_of(t.timestamp) or message.received_ns
+        if _is_unset(t.rotation):
+            tell(f"transforms on {message.topic} of frame '{t.child_frame_id}' {NOT_TURNED}")
         yield StampedTransform(stamp_ns, t.parent_frame_id, t.child_frame_id, _transform(t.translation, t.rotation))
 
 
@@ -61,7 +70,7 @@ def longest_range_of(message: EncodedMessage) -> float:
     return float(np.max(ranges, where=np.isfinite(ranges), initial=0.0))
 
 
-def foxglove_scan(message: EncodedMessage, sensor: str, range_max: float) -> FramedScan:
+def foxglove_scan(message: EncodedMessage, sensor: str, range_max: float, tell: Callable[[str], None]) -> FramedScan:
     """A scan and its frame. The message has no limits of its ranges: `range_max` is that of the sensor. DamageError."""
     decoded = _decoded_foxglove(message)
     ranges = _ranges(decoded)
@@ -74,8 +83,7 @@ def foxglove_scan(message: EncodedMessage, sensor: str, range_max: float) -> Fra
         range_max=range_max,
         sensor=sensor,
     )
-    mounted = _transform(decoded.pose.position, decoded.pose.orientation) if decoded.HasField("pose") else None
-    return FramedScan(message.topic, decoded.frame_id, scan, mounted)
+    return FramedScan(message.topic, decoded.frame_id, scan, _mounted(decoded.pose, message.topic, tell))
 
 
 def _ranges(scan: LaserScan) -> np.ndarray[Any, np.dtype[np.float32]]:
@@ -84,8 +92,22 @@ def _ranges(scan: LaserScan) -> np.ndarray[Any, np.dtype[np.float32]]:
     return np.fromiter(scan.ranges, np.float64, len(scan.ranges)).astype(np.float32)
 
 
+def _mounted(pose: Any, topic: str, tell: Callable[[str], None]) -> SE3 | None:
+    """The place of a laser in the frame of its scan; None where its message has none, or an empty one."""
+    if not pose.ByteSize():
+        return None
+    if _is_unset(pose.orientation):
+        tell(f"poses of the laser in the scans on {topic} {NOT_TURNED}")
+    return _transform(pose.position, pose.orientation) or NOWHERE
+
+
+def _is_unset(rotation: Any) -> bool:
+    return not (rotation.w or rotation.z or rotation.x or rotation.y)
+
+
 def _transform(translation: Any, rotation: Any) -> SE3 | None:
-    return SE3.of((translation.x, translation.y, translation.z), (rotation.x, rotation.y, rotation.z, rotation.w))
+    w = 1.0 if _is_unset(rotation) else rotation.w
+    return SE3.of((translation.x, translation.y, translation.z), (rotation.x, rotation.y, rotation.z, w))
 
 
 def _decoded_foxglove(message: EncodedMessage) -> Any:

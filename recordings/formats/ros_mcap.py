@@ -54,7 +54,7 @@ class RosMcap(RosRecording):
     def transforms_of(self, message: EncodedMessage) -> Iterable[StampedTransform]:
         """The transforms of a message, or its pose; `child` is empty where it does not name one. DamageError."""
         is_foxglove = message.kind.startswith(FOXGLOVE)
-        return foxglove_transforms(message) if is_foxglove else super().transforms_of(message)
+        return foxglove_transforms(message, self.notify) if is_foxglove else super().transforms_of(message)
 
     def scan_of(self, message: EncodedMessage) -> FramedScan:
         """A scan and its frame. Raises DamageError."""
@@ -67,7 +67,7 @@ class RosMcap(RosRecording):
             f"topic '{message.topic}': its scans have no limits of their ranges; the longest, {longest:.2f} m, is taken"
             " as the limit"
         )
-        return foxglove_scan(message, self.sensor_of(message.topic), longest)
+        return foxglove_scan(message, self.sensor_of(message.topic), longest, self.notify)
 
     @cached_property
     def _longest_ranges(self) -> dict[str, float]:

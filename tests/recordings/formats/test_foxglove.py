@@ -134,3 +134,64 @@ def test_angles_and_ranges_are_kept(mcap) -> None:
     assert scan.angle_increment == pytest.approx(made.FRONT.angle_increment)
     np.testing.assert_array_equal(scan.ranges, made.ranges_at(made.FRONT, made.robot_at(0), (0.0, 3.0)))
     assert scan.world_T_sensor == SE2()
+
+
+def without_rotation(message: Any) -> Any:
+    """A message whose rotation is as Protobuf has it where it is not set: all zeros."""
+    for part in ("rotation", "orientation"):
+        if part in message.DESCRIPTOR.fields_by_name:
+            message.ClearField(part)
+    return message
+
+
+ZEROS = "have a rotation of all zeros, as Protobuf has where none is set: taken as not turned"
+
+
+def test_a_mount_without_a_rotation_is_not_turned_and_told(mcap) -> None:
+    place = SE3((0.3, 0.1, 0.0))
+    mount = without_rotation(transform_message(0, "base_link", "front_laser", place))
+    moving = [("/tf", at, transform_message(at, "odom", "base_link", SE3((at / 1e3, 0.0, 0.0)))) for at in (0, 500)]
+    scans = [("/front", at, scan_message(at, made.FRONT)) for at in range(0, 500, 100)]
+    recording = open_recording(mcap([("/mount", 0, mount), *moving, *scans]), strict=True)
+    assert [scan.world_T_sensor.x for scan in recording.scans()] == pytest.approx([0.3, 0.4, 0.5, 0.6, 0.7])
+    assert any(f"transforms on /mount of frame 'front_laser' {ZEROS}" in line for line in recording.warnings)
+
+
+def test_poses_without_a_rotation_are_not_turned_and_told(mcap) -> None:
+    poses = []
+    for at in range(0, 600, 100):
+        message = pose_message(at)
+        without_rotation(message.pose)
+        poses.append(("/pose", at, message))
+    scans = [("/front", at, scan_message(at, made.FRONT, in_base=True)) for at in range(0, 500, 100)]
+    recording = open_recording(mcap([*poses, *scans]), strict=True)
+    for scan, at in zip(recording.scans(), range(0, 500, 100), strict=True):
+        place = made.robot_at(at)
+        expected = SE2(place.x, place.y) @ made.FRONT.base_T_laser
+        assert (scan.world_T_sensor.x, scan.world_T_sensor.y) == pytest.approx((expected.x, expected.y))
+    assert any(f"poses on /pose {ZEROS}" in line for line in recording.warnings)
+
+
+def test_the_place_of_a_laser_in_its_scans_is_used_without_a_rotation_and_told(mcap) -> None:
+    message = scan_message(0, made.FRONT, in_base=True)
+    without_rotation(message.pose)
+    recording = open_recording(mcap([("/front", 0, message)]), strict=True)
+    (scan,) = recording.scans()
+    assert scan.world_T_sensor == SE2(0.3, 0.1)
+    assert any(f"poses of the laser in the scans on /front {ZEROS}" in line for line in recording.warnings)
+
+
+def test_an_empty_place_of_a_laser_in_its_scans_is_none(mcap) -> None:
+    message = scan_message(0, made.FRONT)
+    message.pose.SetInParent()
+    recording = open_recording(mcap([("/front", 0, message)]))
+    assert [scan.world_T_sensor for scan in recording.scans()] == [SE2()]
+    assert not any(ZEROS in line for line in recording.warnings)
+
+
+def test_a_scan_with_a_place_of_its_laser_that_is_no_number_is_left_out(mcap) -> None:
+    messages = [scan_message(at, made.FRONT, in_base=True) for at in range(0, 500, 100)]
+    messages[2].pose.position.x = math.nan
+    recording = open_recording(mcap([("/front", 100 * k, message) for k, message in enumerate(messages)]))
+    assert len(list(recording.scans())) == 4
+    assert any("scans of sensor 'front' whose pose is not finite, left out: 1 of them" in w for w in recording.warnings)
