@@ -28,6 +28,8 @@ def chosen_chains(tree: FrameTree, options: ChainOptions) -> Chains:
     if not options.sensors:
         return Chains()
     chains = _Choice(tree, options).chains()
+    if not chains.problem and not options.stand:
+        chains.notes += tuple(notes.seldom_told(tree, chains.of_topic))
     chains.faults = tuple(notes.several_topics(options, tree, chains.of_topic))
     return chains
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 from gridtrack.common.names import LABEL_RULE, is_label
@@ -34,10 +35,19 @@ class FrameMotion:
         self.longest_gap_ns = 0
         self.contradicts = False
         """Whether two transforms of one stamp differ."""
+        self.number = 1
+        """Of the transforms whose stamps are near others."""
         self._last = first_ns, first
-        self._added = 1
+        self._held: tuple[int, SE3] | None = None
         self._far = FarStamps()
         self._far.judge(first_ns)
+
+    @property
+    def after_gap(self) -> tuple[int, SE3] | None:
+        """A last transform, left out since it is stamped far after the others: how far after them, ns, and itself."""
+        if self._held is None or self._held[0] < self._far.last_ns:
+            return None
+        return self._held[0] - self._far.last_ns, self._held[1]
 
     def add(self, stamp_ns: int, transform: SE3) -> None:
         """Add the next transform in the order of the file; one whose stamp is far from the others does not count."""
@@ -46,14 +56,17 @@ class FrameMotion:
         self.contradicts |= stamp_ns == last_ns and not transform.is_same(last)
         before_ns = self._far.last_ns
         judgement = self._far.judge(stamp_ns)
+        held, self._held = self._held, (stamp_ns, transform) if judgement == "held" else None
         if judgement == "held":
             return
+        added = [(stamp_ns, transform)] if judgement == "near" or held is None else [held, (stamp_ns, transform)]
         if judgement == "restarted":
-            self.first = transform if self._added == 1 else self.first
+            self.first = added[0][1] if self.number == 1 else self.first
         else:
-            self.longest_gap_ns = max(self.longest_gap_ns, self._far.last_ns - before_ns)
-        self._added += 1
-        self.constant = self.constant and transform.is_same(self.first)
+            stamps_ns = [before_ns, *(one_ns for one_ns, _ in added)]
+            self.longest_gap_ns = max(self.longest_gap_ns, *(after - one for one, after in pairwise(stamps_ns)))
+        self.number += len(added)
+        self.constant = self.constant and all(one.is_same(self.first) for _, one in added)
 
 
 @dataclass(slots=True)
