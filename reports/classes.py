@@ -10,7 +10,7 @@ from gridtrack.evaluation.results.trial_summary import ClassScores, TrialSummary
 from gridtrack.evaluation.results.values import Curve
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.table import HeadlineTable, TableRow
+from gridtrack.reports.table import HeadlineTable, TableRow, name_in
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def class_tables(table: HeadlineTable, run: ReportedRun | None) -> ClassTables |
         tuple((row, _recalls(row.trial, recall_columns, step)) for row in rows),
         tuple((visibility, when) for visibility, when, _ in columns),
         tuple(ClassRow(row, tuple(_class_cell(row, v, at, paired) for v, _, at in columns)) for row in forecasting),
-        next((one.reference for one in paired.values()), ""),
+        next((name_in(run, one.reference, table.recording) for one in paired.values() if run), ""),
         next((scores.interval for scores in found if scores.interval), ""),
     )
 

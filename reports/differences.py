@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from gridtrack.evaluation.results.summary import HeadlineTest, TrackerDifference
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportedRun
-from gridtrack.reports.table import FORGIVING, FORGIVING_NAME
+from gridtrack.reports.table import FORGIVING, FORGIVING_NAME, name_in
 
 BESIDE_F1 = {
     "nll": ("log loss", 4),
@@ -35,6 +35,8 @@ class DifferenceRow:
     """One tracker and score: the comparisons in the order of the columns, or the reason why there are none."""
 
     tracker: str
+    name: str
+    """The label of the tracker as it is shown."""
     score: str
     cells: tuple[DifferenceCell, ...]
     reason: str
@@ -58,24 +60,24 @@ def difference_table(run: ReportedRun, recording: str) -> DifferenceTable | None
     if not tested:
         return None
     columns = tuple((test.stratum, test.horizon_s) for test in tested[0].headline)
-    rows = tuple(row for one in found for row in _rows_of(one, columns))
+    rows = tuple(row for one in found for row in _rows_of(one, name_in(run, one.tracker, recording), columns))
     units = f"{tested[0].units} units, {tested[0].frames} frames"
-    return DifferenceTable(tested[0].reference, columns, units, rows)
+    return DifferenceTable(name_in(run, tested[0].reference, recording), columns, units, rows)
 
 
-def _rows_of(difference: TrackerDifference, columns: Sequence[tuple[str, float]]) -> Iterator[DifferenceRow]:
+def _rows_of(difference: TrackerDifference, name: str, columns: Sequence[tuple[str, float]]) -> Iterator[DifferenceRow]:
     """The row of F1, and where there was a comparison those of the other scores that the run has."""
-    name = difference.tracker
+    label = difference.tracker
     if difference.interval:
-        yield DifferenceRow(name, "F1", (), difference.interval)
+        yield DifferenceRow(label, name, "F1", (), difference.interval)
         return
     tests = {(test.stratum, test.horizon_s): test for test in difference.headline}
     chosen = [tests.get(column) for column in columns]
-    yield DifferenceRow(name, "F1", tuple(_f1_cell(test) for test in chosen), "")
+    yield DifferenceRow(label, name, "F1", tuple(_f1_cell(test) for test in chosen), "")
     for score, (score_name, digits) in BESIDE_F1.items():
         if any(test is not None and getattr(test, score) is not None for test in chosen):
             cells = tuple(_uncorrected_cell(test, score, digits) for test in chosen)
-            yield DifferenceRow(name, score_name, cells, "")
+            yield DifferenceRow(label, name, score_name, cells, "")
 
 
 def _f1_cell(test: HeadlineTest | None) -> DifferenceCell:
@@ -112,5 +114,5 @@ def difference_markdown(differences: DifferenceTable, text: Callable[[str], str]
     rows = []
     for row in differences.rows:
         cells = [f"{cell.value} {cell.interval} {cell.p} {cell.verdict}" for cell in row.cells]
-        rows.append([f"{text(row.tracker)}, {row.score}", *(cells or [text(row.reason), *empty])])
+        rows.append([f"{text(row.name)}, {row.score}", *(cells or [text(row.reason), *empty])])
     return markdown_table(headings, rows)

@@ -11,7 +11,7 @@ from gridtrack.evaluation.results.summary import OccludedDifference
 from gridtrack.evaluation.scoring.strata import OCCLUDED
 from gridtrack.reports.differences import p_text
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.table import HeadlineTable, TableRow
+from gridtrack.reports.table import HeadlineTable, TableRow, name_in
 
 SCORE_HEADINGS = {
     "f1": "F1 at a threshold chosen with the truth",
@@ -55,7 +55,7 @@ def occluded_thresholds(table: HeadlineTable, run: ReportedRun | None) -> Occlud
     )
     if not rows:
         return None
-    reference = next((one.reference for one in found.values()), "")
+    reference = next((name_in(run, one.reference, table.recording) for one in found.values() if run), "")
     return OccludedThresholds(table.decisive.heading, reference, tuple(SCORE_HEADINGS.values()), rows, _turned(rows))
 
 

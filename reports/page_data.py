@@ -60,18 +60,21 @@ def page_data(
 ) -> dict[str, Any]:
     """The data of the page but the recordings that have a player, `players`, and what `priors.py` has, `priors`.
 
-    `trackers`: the key of every row as `label`, and its style (CSS classes), in the order of `styles`. `scores`: those
-    that any row has. `headline`: what is shown first. `recordings`: for each the horizons, the rows in the order of the
-    table with a curve for each stratum and score, its times, scores under other conditions, classes, `label_budget` and
-    `bins` (of `curves`), the tiers by "score/stratum/step", and why there may be none. `conditions`: their names.
-    `level_colours`: those of the cells of moments.
+    `trackers`: the key of every row as `label`, its name in the first table that has it and its style (CSS classes), in
+    the order of `styles`. `scores`: those that any row has. `headline`: what is shown first. `recordings`: for each the
+    horizons, the rows in the order of the table with a curve for each stratum and score, its times, scores under other
+    conditions, classes, `label_budget` and `bins` (of `curves`), the tiers by "score/stratum/step", and why there may
+    be none. `conditions`: their names. `level_colours`: those of the cells of moments.
     """
     first = tables[0].decisive
+    names = {row.key: row.name for table in reversed(tables) for row in table.rows}
     recordings = [_recording(runs, table, styles, curves) for table in tables]
     rows = [row for recording in recordings for row in recording["rows"]]
     had = {score for row in rows for curves in row["strata"].values() for score in curves} | {first.score}
     return {
-        "trackers": [{"label": label, "style": style} for label, style in styles.items()],
+        "trackers": [
+            {"label": label, "name": names.get(label, label), "style": style} for label, style in styles.items()
+        ],
         "scores": [
             {"key": key, "name": name, "better": better_direction(key)}
             for key, name in PAGE_SCORES.items()

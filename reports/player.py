@@ -67,6 +67,7 @@ def player_of(
         "stratum": MAIN_STRATUM if first.in_motion is not None else "",
         "hidden_known": bool(((first.state == 2) | (first.state == 3)).any()),
         "trackers": [row.label for row in trackers],
+        "names": [row.name for row in trackers],
         "kept": len(reference),
         "moments": moments,
     }

@@ -52,7 +52,7 @@ def still_of(
         _frame_picture(f"Input at {now}", seen.visible, seen.occupied),
         _sensors(seen),
         _frame_picture(f"Observed {horizon} after {now}", visible, occupied),
-        tuple((row, _forecast_picture(row.label, samples.get(row.label), h, now, horizon)) for row in trackers),
+        tuple((row, _forecast_picture(row.name, samples.get(row.label), h, now, horizon)) for row in trackers),
     )
 
 
@@ -61,11 +61,11 @@ def _frame_picture(title: str, visible: Mask, occupied: Mask) -> Picture:
     return Picture(frame_png(visible, occupied), words)
 
 
-def _forecast_picture(label: str, sample: Sample | None, h: int, now: str, horizon: str) -> Picture:
+def _forecast_picture(name: str, sample: Sample | None, h: int, now: str, horizon: str) -> Picture:
     if sample is None:
-        return Picture("", f"{label} has no forecast at {now}")
+        return Picture("", f"{name} has no forecast at {now}")
     expected = float(sample.forecast[h].sum())
-    words = f"{label}: forecast for {horizon} after {now}, {expected:.0f} cells expected to be occupied"
+    words = f"{name}: forecast for {horizon} after {now}, {expected:.0f} cells expected to be occupied"
     return Picture(probability_png(sample.forecast[h]), words)
 
 

@@ -96,6 +96,18 @@ def row_key(run: str, label: str) -> str:
     return f"{run}: {label}" if run else label
 
 
+def name_of(label: str, trial: TrialSummary) -> str:
+    """The label as it is shown: with a word where the weights are general."""
+    return f"{label} (general)" if "general" in trial.card else label
+
+
+def name_in(run: ReportedRun, label: str, recording: str) -> str:
+    """The same of a row of a run on a recording, or of what is pooled."""
+    entry = run.summary.trackers.get(label)
+    trial = entry.recordings.get(recording) if entry else None
+    return name_of(label, trial) if trial else label
+
+
 @dataclass(frozen=True)
 class TableRow:
     """One tracker on one recording."""
@@ -114,9 +126,8 @@ class TableRow:
 
     @property
     def name(self) -> str:
-        """The label, whether its weights are general, and before it the name of the run where there are several."""
-        label = f"{self.label} (general)" if "general" in self.trial.card else self.label
-        return row_key(self.run, label)
+        """The label as it is shown, and before it the name of the run where there are several."""
+        return row_key(self.run, name_of(self.label, self.trial))
 
     @property
     def trials(self) -> tuple[TrialSummary, ...]:

@@ -11,7 +11,7 @@ from gridtrack.evaluation.results.summary import TrackerTrainings, TrainingsScor
 from gridtrack.evaluation.statistics.score_intervals import HEADLINE_STRATA
 from gridtrack.reports.differences import interval_text, p_text
 from gridtrack.reports.run import UNDEFINED, ReportedRun
-from gridtrack.reports.table import HeadlineTable, TableRow
+from gridtrack.reports.table import HeadlineTable, TableRow, name_in, name_of
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,13 @@ def trainings_table(run: ReportedRun, recording: str) -> TrainingsTable | None:
     if not found:
         return None
     columns = tuple((score.stratum, score.horizon_s) for score in found[0].scores)
-    return TrainingsTable(found[0].reference, columns, found[0].units, tuple(map(_row, found)))
+    reference = name_in(run, found[0].reference, recording)
+    return TrainingsTable(reference, columns, found[0].units, tuple(_row(run, one) for one in found))
 
 
-def _row(one: TrackerTrainings) -> TrainingsRow:
-    return TrainingsRow(one.labels[0], one.labels, len(one.labels), tuple(map(_cell, one.scores)), one.interval)
+def _row(run: ReportedRun, one: TrackerTrainings) -> TrainingsRow:
+    name = name_in(run, one.labels[0], one.recordings)
+    return TrainingsRow(name, one.labels, len(one.labels), tuple(map(_cell, one.scores)), one.interval)
 
 
 def _cell(score: TrainingsScore) -> TrainingsCell:
@@ -103,7 +105,7 @@ def trainings_across(runs: Sequence[ReportedRun], table: HeadlineTable) -> Train
 def _name_of(rows: Sequence[TableRow]) -> str:
     """The label that all rows have, else the name of their tracker."""
     labels = {row.label for row in rows}
-    return rows[0].label if len(labels) == 1 else rows[0].entry.tracker
+    return name_of(rows[0].label, rows[0].trial) if len(labels) == 1 else rows[0].entry.tracker
 
 
 def _weights_of(run: ReportedRun, label: str) -> str:

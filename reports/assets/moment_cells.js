@@ -15,7 +15,7 @@ export const MARK_COLOURS = {
   miss: [205, 20, 85],
   "hidden, found": [70, 190, 225],
   "hidden, missed": [125, 75, 160],
-  "hidden, not scored": [170, 205, 220],
+  "hidden, not scored": [120, 120, 210],
 };
 const OTHER = [120, 122, 126];
 

@@ -17,7 +17,7 @@ export class MomentDrawing {
     this.panel.sensors(this.kept.sensors.map((point) => this.inCells(point)));
     const tracking = this.boxes ? this.shown.find((tracker) => this.kept.objects[tracker].length) : undefined;
     if (tracking !== undefined) this.panel.objects(this.objectsOf(tracking), 0);
-    const of = tracking === undefined ? "" : `, tracks of ${this.data.trackers[tracking]}`;
+    const of = tracking === undefined ? "" : `, tracks of ${this.data.names[tracking]}`;
     this.panel.words(`input${of}`, `${this.kept.t.toFixed(1)} s`);
   }
 
@@ -29,7 +29,7 @@ export class MomentDrawing {
 
   forecast(tracker) {
     this.columns(tracker, 0, this.data.size);
-    this.panel.words(this.data.trackers[tracker], this.scoreOf(tracker));
+    this.panel.words(this.data.names[tracker], this.scoreOf(tracker));
   }
 
   // Two forecasts, each on its side of the split.
@@ -38,7 +38,7 @@ export class MomentDrawing {
     this.columns(right, this.split, this.data.size);
     this.panel.line(this.split);
     const both = (of) => [left, right].map(of).join(" | ");
-    this.panel.words(both((tracker) => this.data.trackers[tracker]), both((tracker) => this.scoreOf(tracker)));
+    this.panel.words(both((tracker) => this.data.names[tracker]), both((tracker) => this.scoreOf(tracker)));
   }
 
   // The forecast of a tracker and its objects, in the columns [from, to).

@@ -67,7 +67,7 @@ export class Player {
   }
 
   trackerMenu(at) {
-    const options = [[NONE, "none"], ...this.data.trackers.map((label, index) => [index, label])];
+    const options = [[NONE, "none"], ...this.data.names.map((name, index) => [index, name])];
     return menu(`tracker ${at + 1}`, options, this.chosen[at], (value) => {
       this.chosen[at] = value;
       this.arrange();
@@ -128,7 +128,7 @@ export class Player {
     const trackers = this.shown.slice(0, kind.trackers);
     if (trackers.length < kind.trackers) return { told: ": too few trackers are shown" };
     const found = outstandingMoment(this.data, kind, this.h, trackers);
-    const of = trackers.map((tracker) => this.data.trackers[tracker]).join(" and ");
+    const of = trackers.map((tracker) => this.data.names[tracker]).join(" and ");
     if (!found) return { told: `: no ${kind.name} moment of ${of}` };
     const again = this.onward ? "; again: of the next recording" : "";
     return { moment: found.moment, told: `, the ${kind.name} of ${of} ${this.ahead}${again}` };

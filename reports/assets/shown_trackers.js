@@ -30,8 +30,8 @@ function toggle(label, button) {
 // Fills the bar of buttons.
 export function startShownTrackers() {
   const bar = document.getElementById("trackers");
-  for (const { label, style } of pageData.trackers) {
-    const button = make("button", { type: "button", class: "tracker", "aria-pressed": "true" }, swatch(style), label);
+  for (const { label, name, style } of pageData.trackers) {
+    const button = make("button", { type: "button", class: "tracker", "aria-pressed": "true" }, swatch(style), name);
     button.addEventListener("click", () => toggle(label, button));
     bar.append(button);
   }

@@ -61,3 +61,13 @@ def test_a_hit_has_the_colour_of_its_key(moments):
     colours = pixels(panel.locator("canvas")).getcolors(1 << 20)
     key = colour_at(pixels(section.locator(".marks-legend .key").first), 0.5, 0.5)
     assert any(near(colour, key) for count, colour in colours if count > 100)
+
+
+def test_no_mark_is_mistaken_for_a_cell_that_is_not_visible(moments):
+    section, _ = moments
+    unseen = colour_at(pixels(section.locator(".key.unobserved")), 0.5, 0.5)
+    keys = section.locator(".marks-legend .key").all()
+    colours = {key.evaluate("one => one.parentElement.textContent"): colour_at(pixels(key), 0.1, 0.5) for key in keys}
+    apart = {name: sum((a - b) ** 2 for a, b in zip(colour, unseen, strict=True)) for name, colour in colours.items()}
+    assert "hidden, not scored" in apart
+    assert {name for name, squared in apart.items() if squared < 80**2} == set()

@@ -14,6 +14,7 @@ from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.reports import terminal
 from gridtrack.reports.answer import answer_of
 from gridtrack.reports.chosen_scores import exported_tables
+from gridtrack.reports.differences import difference_table
 from gridtrack.reports.markdown import escaped
 from gridtrack.reports.notices import notices_of
 from gridtrack.reports.page import render_page
@@ -252,3 +253,20 @@ def test_the_answer_says_why_a_row_failed_in_few_words_and_how_far_forecasts_rea
     assert facts["Not ranked"].endswith("long l…)")
     assert len(facts["Not ranked"]) < 150
     assert "unlucky: crashed on 1 of 20 recordings (&lt;b&gt;long" in render_page(runs)
+
+
+def test_a_difference_names_a_row_with_general_weights_as_the_table_does(run, tmp_path):
+    copy = shutil.copytree(run, tmp_path / "run")
+    summary = json.loads((copy / "summary.json").read_text())
+    for label in ("good", "persistence"):
+        row = summary["trackers"][label]
+        for scores in (row["pooled"], *row["recordings"].values()):
+            scores["card"] = "general"
+    (copy / "summary.json").write_text(json.dumps(summary))
+    (found,) = read_runs([copy])
+    differences = difference_table(found, "all recordings")
+    assert differences.reference == "persistence (general)"
+    assert {row.name for row in differences.rows if row.tracker == "good"} == {"good (general)"}
+    told = pull_request_markdown([found], exported_tables([found]))
+    assert "| good (general), F1 |" in told
+    assert "less those of persistence (general)" in told
