@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gridtrack.common.grid import GridFrame, GridSpec, Mask, Shift, rolled, shift_between, with_neighbours
+from gridtrack.common.grid import GridFrame, GridSpec, Mask, Shift, rolled, shift_between
 from gridtrack.trackers.dogma.masses import Mass, Masses, combined, measured_masses, newborn_mass, predicted_free
 from gridtrack.trackers.dogma.particles import (
     Birth,
@@ -62,8 +62,7 @@ class ParticleGrid:
             self._scroll(shift_between(self.frame.world_T_grid, frame.world_T_grid, self.grid.cell_m))
         self.hidden.observe(frame.visible, elapsed * self.period_s)
         if self._came_in.any():
-            empty = frame.visible & ~with_neighbours(frame.occupied)
-            self._open_space.observe(frame.visible, empty, max(1, round(elapsed)))
+            self._open_space.observe(frame, max(1, round(elapsed)))
         self.frame = frame
         predicted = self._predict(elapsed)
         evidence = measured_masses(frame.visible, frame.occupied, self.settings.occupied_mass, self.settings.free_mass)

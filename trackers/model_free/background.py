@@ -120,9 +120,9 @@ class Background:
         """Update the record with a frame, `periods` after the previous one."""
         self._record.observe(frame.visible, frame.occupied, periods)
         self._hidden.observe(frame.visible, periods * self.period_s)
-        empty = frame.visible & ~with_neighbours(frame.occupied)
         if self._outside.any():
-            self._open_space.observe(frame.visible, empty, periods)
+            self._open_space.observe(frame, periods)
+        empty = frame.visible & ~with_neighbours(frame.occupied)
         self._stopped = [cells for cells in self._stopped if empty[cells].mean() < DEPARTED_SHARE]
 
     def add_stopped(self, cells: Mask) -> None:

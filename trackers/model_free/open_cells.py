@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, Mask, shift_between, with_neighbours
+from gridtrack.common.grid import GridFrame, GridSpec, Mask, shift_between
 from gridtrack.trackers.open_space import OpenSpace
 from gridtrack.trackers.site_map import SiteMap
 
@@ -42,5 +42,5 @@ class OpenSoFar:
             self._space.scroll(shift)
         self._window = frame.world_T_grid
         closed = self._space.closed(self._share)
-        self._space.observe(frame.visible, frame.visible & ~with_neighbours(frame.occupied), 1)
+        self._space.observe(frame, 1)
         return ~closed

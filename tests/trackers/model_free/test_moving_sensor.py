@@ -135,19 +135,22 @@ def test_walls_and_posts_that_come_into_view_of_a_driving_robot_do_not_move(esti
 
 @ESTIMATORS
 def test_people_who_walk_beside_a_driving_robot_have_their_velocities_in_the_world(estimator):
+    """Over three drives: of one, the errors are of two tracks only."""
     walkers = {(0.8, 0.0): lambda t: (5.0 + 0.8 * t, 2.0), (-0.9, 0.3): lambda t: (20.0 - 0.9 * t, -3.0 + 0.3 * t)}
-    pipeline, errors, positions = robot_of(estimator), [], []
-    for now in robot_street.drive(12.0, tuple(walkers.values()), pose_noise_m=0.015):
-        pipeline.update(now.frame)
-        for velocity, walker in walkers.items():
-            place = np.array(walker(now.time_s)) - now.corner
-            if now.time_s < 3.0 or not in_view_of(now.frame, place):
-                continue
-            found = objects(pipeline.tracks, pipeline.window)
-            near = min(found, key=lambda one: np.hypot(*(one.box[:2] - place)))
-            positions.append(np.hypot(*(near.box[:2] - place)))
-            errors.append(np.hypot(*(near.velocity - velocity)))
-    assert len(errors) > 60
+    errors, positions = [], []
+    for seed in range(3):
+        pipeline = robot_of(estimator)
+        for now in robot_street.drive(12.0, tuple(walkers.values()), pose_noise_m=0.015, seed=seed):
+            pipeline.update(now.frame)
+            for velocity, walker in walkers.items():
+                place = np.array(walker(now.time_s)) - now.corner
+                if now.time_s < 3.0 or not in_view_of(now.frame, place):
+                    continue
+                found = objects(pipeline.tracks, pipeline.window)
+                near = min(found, key=lambda one: np.hypot(*(one.box[:2] - place)))
+                positions.append(np.hypot(*(near.box[:2] - place)))
+                errors.append(np.hypot(*(near.velocity - velocity)))
+    assert len(errors) > 180
     assert np.quantile(positions, 0.9) < 0.4
     assert np.median(errors) < 0.25
 
