@@ -23,6 +23,7 @@ from gridtrack.recordings.observation import Observation, frame_of
 from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.recording_info import Stretch, stretch_text
 from gridtrack.recordings.resample import Tick, resample_scans
+from gridtrack.recordings.sensor_poses import SensorPoses
 from gridtrack.recordings.several_sensors import missing_scans, slow_sensor
 from gridtrack.recordings.stretches import parse_stretch, stretch_of, ticks_in
 
@@ -53,8 +54,8 @@ class GridStream:
 
     The stamp of frame k of a recording is k periods after its first scan, in every stretch: a stretch is a slice of
     the whole. The window lies about the first sensor: its axes are the world's, and it follows the sensor by whole
-    cells. `points` of the frames are the centres of the occupied cells, the same for every tracker, or with
-    "raw" the returns of the laser.
+    cells. Where that has no scans, it moves as the other sensors do. `points` of the frames are the centres of the
+    occupied cells, the same for every tracker, or with "raw" the returns of the laser.
     """
 
     def __init__(
@@ -154,25 +155,26 @@ class GridStream:
     def _observed(self, ticks: Iterable[Tick], first: int = 0) -> Iterator[Observation]:
         """The observations of `ticks` from the tick `first` of the recording on."""
         survey = self.recording.survey
-        poses = dict(survey.poses)
-        reference = next(iter(poses))
+        sensor_poses = SensorPoses(survey.poses)
         reference_T_world = SE2()
         for tick in ticks:
-            poses.update({sensor: scan.world_T_sensor for sensor, scan in tick.scans.items()})
-            if (scan := tick.scans.get(reference)) is not None and scan.reference_T_sensor is not None:
+            poses = sensor_poses.at(tick.scans)
+            scan = next((tick.scans[sensor] for sensor in poses if sensor in tick.scans), None)
+            if scan is not None and scan.reference_T_sensor is not None:
                 reference_T_world = scan.reference_T_sensor @ scan.world_T_sensor.inverse()
             if (tick.stamp_ns - survey.first_ns) // self.period_ns < first:
                 continue
-            yield self._observation(tick, poses, window_about(poses[reference], self.grid.cell_m), reference_T_world)
+            window = window_about(next(iter(poses.values())), self.grid.cell_m)
+            yield self._observation(tick, poses, window, reference_T_world)
 
     def _resampled(self) -> Iterator[Tick]:
-        """The ticks of the stretch; where the sensor moves, also those since the last scan of each sensor before it."""
+        """The ticks of the stretch; where a sensor moves, also those since the last that has a scan of each sensor."""
         survey, ticks = self.recording.survey, self._ticks
         if survey.moves:
-            start_ns = survey.first_ns + ticks.start * self.period_ns
-            stamps_ns = (sensor.stamps_ns for sensor in survey.sensors.values())
-            last_ns = [int(ns[ns <= start_ns].max(initial=survey.first_ns)) for ns in stamps_ns]
-            ticks = range((min(last_ns) - survey.first_ns) // self.period_ns, ticks.stop)
+            stamps_ns = survey.first_ns + np.arange(ticks.start + 1) * self.period_ns
+            missing = [sensor.missing(stamps_ns, self.period_ns) for sensor in survey.sensors.values()]
+            complete = np.flatnonzero(~np.any(missing, axis=0))
+            ticks = range(int(complete[-1]) if len(complete) else 0, ticks.stop)
         margin_s = 3 * self.period_s
         start_s, end_s = ticks[0] * self.period_s, ticks[-1] * self.period_s
         scans = self.recording.scans(max(start_s - margin_s, 0.0), end_s + margin_s)
@@ -182,7 +184,7 @@ class GridStream:
     def _observation(
         self, tick: Tick, poses: Mapping[str, SE2], world_T_grid: SE2, reference_T_world: SE2
     ) -> Observation:
-        """The observation of a tick; `poses` of all sensors, those without a scan at their last one."""
+        """The observation of a tick; `poses` of all sensors, also those without a scan."""
         scans = tick.scans if self._degrade is None else {s: self._degrade(scan) for s, scan in tick.scans.items()}
         placed = {**poses, **{sensor: scan.world_T_sensor for sensor, scan in scans.items()}}
         grid_T_sensor = {
