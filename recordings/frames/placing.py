@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.frames.chains import Chain
-from gridtrack.recordings.frames.far_stamps import FAR_JUMP_NS, FarStamps
 from gridtrack.recordings.frames.trajectory import MAX_GAP_NS, AllTransforms, NewestTransforms, Trajectory
 from gridtrack.recordings.frames.transform import SE3
 
@@ -38,8 +37,9 @@ class FramedScan:
 class ScansOnChains:
     """Gives each scan its pose on its chain; delays scans until the transforms after them are read, if they are not.
 
-    A scan waits for a second of scans at most. Where transforms are more than a second apart, or from the scan, it has
-    the last ones before it (the first ones at the beginning of the file), and `warn` receives a line at the end.
+    A scan waits for a second of scans at most, and for one scan more. Where transforms are more than a second apart, or
+    from the scan, it has the last ones before it (the first ones at the beginning of the file), and `warn` receives a
+    line at the end.
     """
 
     def __init__(
@@ -55,14 +55,16 @@ class ScansOnChains:
             {recorded: NewestTransforms() for recorded in moving} if known is None else known
         )
         self._waiting: deque[FramedScan] = deque()
-        self._stamps = FarStamps()
+        self._last_two_ns: dict[str, tuple[int, int]] = {}
+        """Stamps of the last two scans of each topic: one of them may be damaged."""
         self._between_ns: tuple[int, int] | None = None
         self._faults: dict[str, int] = {}
 
     def scan(self, framed: FramedScan) -> Iterator[Scan]:
         """Add the next scan, and yield the scans that no longer wait."""
         stamp_ns = framed.scan.stamp_ns
-        self._stamps.judge(stamp_ns)
+        _, before_ns = self._last_two_ns.get(framed.topic, (stamp_ns, stamp_ns))
+        self._last_two_ns[framed.topic] = before_ns, stamp_ns
         first_ns, last_ns = self._between_ns or (stamp_ns, stamp_ns)
         self._between_ns = min(first_ns, stamp_ns), max(last_ns, stamp_ns)
         self._waiting.append(framed)
@@ -96,14 +98,14 @@ class ScansOnChains:
 
     @property
     def _newest_ns(self) -> int:
-        """The newest stamp of the scans, 0 without any; one far from the others does not count."""
-        return self._stamps.last_ns
+        """The newest stamp that two scans of a topic have reached, 0 without any."""
+        return max(map(min, self._last_two_ns.values()), default=0)
 
     def _is_due(self, framed: FramedScan) -> bool:
         stamp_ns = framed.scan.stamp_ns
         late = self._newest_ns - stamp_ns > MAX_GAP_NS
-        # a scan after it is not as far: its stamp is damaged, and no transforms come for it
-        damaged = stamp_ns - self._newest_ns > FAR_JUMP_NS and len(self._waiting) > 1
+        # two scans after it are stamped before it: its stamp is damaged, and its transforms need not come
+        damaged = max(self._last_two_ns[framed.topic]) < stamp_ns
         moving = self._chain(framed).moving
         return late or damaged or all(self._trajectories[link.recorded].covers(stamp_ns) for link in moving)
 
