@@ -134,8 +134,9 @@ class Order(Settings):
 
     def split(self) -> EvaluationSplit:
         """The recording on this machine. Raises a GridtrackError where it, or a library, is another one here."""
+        here = versions()
         for name, version in self.versions.items():
-            _require_equal(name, versions().get(name, "not installed"), version)
+            _require_equal(name, here.get(name, "not installed"), version)
         settings = self.settings
         whole = plan_split(settings.recordings[0], settings.validation, sampling_of(settings))
         split = next((one for one in segmented(whole, settings) if one.name == self.name), whole)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -17,8 +18,9 @@ DISTRIBUTIONS = (
 """Distributions whose version can change a score."""
 
 
+@cache
 def versions() -> dict[str, str]:
-    """Versions of Python and of the installed distributions of DISTRIBUTIONS."""
+    """Versions of Python and of the installed distributions of DISTRIBUTIONS, read once."""
     found = {"python": platform.python_version()}
     for name in DISTRIBUTIONS:
         try:
