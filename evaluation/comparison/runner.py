@@ -20,7 +20,8 @@ from gridtrack.evaluation.results.trial_record import OUTCOME_FILE
 def run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver) -> RunSummary:
     """Run `plan` and return the summary; `command` is the command line, stored with the results.
 
-    An interrupt (Ctrl-C) ends the trackers, keeps the scores so far, and returns the summary with `interrupted` true.
+    An interrupt (Ctrl-C) ends the trackers, keeps the scores so far, and returns the summary with `interrupted` true;
+    one while the summary is made is raised, after a note.
     Raises RunError where the run's folder contains another run, or another run has locked it.
     """
     with run_lock(plan.settings.out), engine_of(plan.settings, progress) as engine:
@@ -45,7 +46,11 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, en
         stages.measure_alone()
     except KeyboardInterrupt:
         interrupted = True
-    return folder.finish(stages.all_records(), stages.notices, interrupted)
+    try:
+        return folder.finish(stages.all_records(), stages.notices, interrupted)
+    except KeyboardInterrupt:
+        progress.note("interrupted while the summary was made: the scores are kept, and --resume goes on with them")
+        raise
 
 
 def _remove_records(folder: Path, names: Iterable[str]) -> None:

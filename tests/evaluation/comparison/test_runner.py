@@ -16,7 +16,7 @@ import psutil
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.comparison import trial
+from gridtrack.evaluation.comparison import run_folder, trial
 from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.runner import run
@@ -253,6 +253,27 @@ def test_an_interrupt_keeps_the_scores_and_leaves_no_process(settings, tmp_path)
     assert trial_of(summary, "persistence").outcome == "ok"
     assert trial_of(summary, "staged").outcome == "interrupted"
     assert trial_of(summary, "staged").frames_scored < 16
+
+
+def test_an_interrupt_while_the_summary_is_made_is_told_and_the_run_goes_on_with_resume(
+    settings, progress, tmp_path, monkeypatch
+):
+    made = run_folder.summarise
+
+    def interrupted(*_):
+        os.kill(os.getpid(), signal.SIGINT)
+        return made(*_)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(run_folder, "summarise", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            compare(settings("blank"), progress)
+    assert progress.notes[-1].startswith("interrupted while the summary was made: the scores are kept, and --resume")
+    assert not (tmp_path / "run" / "summary.json").exists()
+    delivered = dict(progress.delivered)
+    summary = compare(settings("blank", resume=True), progress)
+    assert (trial_of(summary, "blank").outcome, summary.interrupted) == ("ok", False)
+    assert progress.delivered == delivered
 
 
 def test_an_interrupt_ends_a_call_that_hangs(settings, tmp_path):
