@@ -13,9 +13,9 @@ from gridtrack.evaluation.engines.attempt import Attempt
 from gridtrack.evaluation.engines.process import serve_attempt
 
 
-def carry_out(folder: str) -> None:
-    """Carry out the attempt in `folder`. KeyboardInterrupt in it ends the work with the record so far."""
-    serve_attempt(Path(folder), ordered_work, error_with_location)
+def carry_out(folder: str) -> bool:
+    """Carry out the attempt in `folder`; whether nothing interrupted it: KeyboardInterrupt leaves the record so far."""
+    return serve_attempt(Path(folder), ordered_work, error_with_location)
 
 
 def ordered_work(attempt: Attempt, note: Callable[[str], None]) -> RunWork:

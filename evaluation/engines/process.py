@@ -21,11 +21,11 @@ WorkOf = Callable[[Attempt, Callable[[str], None]], Work]
 """Gives the work that an attempt's order describes; the second argument takes a line for the user."""
 
 
-def serve_attempt(folder: Path, work_of: WorkOf, reason_of: Callable[[Exception], str]) -> None:
+def serve_attempt(folder: Path, work_of: WorkOf, reason_of: Callable[[Exception], str]) -> bool:
     """Carry out the attempt in `folder`, and reply; KeyboardInterrupt ends it with the record so far.
 
     For the main thread of a process, which then receives interrupts. `reason_of` gives an unexpected error as one line.
-    An attempt that the host gave up ends without a reply.
+    An attempt that the host gave up ends without a reply. Returns whether nothing interrupted it.
     """
     make_unreadable()
     # a process that was started in the background ignores interrupts
@@ -35,6 +35,7 @@ def serve_attempt(folder: Path, work_of: WorkOf, reason_of: Callable[[Exception]
     try:
         reply = Reply(record=_carried_out(attempt, work_of, monitor))
     except (Interrupted, KeyboardInterrupt):
+        monitor.stop()
         reply = Reply(error=INTERRUPTED)
     except GridtrackError as error:
         reply = Reply(error=str(error))
@@ -43,6 +44,7 @@ def serve_attempt(folder: Path, work_of: WorkOf, reason_of: Callable[[Exception]
     if attempt.folder.is_dir():
         attempt.write_progress(monitor.progress())
         attempt.write_reply(reply)
+    return not monitor.stopped()
 
 
 def _carried_out(attempt: Attempt, work_of: WorkOf, monitor: AttemptMonitor) -> TrialRecord:
@@ -104,6 +106,10 @@ class AttemptMonitor:
     def stop(self) -> None:
         """Interrupt the work at its next frame."""
         self._stop.set()
+
+    def stopped(self) -> bool:
+        """Whether the work was interrupted."""
+        return self._stop.is_set()
 
     def progress(self) -> AttemptProgress:
         """How far the work is."""

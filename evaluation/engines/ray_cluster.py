@@ -29,7 +29,7 @@ class RayCluster:
 
     name = "ray"
 
-    def __init__(self, address: str | None, cores: int, carry_out: Callable[[str], None]) -> None:
+    def __init__(self, address: str | None, cores: int, carry_out: Callable[[str], object]) -> None:
         """Raises ConfigurationError where Ray is not installed, or not reached."""
         for name, value in ENVIRONMENT.items():
             os.environ.setdefault(name, value)

@@ -1,7 +1,8 @@
-"""A Slurm cluster: each attempt is a task of a job array, to which the path of its folder travels and nothing else.
+"""A Slurm cluster: each attempt is a task of a job array, which its own job carries out or one that is still young.
 
-submitit submits the arrays: it pickles the names of two functions and that path, which the task reads. What a task
-pickles is never read here: its reply is the JSON of its attempt, and its state is what Slurm tells of the job.
+submitit submits the arrays: it pickles the names of two functions, the path of a list of folders and a number, which
+the job reads. What a job pickles is never read here: the reply is the JSON of an attempt, and the state of an attempt
+is what Slurm tells of the job that has taken it.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from typing import Any, NamedTuple
 from gridtrack.common.errors import ConfigurationError, one_line
 from gridtrack.evaluation.engines.attempt import Attempt, EngineError
 from gridtrack.evaluation.engines.cluster import TaskEnd
-from gridtrack.evaluation.engines.slurm_job import in_a_job
+from gridtrack.evaluation.engines.slurm_job import Taken, in_a_job, taken, write_array
 from gridtrack.evaluation.engines.slurm_settings import SlurmSettings
 
 ARRAY_TASKS = 1000
@@ -43,23 +44,31 @@ UNUSABLE = ("down", "drain", "fail")
 
 
 class SlurmTask(NamedTuple):
-    """A task of an array: its id in Slurm, the folder of its attempt, and the file with its error output."""
+    """A task of an array: its id in Slurm, the folder of its attempt, and the file with its job's error output."""
 
     job_id: str
     folder: Path
     log: Path
 
 
+class JobState(NamedTuple):
+    """What Slurm tells of a job; `status` is the wait status of its batch process."""
+
+    state: str
+    status: int
+    reason: str
+
+
 class SlurmCluster:
     """A TaskCluster of the nodes of a partition of the Slurm cluster that this machine submits to.
 
-    `carry_out` is a function of an importable module, which takes the path of an attempt's folder. Each task has
-    `cores` cores, and what `settings` asks for. Slurm itself starts no task again: the engine counts attempts.
+    `carry_out` is a function of an importable module, as `in_a_job` takes it. Each job has `cores` cores, and what
+    `settings` asks for. Slurm itself starts no job again: the engine counts attempts.
     """
 
     name = "slurm"
 
-    def __init__(self, settings: SlurmSettings, cores: int, carry_out: Callable[[str], None]) -> None:
+    def __init__(self, settings: SlurmSettings, cores: int, carry_out: Callable[[str], bool]) -> None:
         """Raises ConfigurationError where submitit or Slurm is not installed, and where Slurm has no such partition."""
         try:
             import submitit
@@ -97,10 +106,12 @@ class SlurmCluster:
         program = f"exec {shlex.quote(sys.executable)}"  # without a shell in between, which would get the signals
         executor = self._submitit.SlurmExecutor(folders[0].parent / "slurm", python=program)
         executor.update_parameters(**self._parameters)
+        array = folders[0].with_suffix(".array.json")
+        write_array(array, folders)
         try:
             # submitit prints the errors of sbatch, which are told once, below
             with contextlib.redirect_stderr(io.StringIO()):
-                jobs = executor.map_array(in_a_job, repeat(self._carry_out), map(str, folders))
+                jobs = executor.map_array(in_a_job, repeat(self._carry_out), repeat(str(array)), range(len(folders)))
         except (FailedJobError, FailedSubmissionError) as error:
             raise EngineError(f"--engine slurm: sbatch: {_last_line(str(error))}") from None
         return [SlurmTask(job.job_id, folder, job.paths.stderr) for job, folder in zip(jobs, folders, strict=True)]
@@ -118,8 +129,18 @@ class SlurmCluster:
                 raise EngineError(f"Slurm has not answered for {SILENCE_S / 60:g} minutes: {error}") from None
             return {}
         self._answered_s = now
-        states = {job_id: (state, int(status), reason) for job_id, state, status, reason in rows}
-        ends = {task: _end_of(task, *states.get(task.job_id, FORGOTTEN)) for task in tasks}
+        states = {job_id: JobState(state, int(status), reason) for job_id, state, status, reason in rows}
+        by = {task: _taken(task) for task in tasks}
+        elsewhere = [task.job_id for task in tasks if by[task].job_id != task.job_id]
+        self._withdraw([job_id for job_id in elsewhere if states.get(job_id, FORGOTTEN).state == "PENDING"])
+        latest: dict[str, int] = {}
+        for job_id, before in by.values():
+            latest[job_id] = max(before, latest.get(job_id, 0))
+        ends = {
+            # a job takes one attempt when it has replied to the one before
+            task: OVER if before < latest[job_id] else _end_of(task, job_id, states.get(job_id, FORGOTTEN))
+            for task, (job_id, before) in by.items()
+        }
         return {task: end for task, end in ends.items() if end is not None}
 
     def cancel(self, tasks: Iterable[SlurmTask], *, force: bool) -> None:
@@ -127,21 +148,32 @@ class SlurmCluster:
 
         An interrupt reaches the one process that carries out the attempt, and not its tracker. Raises EngineError.
         """
-        ids = [task.job_id for task in tasks]
-        for first in range(0, len(ids), SCANCEL_IDS):
-            some = ids[first : first + SCANCEL_IDS]
-            if force:
-                self._scancel(*some)
-            else:
-                self._scancel("--state=PENDING", *some)
-                self._scancel("--batch", "--signal=INT", *some)
+        tasks = list(tasks)
+        carriers = sorted({_taken(task).job_id for task in tasks})
+        if force:
+            self._scancel(carriers)
+        else:
+            self._scancel([task.job_id for task in tasks], "--state=PENDING")
+            self._scancel(carriers, "--batch", "--signal=INT")
 
     def close(self) -> None:
         """End what is left: also jobs of an array whose submission was interrupted. Raises EngineError."""
-        self._scancel(f"--name={self._job_name}")
+        self._scancel([f"--name={self._job_name}"])
 
-    def _scancel(self, *arguments: str) -> None:
+    def _withdraw(self, job_ids: Sequence[str]) -> None:
+        """Take jobs from the queue whose attempts other jobs have; where Slurm is silent, at the next look.
+
+        One that has started meanwhile does nothing. With `--state` scancel ends all of an array that waits.
+        """
+        with contextlib.suppress(EngineError):
+            self._scancel(job_ids)
+
+    def _scancel(self, jobs: Sequence[str], *options: str) -> None:
         """Cancel jobs; those that have ended meanwhile are no error. Raises EngineError where Slurm is silent."""
+        for first in range(0, len(jobs), SCANCEL_IDS):
+            self._run_scancel(*options, *jobs[first : first + SCANCEL_IDS])
+
+    def _run_scancel(self, *arguments: str) -> None:
         command = ["scancel", "--quiet", *arguments]
         try:
             subprocess.run(command, capture_output=True, timeout=ANSWER_S, check=False)
@@ -153,22 +185,29 @@ class SlurmCluster:
 
 
 STATE_COLUMNS = ("JobArrayID", "State", "exit_code", "Reason")
-FORGOTTEN = ("FORGOTTEN", 0, "")
+FORGOTTEN = JobState("FORGOTTEN", 0, "")
 """Of a job that Slurm no longer knows: it forgets jobs some minutes after their end."""
+OVER = TaskEnd(lost=False, reason="")
 
 
-def _end_of(task: SlurmTask, state: str, status: int, reason: str) -> TaskEnd | None:
-    """How a task ended whose batch process had the wait status `status`; None where it has not ended."""
+def _taken(task: SlurmTask) -> Taken:
+    """Which job has the attempt of a task: its own where it waits."""
+    return taken(task.folder) or Taken(task.job_id, 0)
+
+
+def _end_of(task: SlurmTask, job_id: str, job: JobState) -> TaskEnd | None:
+    """How a task ended that the job `job_id` has; None where it has not ended."""
+    state, status, reason = job
     told = f"{state}: {reason}" if reason not in {"", "None"} else state
     killed = os.WIFSIGNALED(status)
     if state == "COMPLETED":
-        return TaskEnd(lost=False, reason="")
+        return OVER
     if state == "FORGOTTEN":
         return TaskEnd(lost=not Attempt(task.folder).has_reply(), reason="Slurm no longer knows its job")
     if state in TAKEN_AWAY:
         return TaskEnd(lost=True, reason=told)
     if state in FAILED:
-        ending = f"signal {os.WTERMSIG(status)}" if killed else _last_line_of(task.log)
+        ending = f"signal {os.WTERMSIG(status)}" if killed else _last_line_of(_log_of(task, job_id))
         return TaskEnd(lost=killed and state == "FAILED", reason=f"{state}: {ending or told}")
     return None
 
@@ -213,6 +252,11 @@ def _last_line(text: str) -> str:
     """The last line of what a command of Slurm wrote, without the command's name and `error:` in front."""
     lines = [line for line in text.splitlines() if line.strip()] or ["no reason given"]
     return one_line(lines[-1].rpartition("error: ")[2], MAX_SLURM_REASON)
+
+
+def _log_of(task: SlurmTask, job_id: str) -> Path:
+    """The file with the error output of the job that has a task."""
+    return task.log.with_name(task.log.name.replace(task.job_id, job_id, 1))
 
 
 def _last_line_of(log: Path) -> str:

@@ -55,6 +55,11 @@ def jobs():
     return of_slurm("squeue", "--noheader", "--array", "--format=%i")
 
 
+def completed():
+    """Jobs that have run to their end."""
+    return set(of_slurm("squeue", "--noheader", "--array", "--states=COMPLETED", "--format=%i"))
+
+
 def first_job():
     """The id and the node of the running task that carries out the first trial."""
     lines = of_slurm("squeue", "--noheader", "--array", "--states=RUNNING", "--format=%i %N")
@@ -117,8 +122,22 @@ def test_a_trial_that_is_taken_away_in_mid_run_changes_no_count(settings, progre
 
 @needs_slurm
 @pytest.mark.usefixtures("staged", "slurm")
+def test_short_trials_share_jobs_and_change_no_count(settings, progress, tmp_path):
+    """Of more trials than nodes the two jobs that run take those that wait, also after a tracker that fails."""
+    rows = ("dies=staged:crash_at=60", "persistence", *(f"blank{number}=blank" for number in range(6)))
+    requested, before = settings(*rows, engine="slurm"), completed()
+    run(resolve(requested), (), progress)
+    assert 0 < len(completed() - before) < len(rows)
+    assert not [note for note in progress.notes if "lost by the engine" in note]
+    run(resolve(requested.model_copy(update={"engine": "local", "out": tmp_path / "local", "jobs": 2})), (), progress)
+    assert_agree(counted(tmp_path / "run"), counted(tmp_path / "local"))
+    assert read_trial_record(tmp_path / "run" / "dies@room").outcome == "crashed"
+
+
+@needs_slurm
+@pytest.mark.usefixtures("staged", "slurm")
 def test_an_interrupt_leaves_no_job_and_keeps_the_scores(settings, tmp_path):
-    """One trial is complete, two are running, and one still waits for a node."""
+    """One trial is complete; its job has taken the last one. Another is running, and one still waits for a node."""
     words = ["compare", *settings().recordings, "--horizon", "1s", "--every", "0.5s", "--out", str(tmp_path / "run")]
     words += ["--engine", "slurm", "--slurm", "partition=low,timeout_min=5,mem_gb=0.5", "--tracker", "persistence"]
     for label in ("a", "b", "c"):
@@ -136,7 +155,7 @@ def test_an_interrupt_leaves_no_job_and_keeps_the_scores(settings, tmp_path):
     assert summary.trackers["persistence"].recordings["room"].outcome == "ok"
     partial = summary.trackers["a"].recordings["room"]
     assert (partial.outcome, 0 < partial.frames_scored < 16) == ("interrupted", True)
-    assert summary.trackers["c"].recordings["room"].frames_scored == 0
+    assert summary.trackers["b"].recordings["room"].frames_scored == 0
     assert not (tmp_path / "run" / ".engine").exists()
 
 
