@@ -15,7 +15,7 @@ from gridtrack.reports.table import headline_tables, main_tables
 from gridtrack.reports.times import keeps_up_of
 
 MOST_NAMES = 8
-"""Further names of a line are counted."""
+"""Further names of a line are counted, where they are more than one."""
 MOST_CHARS = 100
 """A longer reason is cut."""
 WEIGHTS_WORDS = {"site": "of the site", "general": "general", "general, site": "general or of the site", "": "none"}
@@ -103,5 +103,6 @@ def _by_words(words: Mapping[str, str]) -> dict[str, list[str]]:
 
 
 def _listed(names: Sequence[str], separator: str = ", ") -> str:
-    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return separator.join(names[:MOST_NAMES]) + more
+    shown = names if len(names) == MOST_NAMES + 1 else names[:MOST_NAMES]
+    more = len(names) - len(shown)
+    return separator.join(shown) + (f" and {more} more" if more else "")

@@ -1,4 +1,4 @@
-"""What each figure of the page means: the sections of docs/figures.md, for the page to show."""
+"""What each figure of the page means: the sections of docs/figures.md, as text that needs no link."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from pathlib import Path
 
 FIGURES = Path(__file__).parents[1] / "docs" / "figures.md"
 """Part of the package too."""
+_REMARK = re.compile(r" \(\[[^\]]*\]\([^)]*\)\)")
+"""A link in parentheses: it has no words of the sentence."""
 _MARKUP = re.compile(r"\[([^\]]*)\]\([^)]*\)|`([^`]*)`|\*([^*]*)\*")
 
 
 @dataclass(frozen=True, slots=True)
 class Meaning:
-    """The section `name` of docs/figures.md, as it is linked to, with its heading and its paragraphs without markup."""
+    """The section `name` of docs/figures.md: its heading and its paragraphs, without markup, links and pictures."""
 
     name: str
     heading: str
@@ -28,12 +30,13 @@ def meanings() -> list[Meaning]:
 
 def _meaning(section: str) -> Meaning:
     heading, _, text = section.partition("\n")
-    paragraphs = (" ".join(paragraph.split()) for paragraph in text.strip().split("\n\n"))
+    paragraphs = (" ".join(one.split()) for one in text.strip().split("\n\n") if not one.startswith("!["))
     return Meaning(heading.lower().replace(" ", "-"), heading, tuple(map(_plain, paragraphs)))
 
 
 def _plain(text: str) -> str:
     """Markdown without its links, code and emphasis."""
+    text = _REMARK.sub("", text)
     while (plain := _MARKUP.sub(lambda found: next(filter(None, found.groups()), ""), text)) != text:
         text = plain
     return text

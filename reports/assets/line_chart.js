@@ -1,6 +1,6 @@
 // Lines over one axis, with bands, and the values at the pointer or, by arrow keys, at any place.
 import { axisRange, inDigits, nearest, roundTicks, scaleOf, svgText } from "./axis.js";
-import { draw, make } from "./elements.js";
+import { draw, make, swatch } from "./elements.js";
 
 const HEIGHT = 408, LEFT = 44, RIGHT = 14, BOTTOM = 46, TOP = 24;
 const READING_PLACES = 51;
@@ -116,7 +116,7 @@ function fillReading(marks, readout, { lines, words, x, y }, place) {
     .filter(({ one, i }) => one.values[i] !== null && one.values[i] !== undefined)
     .sort((a, b) => b.one.values[b.i] - a.one.values[a.i]);
   for (const { one, i } of read) marks.append(draw("g", { class: one.style }, draw("circle", { cx: x(one.xs[i]), cy: y(one.values[i]), r: 3.5 })));
-  const rows = read.map(({ one, i }) => make("span", { class: one.style }, make("i"), `${one.name} ${inDigits(one.values[i])}`
+  const rows = read.map(({ one, i }) => make("span", {}, swatch(one.style), `${one.name} ${inDigits(one.values[i])}`
     + (one.low?.[i] != null && one.high?.[i] != null ? ` [${inDigits(one.low[i])}, ${inDigits(one.high[i])}]` : "")
     + (one.notes ? ` (${one.notes[i]})` : "")));
   readout.replaceChildren(make("b", {}, words(place)), ...rows);
