@@ -51,6 +51,7 @@ def test_the_front_door_gives_a_plugin_author_every_name_it_promises():
     for name in gridtrack.__all__:
         assert getattr(gridtrack, name).__name__ == name
     assert gridtrack.__version__ == metadata.version("gridtrack")
+    assert {*gridtrack.__all__} <= {*dir(gridtrack)}, "a notebook completes them"
     with pytest.raises(AttributeError, match="no attribute 'Trakcer'"):
         _ = gridtrack.Trakcer
 
