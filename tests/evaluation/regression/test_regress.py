@@ -265,7 +265,8 @@ def test_a_crash_is_not_measured_in_one_line_and_debug_shows_its_traceback(
 
     run = write_run("now", NAMES, recordings=2)
     monkeypatch.setattr("gridtrack.evaluation.regression.measuring.measure_run", crash)
-    done = regress(run, "--baseline", short_baseline, "--junit", tmp_path / "junit.xml", *update)
+    asked = update or ["--junit", tmp_path / "junit.xml"]
+    done = regress(run, "--baseline", short_baseline, *asked)
     assert (done.code, done.err.count("\n")) == (3, 1)
     assert f"not measured: regress failed ({type(error).__name__}" in done.err
     assert update or "regress failed" in (tmp_path / "junit.xml").read_text()
