@@ -17,7 +17,7 @@ from gridtrack.evaluation.results.summary import RunSummary, read_summary
 from gridtrack.trackers.card import GENERAL
 
 from studies.support.comparison import compare, train
-from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section
+from studies.support.results_file import ResultSection, ResultTable, measured_table, read_sections, write_section
 from studies.support.unseen_places import NONE, REFERENCE, WEIGHTS
 
 HALL, SITE = Path("data/leg_tracker/leg_tracker.mcap"), "leg_tracker"
@@ -96,7 +96,9 @@ def main() -> None:
     given = parser.parse_args()
     took = run(given.tracker or TRACKERS, given.out)
     tables = {name: table(read_summary(given.out / name)) for name in STRETCHES}
-    values = {f"time of {tracker}, of that from scratch": f"{share:.2f}" for tracker, share in took.items()}
+    # a training that was kept has the time of when it ran
+    values = dict(read_sections(given.results)["scores"].values) if given.results.exists() else {}
+    values |= {f"time of {tracker}, of that from scratch": f"{share:.2f}" for tracker, share in took.items()}
     write_section(given.results, "scores", ResultSection(command=COMMAND, tables=tables, values=values))
     print("\n\n".join(one.markdown() for one in tables.values()))
     print(values)
