@@ -47,13 +47,13 @@ def stream_from(message: Message) -> StreamSpec:
     if len(origin) != 2 or not all(isinstance(value, int | float) for value in origin):
         raise WireError(f"'stream': origin_m is {origin!r:.80}; expected x and y")
     x, y = origin
-    weights = fields.get("weights")
+    weights = None if fields.get("weights") is None else Path(stream.value("weights", str))
     return StreamSpec(
         GridSpec(stream.value("size", int), stream.value("cell_m", float), (float(x), float(y))),
         stream.value("period_s", float),
         stream.value("site", str),
         tuple(stream.value("classes", list)),
-        None if weights is None else Path(weights),
+        weights,
         str(fields.get("weights_sha256") or ""),
         fields.get("velocity_scored") is True,
     )

@@ -176,6 +176,12 @@ def test_without_drops_exactly_the_bytes_written(parts: list[bytes], count: int)
     assert b"".join(without([memoryview(p) for p in parts], min(count, len(whole)))) == whole[count:]
 
 
+def test_a_stream_whose_weights_are_no_path_is_refused() -> None:
+    fields = messages.stream_fields(StreamSpec(GRID, 0.1, "a site")) | {"weights": ["here.toml"]}
+    with pytest.raises(WireError, match="'weights' of type str"):
+        messages.stream_from(Message("start", 0, {"stream": fields}, {}))
+
+
 @pytest.mark.parametrize("weights", [None, Path("/data/static-map/here.toml")])
 def test_a_stream_is_carried_unchanged(weights: Path | None) -> None:
     stream = StreamSpec(GRID, 0.1, "a site", ("car", "person"), weights)
