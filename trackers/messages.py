@@ -172,7 +172,7 @@ def forecast_from(message: Message, grid: GridSpec, steps: int, classes: int) ->
         _in_unit_range("semantics", semantics)
         _sums_to_one(semantics)
     velocity, futures = _velocity(message, grid, steps), _futures(message, grid, steps)
-    return Forecast(occupancy, semantics, velocity, _objects(message), futures)
+    return Forecast(occupancy, semantics, velocity, objects_from(message), futures)
 
 
 def without_semantics(forecast: Forecast) -> Forecast:
@@ -247,7 +247,8 @@ def _sums_to_one(semantics: NDArray[np.float32]) -> None:
         raise WireError(f"semantics must sum to 1 over the classes; the largest error is {worst:.3g}")
 
 
-def _objects(message: Message) -> tuple[TrackedObject, ...]:
+def objects_from(message: Message) -> tuple[TrackedObject, ...]:
+    """The objects in the answer to `predict`: shapes, types and labels are checked. Raises WireError."""
     if "object_track" not in message.arrays:
         return ()
     track = message.array("object_track", "int64", (None,))

@@ -7,7 +7,6 @@ the frames of that time. A forecast is in time for a frame if it is delivered be
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, NamedTuple
@@ -18,8 +17,9 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.scoring.deadline import Timeline
-from gridtrack.trackers.contract import Forecast, TrackedObject
-from gridtrack.trackers.messages import forecast_fields
+from gridtrack.trackers.contract import Forecast
+from gridtrack.trackers.messages import forecast_fields, objects_from
+from gridtrack.trackers.wire import Message
 
 
 class Presented(NamedTuple):
@@ -159,8 +159,7 @@ class ForecastStore:
         """Raises OSError."""
         self._file = TemporaryFile(dir=folder)  # noqa: SIM115 closed by `close`
         self._places: dict[int, dict[str, _Place]] = {}
-        self._labels: dict[int, list[str]] = {}
-        """Of the objects, where there are any."""
+        self._fields: dict[int, dict[str, Any]] = {}
         self._lock = threading.Lock()
 
     def add(self, delivered: Delivered) -> None:
@@ -168,15 +167,14 @@ class ForecastStore:
         with self._lock:
             if delivered.made_at in self._places:
                 return
-            fields, arrays = forecast_fields(delivered.forecast)
+            self._fields[delivered.made_at], arrays = forecast_fields(delivered.forecast)
             self._places[delivered.made_at] = {name: self._append(array) for name, array in arrays.items()}
-            self._labels[delivered.made_at] = fields.get("labels", [])
 
     def read(self, index: int) -> Forecast:
         """The forecast made at the frame `index`. Raises KeyError, OSError."""
         with self._lock:
             arrays = {name: self._array(place) for name, place in self._places[index].items()}
-            objects = _objects(arrays, self._labels[index])
+            objects = objects_from(Message("forecast", index, self._fields[index], arrays))
             semantics, velocity, futures = (arrays.get(name) for name in ("semantics", "velocity", "futures"))
             return Forecast(arrays["occupancy"], semantics, velocity, objects, futures)
 
@@ -194,18 +192,6 @@ class ForecastStore:
         self._file.seek(place.at)
         content = lz4.frame.decompress(self._file.read(place.size))
         return np.frombuffer(content, place.dtype).reshape(place.shape)
-
-
-def _objects(arrays: Mapping[str, NDArray[Any]], labels: list[str]) -> tuple[TrackedObject, ...]:
-    """The objects in the arrays of a forecast."""
-    if "object_track" not in arrays:
-        return ()
-    parts = (arrays[f"object_{name}"] for name in ("track", "box", "velocity", "covariance", "label"))
-    rows = zip(*parts, strict=True)
-    return tuple(
-        TrackedObject(int(track), box, velocity, covariance, labels[label] if label >= 0 else "")
-        for track, box, velocity, covariance, label in rows
-    )
 
 
 class StoredForecasts:

@@ -122,8 +122,9 @@ class Background:
         self._hidden.observe(frame.visible, periods * self.period_s)
         if self._outside.any():
             self._open_space.observe(frame, periods)
-        empty = frame.visible & ~with_neighbours(frame.occupied)
-        self._stopped = [cells for cells in self._stopped if empty[cells].mean() < DEPARTED_SHARE]
+        if self._stopped:
+            empty = frame.visible & ~with_neighbours(frame.occupied)
+            self._stopped = [cells for cells in self._stopped if empty[cells].mean() < DEPARTED_SHARE]
 
     def add_stopped(self, cells: Mask) -> None:
         """From now on, returns in these cells (M, M) and their neighbours belong to the background."""
