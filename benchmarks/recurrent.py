@@ -34,12 +34,12 @@ def random_planes(seed: int) -> np.ndarray:
 
 def training_rate(kind: type[RecurrentTracker], precision: Precision, threads: int) -> float:
     """Frames of training a second."""
-    from gridtrack.trackers.recurrent.training import sequence_loss
+    from gridtrack.trackers.recurrent.sequence_loss import sequence_loss
 
     torch.set_num_threads(threads)
     options: Any = kind.Options()
     network = kind.build(SIZE, options, 0).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    on_processor = kind.prepare_training(network, 0.02)
+    on_processor = kind.prepare_training(network, 0.02, "cpu")
     window = torch.from_numpy(np.stack([random_planes(t) for t in range(options.length)]))
     windows = window.expand(options.batch, -1, -1, -1, -1)
 

@@ -25,6 +25,7 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError, one_line
@@ -171,18 +172,29 @@ def _scan(
     if labels is not None and len(labels.intensities) != beams:
         raise DamageError(f"corrupt: labels of {len(labels.intensities)} beams for a scan of {beams}")
     range_min, range_max = _range_limits(received)
+    with np.errstate(over="ignore"):  # of a range beyond float32, which is then no return
+        ranges = np.fromiter(message.ranges, np.float64, beams).astype(np.float32)
     return Scan(
         stamp_ns=nanoseconds_of(message.timestamp),
-        ranges=np.fromiter(message.ranges, np.float64, beams).astype(np.float32),
+        ranges=ranges,
         angle_min=message.start_angle,
         angle_increment=(message.end_angle - message.start_angle) / max(beams - 1, 1),
         range_min=range_min,
         range_max=range_max,
         sensor=message.frame_id,
         world_T_sensor=world_T_sensor,
-        labels=None if labels is None else np.array(labels.intensities).astype(np.uint8),
+        labels=None if labels is None else _class_numbers(labels),
         scene=scene,
     )
+
+
+def _class_numbers(labels: LaserScan) -> NDArray[np.uint8]:
+    values = np.fromiter(labels.intensities, np.float64, len(labels.intensities))
+    numbers = np.nan_to_num(values).clip(0, 255).astype(np.uint8)
+    no_class = numbers != values
+    if no_class.any():
+        raise DamageError(f"corrupt: a label {values[no_class][0]:g}, which is no number of a class")
+    return numbers
 
 
 def _range_limits(received: McapMessage) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from torch import nn
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score
+from gridtrack.trackers.recurrent.accelerated_convgru import AcceleratedConvGRU
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU
 from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferencePlainConvGRU
 from gridtrack.trackers.recurrent.network import InferenceNetwork, start_from_rate
@@ -80,10 +81,11 @@ class DilatedConvGRUTracker(RecurrentTracker):
         return options.model_copy(update={"static_gates": ()})
 
     @classmethod
-    def prepare_training(cls, network: Any, rate: float) -> Any:
+    def prepare_training(cls, network: Any, rate: float, device: str) -> Any:
         """Set the output bias to the occupied rate; the gates and their gradient are one pass over memory."""
         start_from_rate(network.decode_occupancy, rate)
-        return TrainingConvGRU(network) if network.layers[0].gates == GATES else network
+        faster = {"cpu": TrainingConvGRU, "cuda": AcceleratedConvGRU}.get(device)
+        return faster(network) if faster and network.layers[0].gates == GATES else network
 
     @classmethod
     def prepare_inference(cls, network: Any, options: Any) -> InferenceNetwork:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn.functional import max_pool2d
 
 LOOKBACK_STEPS = 10
 """A cell was entered that was free, with its neighbours, so many steps before."""
@@ -46,4 +45,10 @@ def _standing(windows: Tensor) -> Tensor:
 
 def _widened(cells: Tensor, by: int) -> Tensor:
     """`cells` (B, T, M, M) bool and all that are at most `by` rows and columns away."""
-    return max_pool2d(cells.float(), 2 * by + 1, stride=1, padding=by) > 0
+    for axis in (-2, -1):
+        wide, size = cells.clone(), cells.shape[axis]
+        for shift in range(1, min(by, size - 1) + 1):
+            wide.narrow(axis, shift, size - shift).logical_or_(cells.narrow(axis, 0, size - shift))
+            wide.narrow(axis, 0, size - shift).logical_or_(cells.narrow(axis, shift, size - shift))
+        cells = wide
+    return cells

@@ -22,6 +22,12 @@ BATCH, SIZE, INPUTS, OUTPUTS = 2, 100, 16, 48
 """The convolution of the states of a layer of the dilated ConvGRU, with a batch of two grids of 100 cells a side."""
 
 
+def training_device() -> str:
+    """The kind of device that a training runs on: "cuda" or another accelerator, where there is one, else "cpu"."""
+    accelerator = torch.accelerator.current_accelerator(check_available=True)
+    return "cpu" if accelerator is None else accelerator.type
+
+
 def training_precision(settings: TrainingSettings, out: FitOutput) -> Precision:
     """The precision of `settings`; for `auto` that of the training that `out.log_dir` resumes, or the faster one."""
     if settings.precision != "auto":
@@ -45,7 +51,7 @@ def _precision_in(out: FitOutput) -> Precision | None:
 
 def convolution_ms(precision: Precision) -> float:
     """Least time of a small convolution with its gradient where the training runs, milliseconds."""
-    device = "cuda" if torch.cuda.is_available() else "cpu"
+    device = training_device()
     convolution = nn.Conv2d(INPUTS, OUTPUTS, 3, padding=1, device=device)
     planes = torch.ones(BATCH, INPUTS, SIZE, SIZE, device=device, requires_grad=True)
     planes = planes.contiguous(memory_format=torch.channels_last)
@@ -55,7 +61,7 @@ def convolution_ms(precision: Precision) -> float:
         with torch.autocast(device, torch.bfloat16, enabled=precision == "bf16-mixed"):
             total = convolution(planes).float().sum()
         total.backward()
-        if device == "cuda":
-            torch.cuda.synchronize()
+        if device != "cpu":
+            torch.accelerator.synchronize()
         least = min(least, time.perf_counter() - started)
     return 1e3 * least

@@ -59,10 +59,10 @@ class RecurrentTracker(Tracker):
 
     @classmethod
     @abstractmethod
-    def prepare_training(cls, network: Any, rate: float) -> Any:
-        """Set the output bias to the occupied `rate`, and return the RecurrentNetwork that is trained on a processor.
+    def prepare_training(cls, network: Any, rate: float, device: str) -> Any:
+        """Set the output bias to the occupied `rate`, and return the RecurrentNetwork that is trained on a `device`.
 
-        It is the same function of the same parameters as `network`, computed faster.
+        It is the same function of the same parameters as `network`, computed faster. `device`: "cpu", "cuda", ...
         """
 
     @classmethod
@@ -166,7 +166,7 @@ class RecurrentTracker(Tracker):
 
         From general weights `out.start` these are among the candidates.
         """
-        from gridtrack.trackers.recurrent.precision import training_precision
+        from gridtrack.trackers.recurrent.precision import training_device, training_precision
         from gridtrack.trackers.recurrent.sequences import SequenceDataset
         from gridtrack.trackers.recurrent.training import train_network, validation_scores
 
@@ -179,7 +179,7 @@ class RecurrentTracker(Tracker):
         options = options.model_copy(update={"precision": training_precision(options, out)})
         torch.manual_seed(out.seed)
         network = cls.build(dataset.size, options, classes=0)
-        on_processor = cls.prepare_training(network, dataset.occupied_rate)
+        in_training = cls.prepare_training(network, dataset.occupied_rate, training_device())
         if start is not None:
             begin_from(network, start)
         held_out = excerpts_of_places(validation) if out.general else validation
@@ -192,7 +192,7 @@ class RecurrentTracker(Tracker):
 
             return validation_scores(score_on, held_out, SELECTION_HORIZONS_S)
 
-        trained = train_network(network, on_processor, dataset, options, validate, out, start)
+        trained = train_network(network, in_training, dataset, options, validate, out, start)
         arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
         settings = options.model_dump(mode="json", exclude=set(InferenceSettings.model_fields))
         card = card_for(cls.name, out, train, validation, settings, trained.scores)

@@ -20,7 +20,8 @@ def resolution_of(cell_m: float, period_s: float) -> Tensor:
 class ResolutionShift(nn.Module):
     """What the resolution of the grids adds to the biases (C,) of a layer: weights (C, 2) times `resolution_of`.
 
-    Begins with zeros: the network is then the same at every resolution.
+    Begins with zeros: the network is then the same at every resolution. `resolution` (2,), or (B, 2) where the items of
+    a batch have one each.
     """
 
     def __init__(self, channels: int) -> None:
@@ -29,13 +30,16 @@ class ResolutionShift(nn.Module):
         self.resolution = torch.zeros(2)
 
     def forward(self, bias: Tensor) -> Tensor:
-        """The `bias` (C,) or (C, M, M) at `resolution`."""
-        shift = self.weight @ self.resolution.to(self.weight.device)
-        return bias + shift.view(-1, *(1,) * (bias.ndim - 1))
+        """The `bias` (C,) or (C, M, M) at `resolution`; (B, C, M, M) of (C, M, M) at those of a batch."""
+        shift = self.resolution.to(self.weight.device) @ self.weight.T
+        return bias + shift.view(*shift.shape, *(1,) * (bias.ndim - 1))
 
 
 def set_resolution(network: nn.Module, resolution: Tensor) -> None:
-    """Let `network` be the one for grids of this `resolution_of` (2,); one that is for one site is the same at all."""
+    """Let `network` be the one for grids of this `resolution_of` (2,), or of these of a batch (B, 2).
+
+    A network that is for one site is the same at all.
+    """
     for module in network.modules():
         if isinstance(module, ResolutionShift):
             module.resolution = resolution

@@ -26,7 +26,7 @@ class DeepTrackingRNNTracker(RecurrentTracker):
         return DeepTrackingRNN(size, options)
 
     @classmethod
-    def prepare_training(cls, network: Any, rate: float) -> Any:
+    def prepare_training(cls, network: Any, rate: float, device: str) -> Any:
         """Set the output bias to the occupied rate; the empty input is convolved once a sequence."""
         start_from_rate(network.decode, rate)
         return TrainingRNN(network)

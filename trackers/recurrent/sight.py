@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,17 +14,27 @@ def cells_in_sight(occupied: NDArray[np.uint8], laser: NDArray[np.float64]) -> N
     every line from the laser to the edge of the window meets an occupied cell more than one cell before it: so a side
     that is seen from its end is seen whole.
     """
+    seen = np.zeros(occupied.shape, np.bool_)
     steps, size = len(occupied), occupied.shape[-1]
-    lines = _lines_from(laser, size)
-    cells = np.zeros((steps, size * size + 1), bool)  # the last one is for all that is outside
-    cells[:, :-1] = occupied.reshape(steps, -1)
-    met = np.logical_or.accumulate(cells[:, lines], axis=2)
-    met[:, :, 2:] = met[:, :, :-2].copy()
-    met[:, :, :2] = False
-    in_sight = np.zeros_like(cells)
-    step, line, number = np.nonzero(~met)
-    in_sight[step, lines[line, number]] = True
-    return in_sight[:, :-1].reshape(occupied.shape)
+    _see_along(_lines_from(laser, size), occupied.reshape(steps, -1), seen.reshape(steps, -1))
+    return seen
+
+
+@numba.njit(cache=True, nogil=True)
+def _see_along(lines: NDArray[np.intp], occupied: NDArray[np.uint8], seen: NDArray[np.bool_]) -> None:
+    """Mark in `seen` (T, M * M) the cells of each line (L, K) as far as one behind its first occupied one."""
+    outside = occupied.shape[1]
+    for step in range(len(occupied)):
+        for line in lines:
+            last = len(line) - 1
+            for number, cell in enumerate(line):
+                if number > last:
+                    break
+                if cell == outside:
+                    continue
+                seen[step, cell] = True
+                if occupied[step, cell]:
+                    last = min(last, number + 1)
 
 
 def _lines_from(laser: NDArray[np.float64], size: int) -> NDArray[np.intp]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -22,7 +23,6 @@ import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 from torch import Tensor, nn
-from torch.nn import functional
 from torch.utils.data import DataLoader
 
 from gridtrack.common.errors import ConfigurationError
@@ -31,10 +31,11 @@ from gridtrack.common.horizons import nearest_step
 from gridtrack.trackers.contract import FitOutput, FrameSource
 from gridtrack.trackers.excerpts import SELECTION_STRATA, mean_of_defined
 from gridtrack.trackers.progress import Stage
-from gridtrack.trackers.recurrent.entered_cells import near_entered_cells
+from gridtrack.trackers.recurrent.accelerated_convgru import AcceleratedConvGRU
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
-from gridtrack.trackers.recurrent.precision import training_precision
+from gridtrack.trackers.recurrent.precision import training_device, training_precision
 from gridtrack.trackers.recurrent.resolution_input import set_resolution
+from gridtrack.trackers.recurrent.sequence_loss import sequence_loss
 from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 from gridtrack.trackers.weights import Weights
@@ -43,7 +44,7 @@ CHECKPOINT_EVERY_S = 60.0
 """Time between two checkpoints; there is one after every validation too."""
 NO_NEWS = (
     "You're resuming from a checkpoint that ended before the epoch ended",  # the next window is an unused one
-    ".*does not have many workers",  # frames lie in memory: workers would only copy them
+    ".*does not have many workers",  # on a processor: see _workers
     "The `srun` command is available",
     "Checkpoint directory .* exists and is not empty",
     ".*isinstance.treespec, LeafSpec",
@@ -63,7 +64,7 @@ class TrainedNetwork(NamedTuple):
 
 def train_network(
     network: nn.Module,
-    on_processor: RecurrentNetwork,
+    in_training: RecurrentNetwork,
     dataset: SequenceDataset,
     settings: TrainingSettings,
     validate: Validate,
@@ -72,7 +73,7 @@ def train_network(
 ) -> TrainedNetwork:
     """Train `network` in place to the weights with the best validation score; those it begins with, of a `start`, too.
 
-    On a processor the training computes with `on_processor`, the same function of the same parameters. Logs (CSV,
+    The training computes with `in_training`, the same function of the same parameters. Logs (CSV,
     TensorBoard) and checkpoints are written to `out.log_dir`; checkpoints of the same training in it are resumed. An
     interrupt ends the training at the best weights so far. Raises ConfigurationError where the folder has checkpoints
     of another training, KeyboardInterrupt where it is interrupted before the first validation.
@@ -82,12 +83,12 @@ def train_network(
     training = {"seed": out.seed, "train": dataset.sources, **network_settings}
     resumed = _resumable(out, training if start is None else {"start": start.card.arrays_sha256, **training})
     begun = None if start is None else _Begun.with_scores(network, validate, out)
-    module = TrainingModule(network, on_processor, settings, dataset.occupied_rate, validate, out)
+    module = TrainingModule(network, in_training, settings, dataset.occupied_rate, validate, out)
     with _without_news():
         trainer, best = _trainer(settings, out)
     done = _updates_in(resumed) if resumed else 0
     sampler = EpochSampler(settings.validate_every * settings.batch, done * settings.batch)
-    loader = DataLoader(dataset, settings.batch, sampler=sampler)
+    loader = DataLoader(dataset, settings.batch, sampler=sampler, num_workers=_workers())
     try:
         with out.progress.stage("update", settings.updates, done) as module.stage, _without_news():
             trainer.fit(module, loader, ckpt_path=str(resumed) if resumed else None, weights_only=True)
@@ -101,6 +102,11 @@ def train_network(
         scores = begun.kept_in(network, out)
     reached = f"update {trainer.global_step} of {settings.updates}" if trainer.interrupted else ""
     return TrainedNetwork(scores, reached)
+
+
+def _workers() -> int:
+    """Processes that draw windows: none where the processor trains, which they would hold up."""
+    return 0 if training_device() == "cpu" else max(1, len(os.sched_getaffinity(0)) - 1)
 
 
 @contextmanager
@@ -188,7 +194,7 @@ class TrainingModule(lightning.LightningModule):
     def __init__(
         self,
         network: nn.Module,
-        on_processor: RecurrentNetwork,
+        in_training: RecurrentNetwork,
         settings: TrainingSettings,
         rate: float,
         validate: Validate,
@@ -196,19 +202,23 @@ class TrainingModule(lightning.LightningModule):
     ) -> None:
         """`rate`: the occupied rate of the recordings."""
         super().__init__()
-        self.network, self._on_processor = channels_last(network), on_processor
+        self.network, self._in_training = channels_last(network), in_training
         self.settings, self.rate, self.validate, self.report = settings, rate, validate, out.report
         self.stage: Stage | None = None
         self.scores: dict[str, float] = {}
 
     def training_step(self, batch: Item) -> Tensor:
-        """Mean loss of a batch of windows (B, T, 2, M, M) uint8; those of one resolution are computed together."""
-        network = self._on_processor if self.device.type == "cpu" else self.network
+        """Mean loss of a batch of windows (B, T, 2, M, M) uint8; those of one resolution are computed together.
+
+        A network that takes windows of unlike resolutions together computes all of them at once.
+        """
+        together = isinstance(self._in_training, AcceleratedConvGRU)
+        resolutions = [batch.resolution] if together else torch.unique(batch.resolution, dim=0)
         losses = []
-        for resolution in torch.unique(batch.resolution, dim=0):
+        for resolution in resolutions:
             set_resolution(self.network, resolution)
             windows = batch.window[(batch.resolution == resolution).all(dim=1)]
-            loss = sequence_loss(network, windows.float(), self.settings, self.rate, self.motion_weight)
+            loss = sequence_loss(self._in_training, windows.float(), self.settings, self.rate, self.motion_weight)
             losses.append(loss * len(windows))
         loss = torch.stack(losses).sum() / len(batch.window)
         self.log("loss", loss, batch_size=len(batch.window))
@@ -247,39 +257,6 @@ class TrainingModule(lightning.LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Store the scores of the weights in their checkpoint."""
         checkpoint["scores"] = self.scores
-
-
-def sequence_loss(
-    network: RecurrentNetwork, windows: Tensor, settings: TrainingSettings, rate: float, motion_weight: float = 0.0
-) -> Tensor:
-    """Binary cross-entropy of the forecast of each frame on its visible cells: mean over all these cells, nats.
-
-    `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. The burn-in has neither loss nor gradient. A visible
-    cell near an entered one has the weight 1 + `motion_weight`. A cell that no frame sees has the weight
-    `unseen_weight`, and as its target `rate`, that of the recordings: windows with more in them than a recording, such
-    as moving shapes, say nothing of what is there.
-    """
-    frames = windows.transpose(0, 1)
-    state = network.initial(windows.shape[0])
-    features = []
-    for t, x in enumerate(frames):
-        observed = x.contiguous(memory_format=torch.channels_last) if settings.is_observed(t) else None
-        with torch.set_grad_enabled(t >= settings.burn_in):
-            state = network.step(observed, state)
-        if t >= settings.burn_in:
-            features.append(network.features(state))
-    logits = network.occupancy(torch.cat(features)).float()
-    visible, occupied = frames[settings.burn_in :].flatten(0, 1).unbind(dim=1)
-    weight = visible
-    if motion_weight:
-        near = near_entered_cells(windows.bool()).transpose(0, 1)[settings.burn_in :].flatten(0, 1)
-        weight = visible * (1.0 + motion_weight * near)
-    total = weight.sum().clamp(min=1.0)
-    if settings.unseen_weight:
-        unseen = ~windows[:, :, 0].bool().any(dim=1).repeat(len(features), 1, 1)
-        weight = weight + settings.unseen_weight * unseen
-        occupied = torch.where(unseen, rate, occupied)
-    return functional.binary_cross_entropy_with_logits(logits, occupied, weight=weight, reduction="sum") / total
 
 
 def validation_scores(

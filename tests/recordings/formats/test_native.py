@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from gridtrack.common.errors import ConfigurationError, GridtrackError, RecordingError
@@ -311,6 +314,52 @@ def test_a_scan_with_a_pose_that_is_not_finite_is_left_out_and_refused_as_the_fi
     assert "whose pose is not finite, left out: 1 of them" in recording.warnings[0]
     with pytest.raises(RecordingError, match="a pose of nan, 0, 0; expected finite numbers"):
         list(open_recording(write([replace(scan(0), **nowhere)])).scans())
+
+
+@pytest.mark.parametrize("label", [math.nan, math.inf, -1.0, 2.5, 256.0, 1e300])
+def test_a_label_that_is_no_number_of_a_class_is_damage(
+    write: Callable[..., Path], scan: Callable[..., Scan], label: float
+) -> None:
+    labelled = [replace(scan(k), labels=np.zeros(36, np.uint8)) for k in range(3)]
+    path = altered(write(labelled, classes=["person"]), "/labels", 1, {"intensities": label})
+    recording = open_recording(path)
+    assert [s.stamp_ns for s in recording.scans()] == [scan(0).stamp_ns]
+    assert f"a label {label:g}, which is no number of a class" in recording.warnings[0]
+
+
+def test_a_range_beyond_float32_is_no_return(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+    path = altered(write([scan(0)]), "/scan", 0, {"ranges": 1e300})
+    (found,) = open_recording(path).scans()
+    assert found.ranges[0] == np.inf
+    np.testing.assert_array_equal(found.ranges[1:], scan(0).ranges[1:])
+
+
+def altered(path: Path, topic: str, number: int, values: dict[str, float]) -> Path:
+    """A copy of a recording in which a message, by number, of `topic` has other first values of these fields."""
+    changed = path.with_name("altered.mcap")
+    with path.open("rb") as source, changed.open("wb") as target:
+        reader, writer = make_reader(source), Writer(target)
+        writer.start("gridtrack")
+        for entry in reader.iter_metadata():
+            writer.add_metadata(entry.name, entry.metadata)
+        channels: dict[int, int] = {}
+        counts: Counter[str] = Counter()
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if channel.id not in channels:
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schema_id, channel.metadata
+                )
+            data = message.data
+            if channel.topic == topic and counts[topic] == number:
+                decoded = LaserScan.FromString(data)
+                for name, value in values.items():
+                    getattr(decoded, name)[0] = value
+                data = decoded.SerializeToString()
+            counts[channel.topic] += 1
+            writer.add_message(channels[channel.id], message.log_time, data, message.publish_time)
+        writer.finish()
+    return changed
 
 
 def test_every_error_is_one_line(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:

@@ -16,13 +16,15 @@ from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E4
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec  # noqa: E402
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
-from gridtrack.trackers.recurrent import training  # noqa: E402
+from gridtrack.trackers.recurrent import accelerated_convgru, training  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.entered_cells import near_entered_cells  # noqa: E402
+from gridtrack.trackers.recurrent.resolution_input import set_resolution  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
+from gridtrack.trackers.recurrent.sequence_loss import sequence_loss  # noqa: E402
 from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset, superposed  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
-from gridtrack.trackers.recurrent.training import TrainingModule, sequence_loss  # noqa: E402
+from gridtrack.trackers.recurrent.training import TrainingModule  # noqa: E402
 from gridtrack.trackers.weights import read_card  # noqa: E402
 
 SIZE = 12
@@ -229,14 +231,19 @@ def test_the_burn_in_updates_the_state_without_loss_or_gradient():
 
 
 @pytest.mark.parametrize(("half", "tolerance"), [(False, 1e-5), (True, 0.01)])
-@pytest.mark.parametrize("kind", [DilatedConvGRUTracker, DeepTrackingRNNTracker])
-def test_the_training_network_has_the_loss_and_gradient_of_the_network(kind, half, tolerance):
+@pytest.mark.parametrize(
+    ("kind", "device"),
+    [(DilatedConvGRUTracker, "cpu"), (DilatedConvGRUTracker, "cuda"), (DeepTrackingRNNTracker, "cpu")],
+)
+def test_the_training_network_has_the_loss_and_gradient_of_the_network(monkeypatch, kind, device, half, tolerance):
+    """That of a CUDA device is computed here on the processor, its gates by PyTorch's operations."""
+    monkeypatch.setattr(accelerated_convgru, "_compiled_gates", lambda: accelerated_convgru._gates)
     torch.manual_seed(3)
     settings = validated(
         kind.Options, {"burn_in": 2, "observed_frames": 3, "blank_frames": 2, "repetitions": 2}, "test"
     )
     network = kind.build(SIZE, settings, 0)
-    on_processor = kind.prepare_training(network, 0.05)
+    in_training = kind.prepare_training(network, 0.05, device)
     for parameter in network.parameters():
         torch.nn.init.normal_(parameter, std=0.3)
     data = SequenceDataset([Shuttle()], settings, seed=0)
@@ -248,12 +255,40 @@ def test_the_training_network_has_the_loss_and_gradient_of_the_network(kind, hal
         return loss.detach(), torch.autograd.grad(loss, tuple(network.parameters()))
 
     loss, gradient = loss_and_gradient(network)
-    found_loss, found_gradient = loss_and_gradient(on_processor)
+    found_loss, found_gradient = loss_and_gradient(in_training)
 
-    assert on_processor is not network
+    assert in_training is not network
     torch.testing.assert_close(found_loss, loss, rtol=tolerance, atol=0)
     for found, expected in zip(found_gradient, gradient, strict=True):
         assert (found - expected).norm() < tolerance * expected.norm()
+
+
+def test_windows_of_unlike_resolution_are_one_batch_on_a_cuda_device(monkeypatch):
+    """Each window has the gradient that it has in a batch of its own; the loss is that of all their cells."""
+    monkeypatch.setattr(accelerated_convgru, "_compiled_gates", lambda: accelerated_convgru._gates)
+    torch.manual_seed(3)
+    settings = validated(DilatedConvGRUTracker.Options, {"resolution_input": True, "static_gates": []}, "test")
+    network = DilatedConvGRUTracker.build(SIZE, settings, 0)
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter, std=0.3)
+    in_training = DilatedConvGRUTracker.prepare_training(network, 0.05, "cuda")
+    data = SequenceDataset([Shuttle()], settings, seed=0)
+    windows = torch.stack([data[0].window, data[1].window]).float()
+    resolutions = torch.tensor([[-1.0, 0.5], [1.0, -0.5]])
+
+    def gradient(of, one, resolution):
+        set_resolution(network, resolution)
+        loss = sequence_loss(one, of, settings, 0.05)
+        return loss.detach(), torch.autograd.grad(loss, tuple(network.parameters()))
+
+    loss, found = gradient(windows, in_training, resolutions)
+
+    cells = windows[:, :, 0].sum(dim=(1, 2, 3))
+    alone = [gradient(windows[[n]], network, resolutions[n]) for n in range(2)]
+    torch.testing.assert_close(loss, sum(n * each for n, (each, _) in zip(cells, alone, strict=True)) / cells.sum())
+    for together, *each in zip(found, *(gradients for _, gradients in alone), strict=True):
+        expected = (cells[0] * each[0] + cells[1] * each[1]) / cells.sum()
+        assert (together - expected).norm() < 1e-5 * expected.norm()
 
 
 def of_ten(**options):
