@@ -39,8 +39,8 @@ def _entered(windows: Tensor, standing: Tensor) -> Tensor:
 
 def _standing(windows: Tensor) -> Tensor:
     """Cells (B, 1, M, M) bool of what stands, and those round them."""
-    visible, occupied = windows.unbind(dim=2)
-    return _widened((occupied.sum(dim=1) > STANDING_SHARE * visible.sum(dim=1))[:, None], 1)
+    seen, filled = windows.view(torch.uint8).sum(dim=1, dtype=torch.int32).unbind(dim=1)
+    return _widened((filled > STANDING_SHARE * seen)[:, None], 1)
 
 
 def _widened(cells: Tensor, by: int) -> Tensor:
