@@ -45,7 +45,7 @@ def training_rate(kind: type[RecurrentTracker], precision: Precision, threads: i
 
     def one_update() -> None:
         with torch.autocast("cpu", torch.bfloat16, enabled=precision == "bf16-mixed"):
-            sequence_loss(on_processor, windows, options, 0.02).backward()  # type: ignore[no-untyped-call]
+            sequence_loss(on_processor, windows, options, 0.02).mean.backward()  # type: ignore[no-untyped-call]
 
     seconds = median_ms(one_update, runs=3) / 1e3
     rate = options.batch * options.length / seconds

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple, Self
+
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -11,10 +14,28 @@ from gridtrack.trackers.recurrent.network import RecurrentNetwork
 from gridtrack.trackers.recurrent.settings import TrainingSettings
 
 
+class SequenceLoss(NamedTuple):
+    """The sum of the weighted losses of cells, nats, and of the weights of those that are visible."""
+
+    total: Tensor
+    visible_weight: Tensor
+
+    @property
+    def mean(self) -> Tensor:
+        """The loss of a visible cell, nats."""
+        return self.total / self.visible_weight.clamp(min=1.0)
+
+    @classmethod
+    def of_all(cls, losses: Sequence[Self]) -> Self:
+        """The loss of all windows together: a window in which hardly anything is visible counts as little."""
+        totals, weights = zip(*losses, strict=True)
+        return cls(torch.stack(totals).sum(), torch.stack(weights).sum())
+
+
 def sequence_loss(
     network: RecurrentNetwork, windows: Tensor, settings: TrainingSettings, rate: float, motion_weight: float = 0.0
-) -> Tensor:
-    """Binary cross-entropy of the forecast of each frame on its visible cells: mean over all these cells, nats.
+) -> SequenceLoss:
+    """Binary cross-entropy of the forecast of each frame on its visible cells.
 
     `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. The burn-in has neither loss nor gradient. A visible
     cell near an entered one has the weight 1 + `motion_weight`. A cell that no frame sees has the weight
@@ -36,9 +57,10 @@ def sequence_loss(
     if motion_weight:
         near = near_entered_cells(windows.bool()).transpose(0, 1)[settings.burn_in :].flatten(0, 1)
         weight = visible * (1.0 + motion_weight * near)
-    total = weight.sum().clamp(min=1.0)
+    visible_weight = weight.sum()
     if settings.unseen_weight:
         unseen = ~windows[:, :, 0].bool().any(dim=1).repeat(len(features), 1, 1)
         weight = weight + settings.unseen_weight * unseen
         occupied = torch.where(unseen, rate, occupied)
-    return functional.binary_cross_entropy_with_logits(logits, occupied, weight=weight, reduction="sum") / total
+    total = functional.binary_cross_entropy_with_logits(logits, occupied, weight=weight, reduction="sum")
+    return SequenceLoss(total, visible_weight)

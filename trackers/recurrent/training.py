@@ -35,7 +35,7 @@ from gridtrack.trackers.recurrent.accelerated_convgru import AcceleratedConvGRU
 from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
 from gridtrack.trackers.recurrent.precision import training_device, training_precision
 from gridtrack.trackers.recurrent.resolution_input import set_resolution
-from gridtrack.trackers.recurrent.sequence_loss import sequence_loss
+from gridtrack.trackers.recurrent.sequence_loss import SequenceLoss, sequence_loss
 from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 from gridtrack.trackers.weights import Weights
@@ -208,21 +208,23 @@ class TrainingModule(lightning.LightningModule):
         self.scores: dict[str, float] = {}
 
     def training_step(self, batch: Item) -> Tensor:
-        """Mean loss of a batch of windows (B, T, 2, M, M) uint8; those of one resolution are computed together.
-
-        A network that takes windows of unlike resolutions together computes all of them at once.
-        """
-        together = isinstance(self._in_training, AcceleratedConvGRU)
-        resolutions = [batch.resolution] if together else torch.unique(batch.resolution, dim=0)
-        losses = []
-        for resolution in resolutions:
-            set_resolution(self.network, resolution)
-            windows = batch.window[(batch.resolution == resolution).all(dim=1)]
-            loss = sequence_loss(self._in_training, windows.float(), self.settings, self.rate, self.motion_weight)
-            losses.append(loss * len(windows))
-        loss = torch.stack(losses).sum() / len(batch.window)
+        """The loss of a batch."""
+        loss = self.loss_of(batch)
         self.log("loss", loss, batch_size=len(batch.window))
         return loss
+
+    def loss_of(self, batch: Item) -> Tensor:
+        """Mean loss of the cells of a batch of windows (B, T, 2, M, M) uint8.
+
+        Windows of one resolution are computed together, and all at once by a network that takes unlike ones.
+        """
+        together = isinstance(self._in_training, AcceleratedConvGRU)
+        losses = []
+        for resolution in [batch.resolution] if together else torch.unique(batch.resolution, dim=0):
+            set_resolution(self.network, resolution)
+            windows = batch.window[(batch.resolution == resolution).all(dim=1)].float()
+            losses.append(sequence_loss(self._in_training, windows, self.settings, self.rate, self.motion_weight))
+        return SequenceLoss.of_all(losses).mean
 
     @property
     def motion_weight(self) -> float:

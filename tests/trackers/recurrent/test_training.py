@@ -22,7 +22,7 @@ from gridtrack.trackers.recurrent.entered_cells import near_entered_cells  # noq
 from gridtrack.trackers.recurrent.resolution_input import set_resolution  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.recurrent.sequence_loss import sequence_loss  # noqa: E402
-from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset, superposed  # noqa: E402
+from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset, superposed  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.training import TrainingModule  # noqa: E402
 from gridtrack.trackers.weights import read_card  # noqa: E402
@@ -197,7 +197,7 @@ def test_cells_that_are_not_visible_have_no_loss():
     network = DeepTrackingRNNTracker.build(SIZE, DeepTrackingRNNTracker.Options(variant="paper"), 0)
     windows = torch.zeros(1, 3, 2, SIZE, SIZE)
     windows[:, :, 0, 3, 4] = 1.0
-    loss = sequence_loss(network, windows, settings, 0.05)
+    loss = sequence_loss(network, windows, settings, 0.05).mean
     state, logits = network.initial(1), []
     for x in (windows[:, 0], windows[:, 1], None):
         state = network.step(x, state)
@@ -212,7 +212,7 @@ def test_the_burn_in_updates_the_state_without_loss_or_gradient():
     window = SequenceDataset([Shuttle()], settings, seed=0)[0].window[None].float()
     assert [settings.is_observed(frame) for frame in range(settings.length)] == [True] * 7 + [False] * 2
 
-    loss = sequence_loss(network, window, settings, 0.05)
+    loss = sequence_loss(network, window, settings, 0.05).mean
 
     state = network.initial(1)
     for x in window[0, :5]:
@@ -251,7 +251,7 @@ def test_the_training_network_has_the_loss_and_gradient_of_the_network(monkeypat
 
     def loss_and_gradient(one):
         with torch.autocast("cpu", torch.bfloat16, enabled=half):
-            loss = sequence_loss(one, windows, settings, 0.05)
+            loss = sequence_loss(one, windows, settings, 0.05).mean
         return loss.detach(), torch.autograd.grad(loss, tuple(network.parameters()))
 
     loss, gradient = loss_and_gradient(network)
@@ -263,32 +263,38 @@ def test_the_training_network_has_the_loss_and_gradient_of_the_network(monkeypat
         assert (found - expected).norm() < tolerance * expected.norm()
 
 
-def test_windows_of_unlike_resolution_are_one_batch_on_a_cuda_device(monkeypatch):
-    """Each window has the gradient that it has in a batch of its own; the loss is that of all their cells."""
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
+def test_the_loss_of_a_batch_is_that_of_the_cells_of_all_its_windows(monkeypatch, tmp_path, device):
+    """By the plain network, a window at a time: those of unlike resolutions, of which the first sees little."""
     monkeypatch.setattr(accelerated_convgru, "_compiled_gates", lambda: accelerated_convgru._gates)
+    monkeypatch.setattr(TrainingModule, "global_step", 0)
     torch.manual_seed(3)
     settings = validated(DilatedConvGRUTracker.Options, {"resolution_input": True, "static_gates": []}, "test")
     network = DilatedConvGRUTracker.build(SIZE, settings, 0)
+    in_training = DilatedConvGRUTracker.prepare_training(network, 0.05, device)
     for parameter in network.parameters():
         torch.nn.init.normal_(parameter, std=0.3)
-    in_training = DilatedConvGRUTracker.prepare_training(network, 0.05, "cuda")
     data = SequenceDataset([Shuttle()], settings, seed=0)
-    windows = torch.stack([data[0].window, data[1].window]).float()
+    windows = torch.stack([data[0].window, data[1].window])
+    windows[0, :, :, 1:] = 0
     resolutions = torch.tensor([[-1.0, 0.5], [1.0, -0.5]])
+    out = FitOutput(tmp_path / "a.toml", "", 1, tmp_path)
+    module = TrainingModule(network, in_training, settings, 0.05, lambda trained: {}, out)
 
-    def gradient(of, one, resolution):
-        set_resolution(network, resolution)
-        loss = sequence_loss(one, of, settings, 0.05)
+    def with_gradient(loss):
         return loss.detach(), torch.autograd.grad(loss, tuple(network.parameters()))
 
-    loss, found = gradient(windows, in_training, resolutions)
+    loss, found = with_gradient(module.loss_of(Item(windows, resolutions)))
 
-    cells = windows[:, :, 0].sum(dim=(1, 2, 3))
-    alone = [gradient(windows[[n]], network, resolutions[n]) for n in range(2)]
-    torch.testing.assert_close(loss, sum(n * each for n, (each, _) in zip(cells, alone, strict=True)) / cells.sum())
-    for together, *each in zip(found, *(gradients for _, gradients in alone), strict=True):
-        expected = (cells[0] * each[0] + cells[1] * each[1]) / cells.sum()
-        assert (together - expected).norm() < 1e-5 * expected.norm()
+    alone = []
+    for window, resolution in zip(windows.float(), resolutions, strict=True):
+        set_resolution(network, resolution)
+        alone.append(with_gradient(sequence_loss(network, window[None], settings, 0.05).mean))
+    share = windows[:, :, 0].sum(dim=(1, 2, 3)) / windows[:, :, 0].sum()
+    torch.testing.assert_close(loss, share[0] * alone[0][0] + share[1] * alone[1][0])
+    for together, first, second in zip(found, alone[0][1], alone[1][1], strict=True):
+        expected = share[0] * first + share[1] * second
+        assert (together - expected).norm() < 1e-4 * expected.norm()
 
 
 def of_ten(**options):
@@ -361,7 +367,7 @@ def test_cells_near_an_entered_one_have_more_weight_until_the_last_update(monkey
     cells = torch.nn.functional.binary_cross_entropy_with_logits(
         torch.stack(logits), window[0, :, 1].float(), reduction="none"
     )
-    loss = sequence_loss(network, window.float(), settings, 0.05, motion_weight=2.0)
+    loss = sequence_loss(network, window.float(), settings, 0.05, motion_weight=2.0).mean
     torch.testing.assert_close(loss, (cells * weight).sum() / weight.sum())
 
     module = TrainingModule(
