@@ -7,7 +7,7 @@ inputs for cell size and period stay in.
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import torch
 from torch import nn
@@ -24,9 +24,11 @@ from gridtrack.trackers.weights import Weights
 
 NetworkOptions = TypeVar("NetworkOptions", bound=ResolutionSettings)
 
-SHARE_OF_UPDATES, SHARE_OF_RATE = 0.1, 0.25
-"""Of the updates and of the learning rate of the general training: what the network knows is not to be forgotten."""
-VALIDATIONS_AT_SITE = 4
+AT_SITE = {"updates": 600, "validate_every": 150, "warm_up": 50, "learning_rate": 1e-3}
+"""Settings of a training that starts from general weights: minutes of a processor, and at this rate what the network
+knows is not forgotten."""
+LARGEST_BATCH_AT_SITE = 2
+"""General weights may come from an accelerator, whose batches take a processor too long."""
 OF_THE_PLACE = frozenset({"static_gates", "precision", "shape_updates", "shape_share", "motion_weight"})
 """Settings that are not those of the general weights: the last three are what a general network learns motion from."""
 FOR_ANY_PLACE = {"resolution_input": True, "step_s": 0.1}
@@ -54,18 +56,8 @@ def settings_at_site(options: NetworkOptions, weights: Weights) -> NetworkOption
                 f"the general weights have {name}={getattr(trained, name)}, not {getattr(options, name)}: leave the"
                 " option out, or train with --from-scratch"
             )
-    return validated(type(options), theirs | _shorter(trained) | options.model_dump(exclude_unset=True), "training")
-
-
-def _shorter(trained: Any) -> dict[str, Any]:
-    """The length of a training that starts from one with these settings."""
-    updates = max(1, round(SHARE_OF_UPDATES * trained.updates))
-    return {
-        "updates": updates,
-        "validate_every": -(-updates // VALIDATIONS_AT_SITE),
-        "warm_up": min(trained.warm_up, updates // VALIDATIONS_AT_SITE),
-        "learning_rate": SHARE_OF_RATE * trained.learning_rate,
-    }
+    at_site = {**AT_SITE, "batch": min(trained.batch, LARGEST_BATCH_AT_SITE)}
+    return validated(type(options), theirs | at_site | options.model_dump(exclude_unset=True), "training")
 
 
 def begin_from(network: nn.Module, weights: Weights) -> None:

@@ -213,16 +213,18 @@ def superposed(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np.u
 class EpochSampler(Sampler[int]):
     """Item numbers of one epoch after the other: a resumed training continues with the next unused window."""
 
-    def __init__(self, items: int, used: int = 0) -> None:
-        """`items` of an epoch; the first `used` items of all were drawn by the training that is resumed."""
-        self.items, self.used, self.epoch = items, used, 0
+    def __init__(self, items: int, total: int, used: int = 0) -> None:
+        """`items` of an epoch, of which the last may have fewer, of a `total` of all epochs; the first `used` items of
+        all were drawn by the training that is resumed."""
+        self.items, self.total, self.used, self.epoch = items, total, used, 0
 
     def set_epoch(self, epoch: int) -> None:
         """Called by Lightning before each epoch."""
         self.epoch = epoch
 
     def __iter__(self) -> Iterator[int]:
-        return iter(range(max(self.epoch * self.items, self.used), (self.epoch + 1) * self.items))
+        start = self.epoch * self.items
+        return iter(range(max(start, self.used), min(start + self.items, self.total)))
 
     def __len__(self) -> int:
-        return self.items
+        return min(self.items, self.total)

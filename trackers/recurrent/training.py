@@ -87,8 +87,9 @@ def train_network(
     with _without_news():
         trainer, best = _trainer(settings, out)
     done = _updates_in(resumed) if resumed else 0
-    sampler = EpochSampler(settings.validate_every * settings.batch, done * settings.batch)
-    loader = DataLoader(dataset, settings.batch, sampler=sampler, num_workers=_workers())
+    batch = settings.batch
+    sampler = EpochSampler(settings.validate_every * batch, settings.updates * batch, done * batch)
+    loader = DataLoader(dataset, batch, sampler=sampler, num_workers=_workers())
     try:
         with out.progress.stage("update", settings.updates, done) as module.stage, _without_news():
             trainer.fit(module, loader, ckpt_path=str(resumed) if resumed else None, weights_only=True)
@@ -160,7 +161,7 @@ def _trainer(settings: TrainingSettings, out: FitOutput) -> tuple[lightning.Trai
         gradient_clip_val=settings.gradient_clip,
         callbacks=[best, last, timed],
         logger=[CSVLogger(out.log_dir, name="csv"), TensorBoardLogger(out.log_dir, name="tensorboard")],
-        log_every_n_steps=min(10, settings.validate_every),
+        log_every_n_steps=min(10, settings.validate_every, settings.updates),
         enable_progress_bar=False,
         enable_model_summary=False,
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
+from gridtrack.trackers.recurrent.general_network import settings_at_site  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.weights import load_start, read_card  # noqa: E402
 from tests.trackers.recurrent.test_general import HELD_OUT, SMALL, TRACKERS, LabelledWalk, Walk, fit  # noqa: E402
@@ -120,14 +123,19 @@ def test_general_weights_that_no_update_improves_are_kept(general, tmp_path):
     assert any("they are kept" in line for line in lines)
 
 
-def test_settings_are_those_of_the_general_weights_but_a_tenth_of_the_updates(general, tmp_path):
+def test_settings_are_those_of_the_general_weights_but_for_the_length_of_the_training(general):
     tracker, path = general
-    card_path, _ = train_at_site(tracker, path, tmp_path, Scores(0.1, 0.9))
-    settings, theirs = read_card(card_path).settings, read_card(path).settings
-    assert (settings["updates"], settings["learning_rate"]) == (2, pytest.approx(0.005))
-    assert (settings["unseen_weight"], settings["batch"]) == (0.1, 2)
-    shape = SMALL[tracker].keys() - {"stage"}
-    assert {name: settings[name] for name in shape} == {name: theirs[name] for name in shape}
+    weights = load_start(path, tracker.name)
+    of_accelerator = replace(
+        weights, card=weights.card.model_copy(update={"settings": {**weights.card.settings, "batch": 32}})
+    )
+    for start, options in ((weights, tracker.Options()), (of_accelerator, tracker.Options())):
+        settings = settings_at_site(options, start).model_dump()
+        assert (settings["updates"], settings["learning_rate"], settings["batch"]) == (600, 1e-3, 2)
+        assert settings["unseen_weight"] == 0.1
+        shape = SMALL[tracker].keys() - {"stage"}
+        assert {name: settings[name] for name in shape} == {name: weights.card.settings[name] for name in shape}
+    assert settings_at_site(validated(tracker.Options, {"batch": 4, "updates": 9}, "test"), weights).batch == 4
 
 
 def test_another_shape_is_refused(general, tmp_path):

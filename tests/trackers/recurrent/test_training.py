@@ -297,6 +297,23 @@ def test_the_loss_of_a_batch_is_that_of_the_cells_of_all_its_windows(monkeypatch
         assert (together - expected).norm() < 1e-4 * expected.norm()
 
 
+@pytest.mark.parametrize(("every", "validated_after"), [(50, ["3"]), (2, ["2", "3"])])
+def test_a_training_ends_after_its_updates_and_is_validated(tmp_path, every, validated_after):
+    lines = []
+    out = FitOutput(tmp_path / "shuttle.toml", "", 1, tmp_path / "log", lines.append)
+    options = {"channels": 4, "updates": 3, "validate_every": every, "precision": "32-true", "stage": "occupancy"}
+    options = validated(DilatedConvGRUTracker.Options, options, "test")
+
+    def score(tracker, source, steps):
+        ones = np.ones(steps + 1)
+        return StretchScore({"dynamic": ones, "in-motion": ones, "visible": ones}, {})
+
+    DilatedConvGRUTracker.fit([Shuttle()], [Shuttle(30)], score, out, options)
+
+    assert [line.split()[1] for line in lines if line.startswith("update")] == validated_after
+    assert read_card(out.path).results["score"] == 1.0
+
+
 def of_ten(**options):
     """Settings of windows of ten frames, five of them observed."""
     return TrainingSettings(observed_frames=5, blank_frames=5, repetitions=1, **options)
@@ -332,9 +349,11 @@ def test_superposition_applies_to_half_of_the_windows():
 
 
 def test_every_epoch_continues_the_series_of_windows():
-    sampler = EpochSampler(3)
+    sampler = EpochSampler(3, 8)
+    sampler.set_epoch(1)
+    assert list(sampler) == [3, 4, 5]
     sampler.set_epoch(2)
-    assert list(sampler) == [6, 7, 8]
+    assert list(sampler) == [6, 7], "no more than a training has"
 
 
 def test_the_occupied_rate_is_that_of_the_visible_cells():
