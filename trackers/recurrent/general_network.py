@@ -7,7 +7,7 @@ inputs for cell size and period stay in.
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import nn
@@ -29,7 +29,7 @@ AT_SITE = {"updates": 600, "validate_every": 150, "warm_up": 50, "learning_rate"
 knows is not forgotten."""
 LARGEST_BATCH_AT_SITE = 2
 """General weights may come from an accelerator, whose batches take a processor too long."""
-OF_THE_PLACE = frozenset({"static_gates", "precision", "shape_updates", "shape_share", "motion_weight"})
+OF_THE_PLACE = frozenset({"static_gates", "precision", "devices", "shape_updates", "shape_share", "motion_weight"})
 """Settings that are not those of the general weights: the last three are what a general network learns motion from."""
 FOR_ANY_PLACE = {"resolution_input": True, "step_s": 0.1}
 """Settings of a general network, unless others are given."""
@@ -49,7 +49,7 @@ def settings_at_site(options: NetworkOptions, weights: Weights) -> NetworkOption
     shape = {name for kind in (DilatedConvGRUSettings, DeepTrackingRNNSettings) for name in kind.model_fields}
     known = (shape | TrainingSettings.model_fields.keys()) & type(options).model_fields.keys()
     theirs = {name: value for name, value in weights.card.settings.items() if name in known - OF_THE_PLACE}
-    trained = validated(type(options), theirs, f"weights of {weights.card.tracker}, settings")
+    trained: Any = validated(type(options), theirs, f"weights of {weights.card.tracker}, settings")
     for name in sorted(options.model_fields_set & shape - OF_THE_PLACE):
         if getattr(options, name) != getattr(trained, name):
             raise WeightsError(

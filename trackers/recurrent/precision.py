@@ -15,17 +15,12 @@ import torch
 from torch import nn
 
 from gridtrack.trackers.contract import FitOutput
+from gridtrack.trackers.recurrent.devices import training_device
 from gridtrack.trackers.recurrent.settings import Precision, TrainingSettings
 
 ROUNDS = 5
 BATCH, SIZE, INPUTS, OUTPUTS = 2, 100, 16, 48
 """The convolution of the states of a layer of the dilated ConvGRU, with a batch of two grids of 100 cells a side."""
-
-
-def training_device() -> str:
-    """The kind of device that a training runs on: "cuda" or another accelerator, where there is one, else "cpu"."""
-    accelerator = torch.accelerator.current_accelerator(check_available=True)
-    return "cpu" if accelerator is None else accelerator.type
 
 
 def training_precision(settings: TrainingSettings, out: FitOutput) -> Precision:
@@ -34,6 +29,8 @@ def training_precision(settings: TrainingSettings, out: FitOutput) -> Precision:
         return settings.precision
     if (resumed := _precision_in(out)) is not None:
         return resumed
+    if settings.devices > 1 and training_device() != "cpu":
+        return "bf16-mixed"  # a device that this process used to measure could not be used by those that it forks
     took_ms = {precision: convolution_ms(precision) for precision in get_args(Precision)}
     fastest: Precision = min(took_ms, key=lambda precision: took_ms[precision])
     times = ", ".join(f"{precision} {ms:.1f} ms" for precision, ms in took_ms.items())

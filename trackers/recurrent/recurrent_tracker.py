@@ -166,7 +166,8 @@ class RecurrentTracker(Tracker):
 
         From general weights `out.start` these are among the candidates.
         """
-        from gridtrack.trackers.recurrent.precision import training_device, training_precision
+        from gridtrack.trackers.recurrent.devices import training_device
+        from gridtrack.trackers.recurrent.precision import training_precision
         from gridtrack.trackers.recurrent.sequences import SequenceDataset
         from gridtrack.trackers.recurrent.training import train_network, validation_scores
 

@@ -211,12 +211,16 @@ def superposed(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np.u
 
 
 class EpochSampler(Sampler[int]):
-    """Item numbers of one epoch after the other: a resumed training continues with the next unused window."""
+    """Item numbers of one epoch after the other: a resumed training continues with the next unused window.
 
-    def __init__(self, items: int, total: int, used: int = 0) -> None:
+    Of `devices` that share each batch, device number `rank` has every `devices`-th item.
+    """
+
+    def __init__(self, items: int, total: int, used: int = 0, *, rank: int = 0, devices: int = 1) -> None:
         """`items` of an epoch, of which the last may have fewer, of a `total` of all epochs; the first `used` items of
         all were drawn by the training that is resumed."""
         self.items, self.total, self.used, self.epoch = items, total, used, 0
+        self.rank, self.devices = rank, devices
 
     def set_epoch(self, epoch: int) -> None:
         """Called by Lightning before each epoch."""
@@ -224,7 +228,8 @@ class EpochSampler(Sampler[int]):
 
     def __iter__(self) -> Iterator[int]:
         start = self.epoch * self.items
-        return iter(range(max(start, self.used), min(start + self.items, self.total)))
+        first, end = max(start, self.used), min(start + self.items, self.total)
+        return iter(range(first + self.rank, end, self.devices))
 
     def __len__(self) -> int:
-        return min(self.items, self.total)
+        return min(self.items, self.total) // self.devices

@@ -80,6 +80,8 @@ class TrainingSettings(Settings):
     """Augmentation: every second window is the superposition of two, as if the moving objects of both were present."""
     updates: int = Field(4000, ge=1)
     batch: int = Field(2, ge=1)
+    devices: int = Field(1, ge=1)
+    """Accelerators of this machine, or processors where it has none, that share each batch equally."""
     learning_rate: float = Field(2e-3, gt=0)
     warm_up: int = Field(100, ge=0)
     """Updates over which the learning rate rises from zero; afterwards it falls to zero along a cosine."""

@@ -11,6 +11,8 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
+from safetensors.numpy import load_file  # noqa: E402
+
 from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
@@ -24,7 +26,7 @@ from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # n
 from gridtrack.trackers.recurrent.sequence_loss import sequence_loss  # noqa: E402
 from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset, superposed  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
-from gridtrack.trackers.recurrent.training import TrainingModule  # noqa: E402
+from gridtrack.trackers.recurrent.training_module import TrainingModule  # noqa: E402
 from gridtrack.trackers.weights import read_card  # noqa: E402
 
 SIZE = 12
@@ -278,8 +280,7 @@ def test_the_loss_of_a_batch_is_that_of_the_cells_of_all_its_windows(monkeypatch
     windows = torch.stack([data[0].window, data[1].window])
     windows[0, :, :, 1:] = 0
     resolutions = torch.tensor([[-1.0, 0.5], [1.0, -0.5]])
-    out = FitOutput(tmp_path / "a.toml", "", 1, tmp_path)
-    module = TrainingModule(network, in_training, settings, 0.05, lambda trained: {}, out)
+    module = TrainingModule(network, in_training, data, settings, lambda trained: {})
 
     def with_gradient(loss):
         return loss.detach(), torch.autograd.grad(loss, tuple(network.parameters()))
@@ -356,6 +357,45 @@ def test_every_epoch_continues_the_series_of_windows():
     assert list(sampler) == [6, 7], "no more than a training has"
 
 
+def test_devices_share_each_batch():
+    """Two devices, batches of four: each has two windows of each."""
+    samplers = [EpochSampler(8, 12, 4, rank=rank, devices=2) for rank in range(2)]
+    assert [list(sampler) for sampler in samplers] == [[4, 6], [5, 7]], (
+        "a resumed training goes on after its first batch"
+    )
+    for sampler in samplers:
+        sampler.set_epoch(1)
+    assert [list(sampler) for sampler in samplers] == [[8, 10], [9, 11]]
+
+
+@pytest.mark.parametrize("tracker", [DilatedConvGRUTracker, DeepTrackingRNNTracker])
+def test_a_training_on_two_devices_has_the_weights_of_one(tmp_path, monkeypatch, tracker):
+    """Here processors; windows that see equally much, so that the mean of both is that of all cells."""
+    monkeypatch.setattr("os.sched_getaffinity", lambda of: {0, 1})
+    options = {"updates": 4, "validate_every": 2, "batch": 4, "learning_rate": 0.01}
+    options |= {"channels": 4, "stage": "occupancy"} if tracker is DilatedConvGRUTracker else {"variant": "paper"}
+    one, lines = fit(tracker, tmp_path / "one", **options)
+    two, lines_of_two = fit(tracker, tmp_path / "two", **options, devices=2)
+
+    expected, found = (load_file(out.path.with_suffix(".safetensors")) for out in (one, two))
+    for name, value in expected.items():
+        np.testing.assert_allclose(found[name], value, atol=2e-5, err_msg=name)
+    updates = [[line.split()[1] for line in each if line.startswith("update")] for each in (lines, lines_of_two)]
+    assert updates == [["2", "4"], ["2", "4"]], "a device tells this process of its validations"
+    assert read_card(two.path).settings["devices"] == 2
+    assert read_card(two.path).results == pytest.approx(read_card(one.path).results, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"devices": 2, "batch": 3}, "devices=2 cannot share batch=3 equally"),
+     ({"devices": 4096, "batch": 4096}, "devices=4096: this machine has [0-9]+ of kind cpu")],
+)  # fmt: skip
+def test_devices_that_cannot_train_are_refused(tmp_path, options, message):
+    with pytest.raises(ConfigurationError, match=message):
+        fit(DilatedConvGRUTracker, tmp_path, channels=4, **options)
+
+
 def test_the_occupied_rate_is_that_of_the_visible_cells():
     data = SequenceDataset([Shuttle(12)], of_ten(), seed=0)
     assert data.occupied_rate == pytest.approx((SIZE + 1) / (SIZE * (SIZE - 1)))
@@ -375,7 +415,8 @@ def test_cells_near_an_entered_one_have_more_weight_until_the_last_update(monkey
         "test",
     )
     network = DilatedConvGRUTracker.build(SIZE, settings, 0)
-    window = SequenceDataset([Shuttle()], settings, seed=0)[0].window[None]
+    data = SequenceDataset([Shuttle()], settings, seed=0)
+    window = data[0].window[None]
     near = near_entered_cells(window.bool())[0]
     assert 0 < near.float().mean() < 0.9
     state, logits = network.initial(1), []
@@ -389,9 +430,7 @@ def test_cells_near_an_entered_one_have_more_weight_until_the_last_update(monkey
     loss = sequence_loss(network, window.float(), settings, 0.05, motion_weight=2.0).mean
     torch.testing.assert_close(loss, (cells * weight).sum() / weight.sum())
 
-    module = TrainingModule(
-        network, network, settings, 0.05, lambda trained: {}, FitOutput(tmp_path / "a.toml", "", 1, tmp_path)
-    )
+    module = TrainingModule(network, network, data, settings, lambda trained: {})
     weights = []
     for step in range(4):
         monkeypatch.setattr(TrainingModule, "global_step", step)
