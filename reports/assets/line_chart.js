@@ -4,6 +4,7 @@ import { draw, make, swatch } from "./elements.js";
 
 const HEIGHT = 408, LEFT = 44, RIGHT = 14, BOTTOM = 46, TOP = 24;
 const READING_PLACES = 51;
+const MOST_BANDS = 6;
 
 // A chart: { lines, x, y }. A line: { name, style, xs, values, low, high }; `low` and `high` may be null. Where a line has
 // `dotStyles`, each place has a dot of that style.
@@ -33,8 +34,21 @@ export function lineChart({ lines, x: across, y: up, diagonal, width }) {
     svgText(0, 12, up.name, { class: "axis-name" }));
   if (across.unranked && places.length > 1) svg.append(draw("rect", { class: "unranked-step", x: LEFT, y: TOP, width: x(places[1]) - LEFT, height: HEIGHT - BOTTOM - TOP }));
   if (diagonal) svg.append(draw("line", { class: "axis", x1: x(0), y1: y(0), x2: x(1), y2: y(1) }));
-  for (const one of lines) svg.append(drawnLine(one, x, y));
-  return withReading(svg, { lines, places: readingPlaces(places, [first, last]), words: wordsOf(across), x, y, width });
+  const drawn = lines.map((one) => drawnLine(one, x, y));
+  svg.append(...drawn);
+  if (isCrowded(lines)) showBandOf(null, drawn);
+  return withReading(svg, { lines, drawn, places: readingPlaces(places, [first, last]), words: wordsOf(across), x, y, width });
+}
+
+// More bands than can be told from each other: only that of the line next to the pointer is drawn.
+export function isCrowded(lines) {
+  return lines.filter((one) => one.low?.some((v) => v !== null)).length > MOST_BANDS;
+}
+
+function showBandOf(chosen, drawn) {
+  for (const group of drawn) {
+    for (const band of group.querySelectorAll(".band")) band.setAttribute("visibility", group === chosen ? "visible" : "hidden");
+  }
 }
 
 // Without a line there is neither a range nor a place to put a tick.
@@ -97,8 +111,12 @@ function withReading(svg, chart) {
   svg.addEventListener("pointermove", (event) => {
     const box = svg.getBoundingClientRect();
     show(nearest(places.map(chart.x), ((event.clientX - box.left) / box.width) * chart.width));
+    if (isCrowded(chart.lines)) showBandOf(lineAt(chart, places[at], ((event.clientY - box.top) / box.height) * HEIGHT), chart.drawn);
   });
-  svg.addEventListener("pointerleave", () => show(null));
+  svg.addEventListener("pointerleave", () => {
+    show(null);
+    if (isCrowded(chart.lines)) showBandOf(null, chart.drawn);
+  });
   holder.addEventListener("blur", () => show(null));
   holder.addEventListener("keydown", (event) => {
     const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
@@ -107,6 +125,12 @@ function withReading(svg, chart) {
     show(at === null ? (step > 0 ? 0 : places.length - 1) : Math.min(Math.max(at + step, 0), places.length - 1));
   });
   return holder;
+}
+
+// The drawn line that is nearest to a height, in the drawing, at a place.
+function lineAt({ lines, drawn, y }, place, height) {
+  const away = lines.map((one) => Math.abs(y(one.values[nearest(one.xs, place)] ?? Infinity) - height));
+  return drawn[away.indexOf(Math.min(...away))];
 }
 
 // Each line at its own place that is nearest.

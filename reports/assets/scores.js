@@ -1,5 +1,6 @@
 // Scores of the page's data: by recording, row, stratum, score and step.
 import { inSeconds } from "./axis.js";
+import { isCrowded } from "./line_chart.js";
 import { pageData } from "./page_data.js";
 import { isShown } from "./shown_trackers.js";
 
@@ -68,5 +69,6 @@ export function scoreWords({ name, better }) {
 }
 
 export function bandWords({ lines }) {
-  return lines.some((one) => one.low?.some((v) => v !== null)) ? "; a band is a 95 % interval" : "; without intervals";
+  if (!lines.some((one) => one.low?.some((v) => v !== null))) return "; without intervals";
+  return isCrowded(lines) ? "; a band, of the line next to the pointer, is a 95 % interval" : "; a band is a 95 % interval";
 }

@@ -27,12 +27,12 @@ TOP_BIN = 5
 """Bins from the last one to that of the cells that are called occupied at a threshold of 0.5."""
 
 
-def written(run, recordings, steps=STEPS, **trial):
+def written(run, recordings, steps=STEPS, skills=SKILLS, **trial):
     """A run on `recordings`, by name their descriptions."""
     trials = [
         synthetic.write_trial(run, label, name, skill, seed=seed, steps=steps, **trial)
         for seed, name in enumerate(recordings)
-        for label, skill in SKILLS.items()
+        for label, skill in skills.items()
     ]
     summarise(recordings, trials, [], False).write(run)
     synthetic.write_run_record(run, recordings)
@@ -172,3 +172,32 @@ def test_a_file_without_intervals_has_no_columns_of_their_ends(page):
     page.locator("#precision-recall").get_by_label("Recording").select_option(RECORDINGS[0])
     assert "precision low" not in numbers_of(page, "precision-recall")[0]
     assert page.locator("#precision-recall polygon.band").count() == 0
+
+
+@pytest.fixture(scope="module")
+def crowded(tmp_path_factory):
+    """Eight trackers, each a little better than the one before."""
+    run = tmp_path_factory.mktemp("runs") / "crowded"
+    described = dict.fromkeys(RECORDINGS, synthetic.description(steps=STEPS))
+    skills = {f"tracker {n}": 0.2 + 0.1 * n for n in range(8)}
+    return render_report([written(run, described, frames=2, skills=skills)])
+
+
+def test_of_many_bands_that_of_the_line_next_to_the_pointer_is_drawn(browser, crowded):
+    with opened(browser, crowded) as page:
+        figure = page.locator("#curves")
+        bands = figure.locator(".band")
+        assert bands.count() == 8
+        assert figure.locator(".band:visible").count() == 0
+        assert "of the line next to the pointer" in figure.locator(".note").inner_text()
+        drawing = figure.locator("svg.figure-drawing")
+        line = figure.locator("g.line", has=page.locator("title", has_text="tracker 5"))
+        x, y = line.locator("polyline").evaluate("(line) => line.getAttribute('points').split(' ').at(-1).split(',')")
+        drawing.hover(position={"x": float(x) - 3, "y": float(y)})
+        assert [b.get_attribute("visibility") for b in line.locator(".band").all()] == ["visible"]
+        assert figure.locator('.band[visibility="visible"]').count() == 1
+        page.mouse.move(0, 0)
+        assert figure.locator('.band[visibility="visible"]').count() == 0
+        page.get_by_role("button", name="tracker 0").click()
+        page.get_by_role("button", name="tracker 1").click()
+        assert figure.locator('.band[visibility="hidden"]').count() == 0, "six can be told from each other"

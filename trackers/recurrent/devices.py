@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from multiprocessing import Pipe
+from multiprocessing import Pipe, active_children
 from multiprocessing.connection import Connection
 from threading import Thread
 
@@ -74,6 +74,13 @@ def called_here(devices: int, *functions: Callable[[str], None]) -> Iterator[tup
 
 def _call(sender: Connection, number: int, text: str) -> None:
     sender.send((number, text))
+
+
+def end_devices(devices: int) -> None:
+    """End the processes of several devices, which Lightning leaves at work when that of the training is interrupted."""
+    for process in active_children() if devices > 1 else ():
+        process.kill()
+        process.join()
 
 
 def begin_on_device(devices: int) -> None:

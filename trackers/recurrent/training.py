@@ -28,7 +28,7 @@ from gridtrack.common.files import write_text
 from gridtrack.common.horizons import nearest_step
 from gridtrack.trackers.contract import FitOutput, FrameSource
 from gridtrack.trackers.excerpts import SELECTION_STRATA, mean_of_defined
-from gridtrack.trackers.recurrent.devices import ONE_DEVICE, SEVERAL_DEVICES, called_here, check_devices
+from gridtrack.trackers.recurrent.devices import ONE_DEVICE, SEVERAL_DEVICES, called_here, check_devices, end_devices
 from gridtrack.trackers.recurrent.network import RecurrentNetwork
 from gridtrack.trackers.recurrent.precision import training_precision
 from gridtrack.trackers.recurrent.sequences import SequenceDataset
@@ -46,6 +46,7 @@ NO_NEWS = (
     "The `srun` command is available",
     "Checkpoint directory .* exists and is not empty",
     ".*isinstance.treespec, LeafSpec",
+    "It is recommended to use `self.log",  # on several devices: each has the scores of the first one
 )
 """Warnings of Lightning, as patterns, that tell the user of a training nothing."""
 
@@ -94,6 +95,7 @@ def train_network(
         ):
             trainer.fit(module, ckpt_path=str(resumed) if resumed else None, weights_only=True)
     except (KeyboardInterrupt, SystemExit):  # Lightning exits after an interrupt
+        end_devices(settings.devices)
         if not trainer.interrupted or not best.is_file():
             raise KeyboardInterrupt from None
     kept = torch.load(best, weights_only=True, map_location="cpu")

@@ -44,7 +44,7 @@ class TrainingModule(lightning.LightningModule):
         validate: Validate,
         done: int = 0,
     ) -> None:
-        """`done`: updates of the training that is resumed. What is set as `advance` and `report` is told how far it is."""
+        """`done`: updates of the training that is resumed. `advance` and `report`, when set, are told how far it is."""
         super().__init__()
         self.network, self._in_training = channels_last(network), in_training
         self.dataset, self.rate, self.done = dataset, dataset.occupied_rate, done

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import re
+import signal
+import time
 from itertools import pairwise
 
 import numpy as np
@@ -384,6 +388,27 @@ def test_a_training_on_two_devices_has_the_weights_of_one(tmp_path, monkeypatch,
     assert updates == [["2", "4"], ["2", "4"]], "a device tells this process of its validations"
     assert read_card(two.path).settings["devices"] == 2
     assert read_card(two.path).results == pytest.approx(read_card(one.path).results, abs=1e-4)
+
+
+def test_an_interrupt_of_a_training_on_two_devices_ends_them_and_keeps_the_best_weights(tmp_path, monkeypatch):
+    """Ctrl-C in the second validation, which the process of a device does."""
+    monkeypatch.setattr("os.sched_getaffinity", lambda of: {0, 1})
+    here, calls = os.getpid(), iter(range(9))
+
+    def score(tracker, source, steps):
+        if next(calls) == 1:
+            os.kill(here, signal.SIGINT)
+            time.sleep(60)
+        return no_score(tracker, source, steps)
+
+    options = {"variant": "paper", "updates": 6, "validate_every": 2, "batch": 2, "precision": "32-true", "devices": 2}
+    options = validated(DeepTrackingRNNTracker.Options, options, "test")
+    out = FitOutput(tmp_path / "shuttle.toml", "", 7, tmp_path / "log", lambda line: None)
+    with pytest.raises(KeyboardInterrupt):
+        DeepTrackingRNNTracker.fit([Shuttle()], [Shuttle(30)], score, out, options)
+
+    assert multiprocessing.active_children() == []
+    assert re.fullmatch("update [24] of 6", read_card(out.path).interrupted)
 
 
 @pytest.mark.parametrize(
