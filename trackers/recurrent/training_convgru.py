@@ -19,7 +19,7 @@ from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, Dilated
 class LayerState(NamedTuple):
     """One layer in one sequence: its parameters, and the state h (B, C, M, M), float32 and in convolution precision."""
 
-    memory: StaticMemory
+    biases: Any
     input_weight: Tensor
     state_weight: Tensor
     h: Tensor
@@ -39,13 +39,13 @@ class TrainingConvGRU:
 
     def initial(self, batch: int) -> TrainingState:
         """h_0 = 0 in every layer, at the first frame of a sequence."""
-        precision = torch.get_autocast_dtype("cpu") if torch.is_autocast_enabled("cpu") else torch.float32
         (zero, *_) = self._network.initial(batch)
+        device = zero.device.type
+        precision = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else torch.float32
 
         def initial_layer(layer: DilatedConvGRULayer) -> LayerState:
-            memory = StaticMemory(layer.gate_biases(), self._network.size)
             weights = (layer.input_weight.to(precision), layer.state_weight.to(precision))
-            return LayerState(memory, *weights, zero, zero.to(precision))
+            return LayerState(self.biases_of(layer), *weights, zero, zero.to(precision))
 
         return tuple(initial_layer(layer) for layer in self._layers)
 
@@ -55,10 +55,18 @@ class TrainingConvGRU:
         for layer, previous in zip(self._layers, state, strict=True):
             x_conv = None if x is None else _convolved(x, previous.input_weight, layer.dilation)
             h_conv = _convolved(previous.rounded, previous.state_weight, layer.dilation)
-            h, rounded = differentiable_gates(x_conv, h_conv, previous.memory, previous.h)
+            h, rounded = self.gates(x_conv, h_conv, previous.biases, previous.h)
             x = h if rounded is None else rounded
             new.append(previous._replace(h=h, rounded=x))
         return tuple(new)
+
+    def biases_of(self, layer: DilatedConvGRULayer) -> Any:
+        """The biases of a layer in one sequence, as `gates` takes them."""
+        return StaticMemory(layer.gate_biases(), self._network.size)
+
+    def gates(self, x: Tensor | None, h_conv: Tensor, biases: Any, h: Tensor) -> tuple[Tensor, Tensor | None]:
+        """`convgru_gates`: h' in float32, and in the precision of the convolutions where that is another."""
+        return differentiable_gates(x, h_conv, biases, h)
 
     def features(self, state: TrainingState) -> Tensor:
         """The last layer's state."""
