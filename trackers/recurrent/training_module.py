@@ -66,13 +66,15 @@ class TrainingModule(lightning.LightningModule):
         begin_on_device(self.settings.devices)
 
     def training_step(self, batch: Item) -> Tensor:
-        """The loss of a batch."""
-        loss = self.loss_of(batch)
+        """The loss of a batch: the mean over devices, which DDP takes, is that of the cells of all of them."""
+        found = self.loss_of(batch)
+        of_a_device = self.trainer.strategy.reduce(found.visible_weight, reduce_op="mean")
+        loss = found._replace(visible_weight=of_a_device).mean
         self.log("loss", loss, batch_size=len(batch.window))
         return loss
 
-    def loss_of(self, batch: Item) -> Tensor:
-        """Mean loss of the cells of a batch of windows (B, T, 2, M, M) uint8.
+    def loss_of(self, batch: Item) -> SequenceLoss:
+        """The loss of the cells of a batch of windows (B, T, 2, M, M) uint8.
 
         Windows of one resolution are computed together, and all at once by a network that takes unlike ones.
         """
@@ -82,7 +84,7 @@ class TrainingModule(lightning.LightningModule):
             set_resolution(self.network, resolution)
             windows = batch.window[(batch.resolution == resolution).all(dim=1)].float()
             losses.append(sequence_loss(self._in_training, windows, self.settings, self.rate, self.motion_weight))
-        return SequenceLoss.of_all(losses).mean
+        return SequenceLoss.of_all(losses)
 
     @property
     def motion_weight(self) -> float:

@@ -289,7 +289,7 @@ def test_the_loss_of_a_batch_is_that_of_the_cells_of_all_its_windows(monkeypatch
     def with_gradient(loss):
         return loss.detach(), torch.autograd.grad(loss, tuple(network.parameters()))
 
-    loss, found = with_gradient(module.loss_of(Item(windows, resolutions)))
+    loss, found = with_gradient(module.loss_of(Item(windows, resolutions)).mean)
 
     alone = []
     for window, resolution in zip(windows.float(), resolutions, strict=True):
@@ -374,8 +374,17 @@ def test_devices_share_each_batch():
 
 @pytest.mark.parametrize("tracker", [DilatedConvGRUTracker, DeepTrackingRNNTracker])
 def test_a_training_on_two_devices_has_the_weights_of_one(tmp_path, monkeypatch, tracker):
-    """Here processors; windows that see equally much, so that the mean of both is that of all cells."""
+    """Here processors; every second window sees a row only, so that a mean of means would be another loss."""
     monkeypatch.setattr("os.sched_getaffinity", lambda of: {0, 1})
+
+    class UnlikeWindows(SequenceDataset):
+        def __getitem__(self, index):
+            item = super().__getitem__(index)
+            if index % 2:
+                item.window[:, :, 1:] = 0
+            return item
+
+    monkeypatch.setattr("gridtrack.trackers.recurrent.sequences.SequenceDataset", UnlikeWindows)
     options = {"updates": 4, "validate_every": 2, "batch": 4, "learning_rate": 0.01}
     options |= {"channels": 4, "stage": "occupancy"} if tracker is DilatedConvGRUTracker else {"variant": "paper"}
     one, lines = fit(tracker, tmp_path / "one", **options)
