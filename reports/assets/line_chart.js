@@ -99,6 +99,7 @@ function withReading(svg, chart) {
   const readout = make("output", { class: "readout" });
   const holder = make("div", { class: "chart", tabindex: 0, role: "group", "aria-label": "Values: arrow keys move" }, svg, readout);
   const { places } = chart;
+  const crowded = isCrowded(chart.lines);
   let at = null;
   const show = (i) => {
     at = i;
@@ -111,11 +112,11 @@ function withReading(svg, chart) {
   svg.addEventListener("pointermove", (event) => {
     const box = svg.getBoundingClientRect();
     show(nearest(places.map(chart.x), ((event.clientX - box.left) / box.width) * chart.width));
-    if (isCrowded(chart.lines)) showBandOf(lineAt(chart, places[at], ((event.clientY - box.top) / box.height) * HEIGHT), chart.drawn);
+    if (crowded) showBandOf(lineAt(chart, places[at], ((event.clientY - box.top) / box.height) * HEIGHT), chart.drawn);
   });
   svg.addEventListener("pointerleave", () => {
     show(null);
-    if (isCrowded(chart.lines)) showBandOf(null, chart.drawn);
+    if (crowded) showBandOf(null, chart.drawn);
   });
   holder.addEventListener("blur", () => show(null));
   holder.addEventListener("keydown", (event) => {

@@ -86,7 +86,7 @@ def train_network(
     module = TrainingModule(network, in_training, dataset, settings, validate, done)
     with _without_news():
         trainer = _trainer(settings, out)
-    best = checkpoint_in(out, BEST)
+    best = _checkpoint_in(out, BEST)
     try:
         with (
             out.progress.stage("update", settings.updates, done) as stage,
@@ -103,7 +103,7 @@ def train_network(
     scores = dict(kept["scores"])
     if begun is not None and not begun.scores["score"] < scores["score"]:
         scores = begun.kept_in(network, out)
-    reached = f"update {_updates_in(checkpoint_in(out, LAST))} of {settings.updates}" if trainer.interrupted else ""
+    reached = f"update {_updates_in(_checkpoint_in(out, LAST))} of {settings.updates}" if trainer.interrupted else ""
     return TrainedNetwork(scores, reached)
 
 
@@ -135,7 +135,7 @@ class _Begun(NamedTuple):
         return self.scores
 
 
-def checkpoint_in(out: FitOutput, which: str) -> Path:
+def _checkpoint_in(out: FitOutput, which: str) -> Path:
     """The checkpoint BEST or LAST of a training."""
     return out.log_dir / "checkpoints" / f"{which}.ckpt"
 
@@ -176,7 +176,7 @@ def _updates_in(checkpoint: Path) -> int:
 def _resumable(out: FitOutput, training: dict[str, Any]) -> Path | None:
     """The last checkpoint of this `training`, None without one; records `training` in the log folder."""
     described = json.dumps(training, sort_keys=True)
-    record, last = out.log_dir / "settings.json", checkpoint_in(out, LAST)
+    record, last = out.log_dir / "settings.json", _checkpoint_in(out, LAST)
     out.log_dir.mkdir(parents=True, exist_ok=True)
     if record.exists() and last.exists():
         if record.read_text() != described:
