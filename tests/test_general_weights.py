@@ -11,6 +11,8 @@ from typer.testing import CliRunner
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import sha256_of
+from gridtrack.evaluation.comparison.general_start import general_start
+from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.recordings import packaged_recording
 from gridtrack.trackers.weights import read_card
 
@@ -144,6 +146,37 @@ def test_a_card_names_what_its_general_weights_learned_from(dogma_of_the_hall, t
     ]  # fmt: skip
     with pytest.raises(ConfigurationError, match="was trained on frames of the test stretch"):
         compared(f"{HALL}@20s-32s", folder, tmp_path, "dogma")
+
+
+def test_a_general_training_goes_on_from_general_weights_that_are_named(general_dogma, tmp_path):
+    """With recordings of further places: what the weights learned from before stays on the card."""
+    text = gridtrack(
+        *("train", "dogma:acceleration=0.3", f"{HALL}@30s-40s", f"{STREET}@10s-20s"),
+        *("--validation", f"{STREET}@20s-26s", "--general", "--weights", general_dogma, "--out", tmp_path),
+    )
+    card = read_card(tmp_path / "dogma" / "general.toml")
+    assert "starts from the general weights dogma/general.toml" in text
+    assert card.general
+    assert card.started_from.sha256 == sha256_of(general_dogma / "dogma" / "general.toml")
+    assert (card.settings["particles"], card.settings["acceleration"]) == (300, 0.3)
+    assert [data.recording for data in card.train] == [
+        "leg_tracker.mcap@30s-40s", "validation.tracks@10s-20s",
+        "leg_tracker.mcap@20s-30s", "validation.tracks@0s-10s",
+    ]  # fmt: skip
+    assert shlex.split(card.command)[-5:] == ["--general", "--weights", str(general_dogma), "--out", str(tmp_path)]
+
+
+def test_a_general_training_that_names_no_weights_is_from_scratch(tmp_path):
+    told = []
+    assert general_start(Recipe(tracker="dogma", general=True), [], tmp_path, told.append, can_start=True) is None
+    assert told == ["from scratch: a general training goes on from general weights where --weights names their folder"]
+
+
+def test_weights_for_a_tracker_that_starts_from_none_are_not_ignored_in_silence(tmp_path):
+    told = []
+    recipe = Recipe(tracker="static-map", weights=str(tmp_path))
+    assert general_start(recipe, [], tmp_path, told.append, can_start=False) is None
+    assert told == ["from scratch: this training of static-map starts from no weights, --weights has no effect"]
 
 
 def test_without_general_weights_a_training_is_from_scratch_and_its_command_says_so(tmp_path, monkeypatch):

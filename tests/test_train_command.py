@@ -85,7 +85,7 @@ def test_a_folder_of_general_weights_and_from_scratch_contradict_each_other(tmp_
 def test_a_training_from_scratch_looks_for_no_general_weights(monkeypatch, tmp_path):
     monkeypatch.setattr("gridtrack.evaluation.comparison.general_start.find_weights", None)
     told = []
-    assert general_start(Recipe(tracker="dogma", from_scratch=True), [], tmp_path, told.append) is None
+    assert general_start(Recipe(tracker="dogma", from_scratch=True), [], tmp_path, told.append, can_start=True) is None
     assert told == ["from scratch, not from general weights"]
 
 

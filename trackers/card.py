@@ -42,7 +42,7 @@ class TrainingData(Settings):
 
 
 class StartedFrom(Settings):
-    """The general weights that a training at a site started from."""
+    """The general weights that a training started from."""
 
     name: str
     """`<tracker>/general.toml`."""

@@ -170,7 +170,7 @@ class Tracker(ABC):
 
     @classmethod
     def starts_from_general(cls, options: Any) -> bool:
-        """Whether `fit` with these options, at a site, starts from general weights where it gets some.
+        """Whether `fit` with these options starts from general weights where it gets some.
 
         It then reads them from `FitOutput.start`; the command writes on the card which they were, and what they
         learned from.

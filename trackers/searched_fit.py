@@ -138,15 +138,15 @@ def _decided(
 ) -> _Searched:
     """The finalist with the best F1 on `validation`; the first one where there is none.
 
-    From general weights on, their settings `start` are a finalist too, and each is also tried without the map of the
-    place, which is not used where the best of these is better by MAP_WORTH.
+    From general weights on, their settings `start` are a finalist too, and at a site each is also tried without the map
+    of the place, which is not used where the best of these is better by MAP_WORTH.
     """
     if out.start is not None and start not in finalists:
         finalists = [*finalists, start]
     if len(finalists) == 1 or not validation:
         return finalists[0]
     settings, f1 = draft.best_of(finalists, validation, out)
-    if out.start is not None and not search.without_map.keys() <= given.keys():
+    if out.start is not None and not out.general and not search.without_map.keys() <= given.keys():
         bare = [search.kind(**{**one.model_dump(), **search.without_map}) for one in finalists]
         best_bare, bare_f1 = draft.best_of(bare, validation, out)
         if bare_f1 >= f1 + MAP_WORTH:

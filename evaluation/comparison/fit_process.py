@@ -44,8 +44,7 @@ def main() -> None:
     try:
         request = receive(fill, 0)
         tracker, settings = _load(sys.argv[1], request)
-        at_a_site = not request.value("general", bool)
-        send("loaded", starts_from_general=at_a_site and tracker.starts_from_general(settings))
+        send("loaded", starts_from_general=tracker.starts_from_general(settings))
         with ProgressLines(lambda text: send("report", text=text)) as lines:
             fit = receive(fill, 0)
 

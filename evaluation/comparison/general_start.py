@@ -1,4 +1,4 @@
-"""The general weights that a training at a site starts from: those that `compare` would find, or none."""
+"""The general weights that a training starts from: at a site those that `compare` would find, or none."""
 
 from __future__ import annotations
 
@@ -14,14 +14,22 @@ from gridtrack.trackers.card import GENERAL
 
 
 def general_start(
-    recipe: Recipe, validation: Sequence[GridStream], folder: Path, report: Callable[[str], None]
+    recipe: Recipe, validation: Sequence[GridStream], folder: Path, report: Callable[[str], None], *, can_start: bool
 ) -> LearnedWeights | None:
     """A copy in `folder` of the general weights of the recipe's tracker, None from scratch; a line says which.
 
-    Raises WeightsError, and ConfigurationError where they learned from frames of `validation`.
+    `can_start`: whether the tracker can start from some. Raises WeightsError, and ConfigurationError where they learned
+    from frames of `validation`.
     """
+    if not can_start:
+        if recipe.weights:
+            report(f"from scratch: this training of {recipe.tracker} starts from no weights, --weights has no effect")
+        return None
     if recipe.from_scratch:
         report("from scratch, not from general weights")
+        return None
+    if recipe.general and not recipe.weights:
+        report("from scratch: a general training goes on from general weights where --weights names their folder")
         return None
     found = find_weights(recipe.tracker, GENERAL, Path(recipe.weights) if recipe.weights else None, "general")
     if found is None:

@@ -42,15 +42,15 @@ class Recipe(Settings):
     general: bool = False
     """Learn for any place, from recordings of many places."""
     weights: str | None = None
-    """Folder in which general weights to start from are searched first, as by `compare`."""
+    """Folder in which general weights to start from are searched first, as by `compare`. A general training starts from
+    general weights only where it names one."""
     from_scratch: bool = False
     """Do not start from general weights."""
 
     @model_validator(mode="after")
     def _one_start(self) -> Recipe:
-        if self.weights and (self.from_scratch or self.general):
-            other = "general" if self.general else "from_scratch"
-            raise ValueError(f"weights (of which folder to start) and {other} (from none): leave one of them out")
+        if self.weights and self.from_scratch:
+            raise ValueError("weights (of which folder to start) and from_scratch (from none): leave one of them out")
         return self
 
     @property

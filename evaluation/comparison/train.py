@@ -40,7 +40,7 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
     """Fit the recipe's tracker to the recordings and return the card it wrote, `<out>/<tracker>/<site>.toml`.
 
     A general training writes `general.toml`. One at a site starts from general weights, where there are some and the
-    tracker can.
+    tracker can; a general one where the recipe names some.
 
     A recording without a range, and validation where none is given, is the recording's stretch of that name. `fit` runs
     in a process of its own, which receives the frames of these stretches and nothing else of the recordings. Logs and
@@ -56,8 +56,8 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         can_start = process.load(recipe.options, general=recipe.general)
         with ProgressLines(report) as lines:
             train_on, validate_on = _stretches(recipe, named, cache, lines.progress)
-        start = general_start(local, validate_on, Path(folder), report) if can_start else None
-        if can_start and start is None:
+        start = general_start(local, validate_on, Path(folder), report, can_start=can_start)
+        if can_start and start is None and not recipe.general:
             recipe = recipe.model_copy(update={"from_scratch": True})
         site = GENERAL if recipe.general else _site_of(train_on[0])
         path = weights_path(recipe.out or user_weights_folder(), recipe.tracker, site)

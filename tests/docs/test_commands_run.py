@@ -151,6 +151,7 @@ PLACES: dict[str, Prepare] = {
     "docs/viewers.md 2": my_bag,
     "docs/weights.md": two_places,
     "docs/weights.md 2": lambda folder: shutil.copyfile(packaged_recording("leg_tracker"), folder / "my.mcap"),
+    "docs/weights.md 3": two_places,
     "examples/cpp_tracker/README.md": my_bag,
     "examples/example_tracker/README.md": my_bag,
 }

@@ -1,8 +1,8 @@
-"""A training at a site that starts from a general network: its shape, its arrays, and what the place adds.
+"""A training that starts from a general network: its shape, its arrays, and at a site what the place adds.
 
-General weights have one bias for each channel; at the site each bias is a map of the place, the static memory, and what
+General weights have one bias for each channel; at a site each bias is a map of the place, the static memory, and what
 it adds to the general bias begins at zero. Before the first update both networks are therefore the same function. The
-inputs for cell size and period stay in.
+inputs for cell size and period stay in. A general training that goes on from general weights adds nothing.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from gridtrack.trackers.weights import Weights
 
 NetworkOptions = TypeVar("NetworkOptions", bound=ResolutionSettings)
 
-AT_SITE = {"updates": 600, "validate_every": 150, "warm_up": 50, "learning_rate": 1e-3}
+FROM_GENERAL = {"updates": 600, "validate_every": 150, "warm_up": 50, "learning_rate": 1e-3}
 """Settings of a training that starts from general weights: minutes of a processor, and at this rate what the network
 knows is not forgotten."""
-LARGEST_BATCH_AT_SITE = 2
+LARGEST_BATCH = 2
 """General weights may come from an accelerator, whose batches take a processor too long."""
-OF_THE_PLACE = frozenset({"static_gates", "precision", "devices", "shape_updates", "shape_share", "motion_weight"})
-"""Settings that are not those of the general weights: the last three are what a general network learns motion from."""
+NOT_TAKEN_OVER = frozenset({"static_gates", "precision", "devices", "shape_updates", "shape_share", "motion_weight"})
+"""Settings that are not those of the general weights: the last three are what a network learns motion from at first."""
 FOR_ANY_PLACE = {"resolution_input": True, "step_s": 0.1}
 """Settings of a general network, unless others are given."""
 
@@ -41,27 +41,27 @@ def general_options(options: NetworkOptions) -> NetworkOptions:
     return options.model_copy(update={name: FOR_ANY_PLACE[name] for name in not_given})
 
 
-def settings_at_site(options: NetworkOptions, weights: Weights) -> NetworkOptions:
+def settings_from_general(options: NetworkOptions, weights: Weights) -> NetworkOptions:
     """The `options`, and for those that were not given the settings of the general `weights`.
 
     Raises WeightsError where a given option is another shape than theirs.
     """
     shape = {name for kind in (DilatedConvGRUSettings, DeepTrackingRNNSettings) for name in kind.model_fields}
     known = (shape | TrainingSettings.model_fields.keys()) & type(options).model_fields.keys()
-    theirs = {name: value for name, value in weights.card.settings.items() if name in known - OF_THE_PLACE}
+    theirs = {name: value for name, value in weights.card.settings.items() if name in known - NOT_TAKEN_OVER}
     trained: Any = validated(type(options), theirs, f"weights of {weights.card.tracker}, settings")
-    for name in sorted(options.model_fields_set & shape - OF_THE_PLACE):
+    for name in sorted(options.model_fields_set & shape - NOT_TAKEN_OVER):
         if getattr(options, name) != getattr(trained, name):
             raise WeightsError(
                 f"the general weights have {name}={getattr(trained, name)}, not {getattr(options, name)}: leave the"
                 " option out, or train with --from-scratch"
             )
-    at_site = {**AT_SITE, "batch": min(trained.batch, LARGEST_BATCH_AT_SITE)}
-    return validated(type(options), theirs | at_site | options.model_dump(exclude_unset=True), "training")
+    shorter = {**FROM_GENERAL, "batch": min(trained.batch, LARGEST_BATCH)}
+    return validated(type(options), theirs | shorter | options.model_dump(exclude_unset=True), "training")
 
 
 def begin_from(network: nn.Module, weights: Weights) -> None:
-    """Load the arrays of the general `weights` into the `network` of a site, each bias in every cell of its map.
+    """Load the arrays of the general `weights` into `network`, at a site each bias in every cell of its map.
 
     Their class decoder is left out. Raises WeightsError where an array is missing or has another shape.
     """

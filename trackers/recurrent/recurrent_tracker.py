@@ -17,7 +17,7 @@ from gridtrack.common.horizons import nearest_step
 from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
 from gridtrack.trackers.excerpts import SELECTION_HORIZONS_S, excerpts_of_places
-from gridtrack.trackers.recurrent.general_network import begin_from, general_options, settings_at_site
+from gridtrack.trackers.recurrent.general_network import begin_from, general_options, settings_from_general
 from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState, as_cells, channels_last
 from gridtrack.trackers.recurrent.pacing import StepPace, paced
 from gridtrack.trackers.recurrent.resolution_input import resolution_of, set_resolution
@@ -172,7 +172,7 @@ class RecurrentTracker(Tracker):
         from gridtrack.trackers.recurrent.training import train_network, validation_scores
 
         start = None if out.start is None else load_start(out.start, cls.name)
-        options = options if start is None else settings_at_site(options, start)
+        options = options if start is None else settings_from_general(options, start)
         if out.general:
             options = general_options(options)
         dataset = SequenceDataset(train, options, out.seed, step_s=options.step_s, general=out.general)

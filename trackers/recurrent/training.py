@@ -130,7 +130,7 @@ class _Begun(NamedTuple):
 
     def kept_in(self, network: nn.Module, out: FitOutput) -> dict[str, float]:
         """Load the network of the beginning into `network`; returns its scores."""
-        out.report("no update at this site is better on its validation than the general weights: they are kept")
+        out.report("no update is better on the validation than the general weights: they are kept")
         network.load_state_dict(self.state)
         return self.scores
 

@@ -169,7 +169,6 @@ def test_what_is_given_overrides_the_recipe_and_options_one_by_one():
     [
         ("trackers = 1", r"r\.toml: there is no option 'trackers'; did you mean 'tracker'"),
         ('weights = "w"\nfrom_scratch = true', r"r\.toml: .*weights .* and from_scratch .*: leave one of them out"),
-        ('weights = "w"\ngeneral = true', r"r\.toml: .*weights .* and general .*: leave one of them out"),
         ("seed = -1", r"r\.toml: 'seed' = -1: "),
         ("recordings = [", r"r\.toml: not TOML"),
         ("seed = 1\nseed = 2", r"r\.toml: not TOML"),

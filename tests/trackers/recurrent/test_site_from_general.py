@@ -1,4 +1,4 @@
-"""A training at a site that starts from a general network: first the same forecasts, then what the place adds."""
+"""A training that starts from a general network: first the same forecasts, then what it adds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.general_network import settings_at_site  # noqa: E402
+from gridtrack.trackers.recurrent.general_network import settings_from_general  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.weights import load_start, read_card  # noqa: E402
 from tests.trackers.recurrent.test_general import HELD_OUT, SMALL, TRACKERS, LabelledWalk, Walk, fit  # noqa: E402
@@ -74,13 +74,17 @@ def forecasts_of(tracker, source):
 
 
 def train_at_site(tracker, start, folder, score, source=None, **options):
-    source = source or Place(18, 0.15, 0.16, unseen=4)
+    return train(tracker, start, folder / "yard.toml", score, [source or Place(18, 0.15, 0.16, unseen=4)], options)
+
+
+def train(tracker, start, path, score, sources, options, *, general=False):
     lines: list[str] = []
-    out = FitOutput(folder / "yard.toml", "gridtrack train ...", 7, folder / "log", lines.append, start=start)
+    log = path.parent / "log"
+    out = FitOutput(path, "gridtrack train ...", 7, log, lines.append, general=general, start=start)
     given = {"precision": "32-true", **options}
     if tracker is DilatedConvGRUTracker:
         given = {"stage": "occupancy", **given}
-    tracker.fit([source], [source], score, out, validated(tracker.Options, given, "test"))
+    tracker.fit(sources, sources, score, out, validated(tracker.Options, given, "test"))
     return out.path, lines
 
 
@@ -107,6 +111,20 @@ def test_what_the_place_adds_is_learned_and_used(general, tmp_path):
         assert np.ptp(maps, axis=(1, 2)).max() > 1e-3, "the static memory differs from cell to cell"
 
 
+def test_a_general_training_goes_on_with_the_same_network(general, tmp_path):
+    """Of further places, in cells of other sizes: the network gets no map, and runs on any grid as before."""
+    tracker, start = general
+    score, sources = Scores(0.5, 0.5, 0.9), [SITE, Walk(24, 0.05, 0.05)]
+    options = {"updates": 2, "learning_rate": 0.05}
+    path, _ = train(tracker, start, tmp_path / "general.toml", score, sources, options, general=True)
+    expected = forecasts_of(tracker(stream_of(SITE, start), tracker.Options()), SITE)
+    np.testing.assert_array_equal(score.forecasts[0], expected)
+    arrays, theirs = load_arrays(path), load_start(start, tracker.name).arrays
+    assert {name: value.shape for name, value in arrays.items()} == {n: theirs[n].shape for n in arrays}
+    assert any(np.abs(value - theirs[name]).max() > 1e-3 for name, value in arrays.items())
+    assert read_card(path).general
+
+
 def load_arrays(card_path):
     from safetensors.numpy import load_file
 
@@ -130,12 +148,12 @@ def test_settings_are_those_of_the_general_weights_but_for_the_length_of_the_tra
         weights, card=weights.card.model_copy(update={"settings": {**weights.card.settings, "batch": 32}})
     )
     for start, options in ((weights, tracker.Options()), (of_accelerator, tracker.Options())):
-        settings = settings_at_site(options, start).model_dump()
+        settings = settings_from_general(options, start).model_dump()
         assert (settings["updates"], settings["learning_rate"], settings["batch"]) == (600, 1e-3, 2)
         assert settings["unseen_weight"] == 0.1
         shape = SMALL[tracker].keys() - {"stage"}
         assert {name: settings[name] for name in shape} == {name: weights.card.settings[name] for name in shape}
-    assert settings_at_site(validated(tracker.Options, {"batch": 4, "updates": 9}, "test"), weights).batch == 4
+    assert settings_from_general(validated(tracker.Options, {"batch": 4, "updates": 9}, "test"), weights).batch == 4
 
 
 def test_another_shape_is_refused(general, tmp_path):
