@@ -47,9 +47,9 @@ def import_recording(
     """Write the recording at `source`, in any format, as a native one at `out`, and open it.
 
     Ranges are copied exactly, NaN and infinities included, but for those of 0.0 with `zero_range`; the same source and
-    options give the same bytes. The warnings of the source are written too: reading the result gives them again. `site`
-    defaults to the site that the source names, or to its file name. With `ego_motion` "kiss-icp" or "refined" the poses
-    come from matching the scans, without or with the recorded motion as a prior; with "kiss-icp" the recorded poses of
+    options give the same bytes. The warnings about the file are written too: reading the result gives them again.
+    `site` defaults to the site that the source names, or to its file name. With `ego_motion` "kiss-icp" or "refined"
+    the poses come from matching the scans, without or with the recorded motion as a prior; with "kiss-icp" the recorded poses of
     a single sensor need not be usable. Raises RecordingError and ConfigurationError; `out` is then not changed.
     """
     out = Path(out)
@@ -82,7 +82,7 @@ def import_recording(
         info, scans = _with_matched_poses(info, recording, ego_motion)
     if labels is not None:
         scans = with_labels(scans, Path(labels), info.classes)
-    _write(out, info, scans, recording.warning_texts)
+    _write(out, info, scans, recording.warnings_for_copy)
     return open_recording(out, strict=strict)
 
 

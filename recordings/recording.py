@@ -24,6 +24,8 @@ from gridtrack.recordings.survey import RecordingOverview, Survey
 
 MAX_WARNINGS, MAX_LISTED_TOPICS = 100, 1000
 """Limits of the warnings about a recording, and of the topics that are listed."""
+MATCHED_POSES = ("kiss-icp", "refined")
+"""How `RecordingInfo.poses` begins where they come from matching the scans: such poses agree with them as they can."""
 NO_MORE_WARNINGS = f"more than {MAX_WARNINGS} warnings: the others are left out"
 
 
@@ -153,7 +155,7 @@ class Recording(ABC):
         topics, survey = Topics(), Survey()
         for scan in self._in_order(topics):
             survey.add(scan)
-        for text in survey.warnings():
+        for text in self._found_by(survey):
             self.notify(text)
         if problem := self._pose_problem_of(survey):
             self.notify(problem)
@@ -176,6 +178,13 @@ class Recording(ABC):
         """Raise RecordingError where the sensors have no poses in one frame."""
         if problem := self._pose_problem_of(self.survey):
             raise RecordingError(f"{self.path}: {problem}")
+
+    def _found_by(self, survey: Survey) -> list[str]:
+        """The warnings about the scans; of poses that come from matching them none says that they disagree."""
+        drift = ""
+        if not self.pose_problem and not self.info.poses.startswith(MATCHED_POSES):
+            drift = survey.pose_drift(self.import_command(["--ego-motion", "refined"]))
+        return [*survey.warnings(), *([drift] if drift else [])]
 
     def _pose_problem_of(self, survey: Survey) -> str:
         if self.pose_problem or len(survey.sensors) < 2 or len(set(survey.poses.values())) > 1:
@@ -202,6 +211,12 @@ class Recording(ABC):
     def warning_texts(self) -> list[str]:
         """The warnings without the path of the recording."""
         return [line.removeprefix(f"{self.path}: ") for line in self.warnings]
+
+    def warnings_for_copy(self) -> list[str]:
+        """The warnings that a copy cannot find: those about the scans it has as they are then, poses mended or not."""
+        found = self._found_by(self.survey) if "survey" in self.__dict__ else []
+        lines = {bounded_line(f"{self.path}: {text}") for text in found}
+        return [text for line, text in zip(self.warnings, self.warning_texts(), strict=True) if line not in lines]
 
     def warn(self, text: str) -> None:
         """Add a warning about an error in the file, once. Raises RecordingError instead if options are strict."""

@@ -14,6 +14,7 @@ from gridtrack.common.config import Settings
 from gridtrack.common.errors import bounded_line
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.pose_drift import PoseDrift
 from gridtrack.recordings.pose_jumps import PoseJumps
 from gridtrack.recordings.resample import JITTER_PERIODS
 
@@ -43,6 +44,7 @@ class SensorSurvey:
     labelled: int = 0
     with_truth: int = 0
     jumps: PoseJumps = field(default_factory=PoseJumps)
+    drift: PoseDrift = field(default_factory=PoseDrift)
 
     def add(self, scan: Scan) -> None:
         """Add the sensor's next scan."""
@@ -60,6 +62,7 @@ class SensorSurvey:
         self.labelled += scan.labels is not None
         self.with_truth += scan.scene is not None
         self.jumps.add(scan.stamp_ns, scan.world_T_sensor)
+        self.drift.add(scan)
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
@@ -124,6 +127,11 @@ class Survey:
     def warnings(self) -> list[str]:
         """The warnings about the ranges and the poses of the sensors."""
         return [text for sensor in self.sensors.values() for text in sensor.warnings(self.first_ns)]
+
+    def pose_drift(self, remedy: str) -> str:
+        """The warning about the first sensor whose poses disagree with its scans, with the `remedy`; else empty."""
+        found = ((name, sensor.drift.problem(remedy)) for name, sensor in self.sensors.items())
+        return next((f"sensor '{name}': {problem}" for name, problem in found if problem), "")
 
     @property
     def first_ns(self) -> int:
@@ -206,10 +214,12 @@ class SensorOverview(Settings):
     scans_with_truth: int
     moves: bool | None
     """None: its poses are not known, so nobody can tell."""
+    pose_drift_m: float | None = None
+    """How far its poses displace a wall in a second (`PoseDrift`); None where it hardly moves or sees too little."""
 
 
 def _overview(sensor: SensorSurvey, poses_known: bool) -> SensorOverview:
-    first, period_s = sensor.first, sensor.period_s
+    first, period_s, drift_m = sensor.first, sensor.period_s, sensor.drift.median_m
     periods = np.diff(sensor.stamps_ns) / 1e9
     gaps = sensor.gaps(round(period_s * 1e9)) if period_s else np.empty((0, 2), np.int64)
     span = (gaps[:, 1] - gaps[:, 0]) / 1e9
@@ -230,6 +240,7 @@ def _overview(sensor: SensorSurvey, poses_known: bool) -> SensorOverview:
         labelled_scans=sensor.labelled,
         scans_with_truth=sensor.with_truth,
         moves=sensor.moved if poses_known else None,
+        pose_drift_m=None if drift_m is None else round(drift_m, 4),
     )
 
 
@@ -273,7 +284,8 @@ def _sensor_lines(s: SensorOverview) -> list[str]:
     return [
         f"{s.scans} scans, {rate}, " + (f"gaps: {s.gaps}, the longest {s.longest_gap_s:g} s" if s.gaps else "no gaps"),
         f"{beams} beams over {s.field_of_view_deg:g} deg from {s.angle_min_deg:g} deg,"
-        f" {s.range_min:g} to {s.range_max:g} m, {MOTION[s.moves]}",
+        f" {s.range_min:g} to {s.range_max:g} m, {MOTION[s.moves]}"
+        + ("" if s.pose_drift_m is None else f"; by its poses a wall moves {s.pose_drift_m:.3f} m in a second"),
         f"{s.no_return_share:.1%} no return, {s.invalid_share:.1%} invalid, {s.zero_share:.1%} exactly 0.0,"
         f" {s.labelled_scans} scans labelled"
         + (f", {s.scans_with_truth} scans with truth" if s.scans_with_truth else ""),

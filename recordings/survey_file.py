@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.pose_drift import PoseDrift
 from gridtrack.recordings.pose_jumps import PoseJumps
 from gridtrack.recordings.recording import Recording
 from gridtrack.recordings.survey import SensorSurvey, Survey
@@ -62,6 +63,7 @@ def _values(sensor: SensorSurvey) -> dict[str, Any]:
         "longest_rest_ns": sensor.longest_rest_ns,
         "counts": {name: getattr(sensor, name) for name in SURVEY_COUNTS},
         "jumps": {name: getattr(sensor.jumps, name) for name in POSE_JUMPS},
+        "drift": sensor.drift.displacements_m.tolist(),
     }
 
 
@@ -79,5 +81,6 @@ def _sensor(values: Mapping[str, Any], stamps_ns: NDArray[np.int64], ranges: NDA
         beams=set(values["beams"]),
         longest_rest_ns=tuple(values["longest_rest_ns"]),
         jumps=PoseJumps(**values["jumps"]),
+        drift=PoseDrift(array("d", values["drift"])),
         **values["counts"],
     )

@@ -21,7 +21,7 @@ from gridtrack.recordings.survey_file import recall_survey, write_survey
 from gridtrack.trackers.progress import Progress
 from gridtrack.trackers.wire import WireError
 
-STRETCHES_VERSION = 2
+STRETCHES_VERSION = 3
 """Increases with every change by which the same recording has another survey, other frames or labels."""
 KINDS_VERSION = 2
 """Increases with every change by which the same frames have other kinds of cells, or other returns in motion."""

@@ -55,6 +55,8 @@ QUICK = {
     "studies.two_sensors": "persistence --minutes 1 --out TMP/two_sensors.json",
     "studies.velocity_errors": "kalman --recordings 1 --out TMP/dogma.json",
     "studies.worlds_look": "data/leg_tracker/leg_tracker.mcap --frames 1 --out TMP/look.svg",
+    "studies.worlds_poses": "--world indoors-hall-1002 --world outdoors-street-1006 --tracker persistence --every 15s"
+    " --out TMP/run --results TMP/poses.json",
     "studies.worlds_results": "--world indoors-room-1008 --world outdoors-street-1006 --tracker persistence --every 15s"
     " --out TMP/run --results TMP/worlds.json",
 }

@@ -1,0 +1,125 @@
+"""How far the poses of a moving sensor drift from what its scans say: scans a second apart, laid on each other.
+
+The later scan is matched with the earlier one from where the poses lay it (recordings/ego_motion/fit.py). How far its
+walls are moved by that, across themselves, is how far the poses displace a wall in a second; nobody sees what slides
+along a wall. Poses that are exact leave the noise of the ranges and of the match: a centimetre or less.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import Scan
+
+PAIR_S, LONGEST_PAIR_S = 1.0, 2.0
+"""Between the two scans of a pair. Poses are reported as they drift in PAIR_S."""
+MOVED_M, TURNED_RAD = 0.2, math.radians(5.0)
+"""A pair between which the sensor moved less says nothing: odometry at rest is exact."""
+SPARSER = 1.0 / 32.0
+"""The next pair comes after this share of the time since the first scan: a long recording has not many more pairs."""
+MAX_RANGE_M = 20.0
+KERNELS_M = (0.5, 0.2, 0.1)
+"""Of the matches of a pair, one after the other: the first reaches poses that are far off."""
+MAX_STEPS, SMALL_STEP = 10, 1e-3
+"""As in the matching of whole recordings (ego_motion/matching.py)."""
+ENOUGH_PAIRS = 8
+DRIFT_LIMIT_M = 0.04
+"""Median displacement from which poses are told to disagree with the scans: half a cell or less of any usual grid."""
+
+
+@dataclass(slots=True)
+class PoseDrift:
+    """The displacements of walls between pairs of scans, metres in PAIR_S, by the poses of one sensor."""
+
+    displacements_m: array[float] = field(default_factory=lambda: array("d"))
+    _start_ns: int = 0
+    _earlier: Scan | None = None
+    _earlier_motion: tuple[SE2, float] = (SE2(), 0.0)
+    _last: tuple[int, SE2] | None = None
+    _next_ns: int = 0
+
+    def add(self, scan: Scan) -> None:
+        """Add the sensor's next scan."""
+        motion = self._motion_to(scan)
+        if self._earlier is None:
+            if scan.stamp_ns >= self._next_ns:
+                self._begin(scan, motion)
+            return
+        since_s = (scan.stamp_ns - self._earlier.stamp_ns) / 1e9
+        if since_s < PAIR_S:
+            return
+        between = self._earlier.world_T_sensor.inverse() @ scan.world_T_sensor
+        moved = math.hypot(between.x, between.y) > MOVED_M or abs(between.theta) > TURNED_RAD
+        if not moved or since_s > LONGEST_PAIR_S:
+            self._begin(scan, motion)
+            return
+        displaced_m = displacement_m(self._earlier, self._earlier_motion, scan, motion)
+        if displaced_m is not None:
+            self.displacements_m.append(displaced_m * PAIR_S / since_s)
+        self._earlier = None
+        self._next_ns = scan.stamp_ns + int(SPARSER * (scan.stamp_ns - self._start_ns))
+
+    def _motion_to(self, scan: Scan) -> tuple[SE2, float]:
+        """The sensor's motion from the scan before, and its duration in seconds."""
+        last, self._last = self._last, (scan.stamp_ns, scan.world_T_sensor)
+        if last is None or scan.stamp_ns <= last[0]:
+            self._start_ns = self._start_ns or scan.stamp_ns
+            return SE2(), 0.0
+        return last[1].inverse() @ scan.world_T_sensor, (scan.stamp_ns - last[0]) / 1e9
+
+    def _begin(self, scan: Scan, motion: tuple[SE2, float]) -> None:
+        self._earlier, self._earlier_motion = scan, motion
+
+    @property
+    def median_m(self) -> float | None:
+        """The median displacement, metres in PAIR_S; None for fewer than ENOUGH_PAIRS."""
+        return float(np.median(self.displacements_m)) if len(self.displacements_m) >= ENOUGH_PAIRS else None
+
+    def problem(self, remedy: str) -> str:
+        """One line about poses that disagree with the scans, with the command that is the `remedy`; else empty."""
+        if self.median_m is None or self.median_m < DRIFT_LIMIT_M:
+            return ""
+        return (
+            f"its poses disagree with its scans: by them a wall moves {self.median_m:.2f} m in a second (median of"
+            f" {len(self.displacements_m)} pairs of scans), so that trackers with a memory smear it and lose by it:"
+            f" correct them by `{remedy}`"
+        )
+
+
+def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: tuple[SE2, float]) -> float | None:
+    """How far the poses of two scans displace the walls that both see: root mean square across the walls, metres.
+
+    `moved` and `moves`: the motion of the sensor at each of them and its duration in seconds, for scans with beam
+    times. None where too little of the later scan lies on the earlier one to be matched.
+    """
+    from scipy.spatial import cKDTree
+
+    from gridtrack.recordings.ego_motion.fit import fit_at, share_on_map, walls_of, weighed_step
+    from gridtrack.recordings.ego_motion.returns import returns_of
+    from gridtrack.recordings.ego_motion.settings import MatchingSettings
+
+    settings = MatchingSettings()
+    before, returns = returns_of(earlier, MAX_RANGE_M, *moved), returns_of(later, MAX_RANGE_M, *moves)
+    if min(len(before.points), len(returns.points)) < settings.min_returns:
+        return None
+    between = earlier.world_T_sensor.inverse() @ later.world_T_sensor
+    map_points, walls, pose = cKDTree(before.points), walls_of(returns), between
+    for kernel_m in KERNELS_M:
+        for _ in range(MAX_STEPS):
+            fit = fit_at(pose, walls, map_points, kernel_m)
+            step = weighed_step(fit, pose.inverse() @ between, 0.01 * np.eye(3), settings).motion
+            pose = pose @ step
+            if math.hypot(step.x, step.y) + abs(step.theta) < SMALL_STEP:
+                break
+    fit = fit_at(pose, walls, map_points, KERNELS_M[-1])
+    shared = share_on_map(pose, returns, map_points, KERNELS_M[-1], len(returns.points))
+    if shared < settings.min_inlier_share:
+        return None
+    off = pose.inverse() @ between
+    across = walls.jacobian[fit.on_map] @ [off.x, off.y, off.theta]
+    return float(np.sqrt(np.mean(np.square(across))))
