@@ -49,8 +49,9 @@ def import_recording(
     Ranges are copied exactly, NaN and infinities included, but for those of 0.0 with `zero_range`; the same source and
     options give the same bytes. The warnings about the file are written too: reading the result gives them again.
     `site` defaults to the site that the source names, or to its file name. With `ego_motion` "kiss-icp" or "refined"
-    the poses come from matching the scans, without or with the recorded motion as a prior; with "kiss-icp" the recorded poses of
-    a single sensor need not be usable. Raises RecordingError and ConfigurationError; `out` is then not changed.
+    the poses come from matching the scans, without or with the recorded motion as a prior; with "kiss-icp" the recorded
+    poses of a single sensor need not be usable. Raises RecordingError and ConfigurationError; `out` is then not
+    changed.
     """
     out = Path(out)
     check_utf8(out, RecordingError)

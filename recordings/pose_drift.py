@@ -19,7 +19,8 @@ from gridtrack.common.scan import Scan
 PAIR_S, LONGEST_PAIR_S = 1.0, 2.0
 """Between the two scans of a pair. Poses are reported as they drift in PAIR_S."""
 MOVED_M, TURNED_RAD = 0.2, math.radians(5.0)
-"""A pair between which the sensor moved less says nothing: odometry at rest is exact."""
+"""A pair between which the sensor moved less says nothing: odometry at rest is exact. Nor does one that is MAX_RANGE_M
+apart: that is a jump, of which `PoseJumps` tells."""
 SPARSER = 1.0 / 32.0
 """The next pair comes after this share of the time since the first scan: a long recording has not many more pairs."""
 MAX_RANGE_M = 20.0
@@ -54,7 +55,8 @@ class PoseDrift:
         if since_s < PAIR_S:
             return
         between = self._earlier.world_T_sensor.inverse() @ scan.world_T_sensor
-        moved = math.hypot(between.x, between.y) > MOVED_M or abs(between.theta) > TURNED_RAD
+        way_m = math.hypot(between.x, between.y)
+        moved = MOVED_M < way_m < MAX_RANGE_M or (way_m <= MOVED_M and abs(between.theta) > TURNED_RAD)
         if not moved or since_s > LONGEST_PAIR_S:
             self._begin(scan, motion)
             return

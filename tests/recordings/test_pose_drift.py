@@ -90,6 +90,14 @@ def test_scans_without_returns_are_no_pair():
     assert len(drift.displacements_m) == 0
 
 
+@pytest.mark.parametrize("far_m", [1e9, 1e200])
+def test_poses_that_jump_far_are_no_pair(far_m):
+    drift = PoseDrift()
+    for k in range(100):
+        drift.add(scan_at(0.2 * k, SE2(), SE2(far_m * (-1.0) ** (k // 5), 0.0, 0.0)))
+    assert len(drift.displacements_m) == 0
+
+
 def test_a_long_drive_has_not_many_more_pairs():
     assert len(drift_of(SE2(), seconds=600.0).displacements_m) < 130
 
