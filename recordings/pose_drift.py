@@ -97,7 +97,7 @@ def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: 
     """How far the poses of two scans displace the walls that both see: root mean square across the walls, metres.
 
     `moved` and `moves`: the motion of the sensor at each of them and its duration in seconds, for scans with beam
-    times. None where too little of the later scan lies on the earlier one to be matched.
+    times. None where too little of the later scan, or too few of its walls, lie on the earlier one to be matched.
     """
     from scipy.spatial import cKDTree
 
@@ -120,7 +120,7 @@ def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: 
                 break
     fit = fit_at(pose, walls, map_points, KERNELS_M[-1])
     shared = share_on_map(pose, returns, map_points, KERNELS_M[-1], len(returns.points))
-    if shared < settings.min_inlier_share:
+    if shared < settings.min_inlier_share or np.count_nonzero(fit.on_map) < settings.min_returns:
         return None
     off = pose.inverse() @ between
     across = walls.jacobian[fit.on_map] @ [off.x, off.y, off.theta]

@@ -90,6 +90,14 @@ def test_scans_without_returns_are_no_pair():
     assert len(drift.displacements_m) == 0
 
 
+def test_scans_without_walls_are_no_pair():
+    """Single returns far from one another, as of bushes: they have no direction to be displaced across."""
+    drift, ranges = PoseDrift(), np.where(np.arange(360) % 9 == 0, 8.0 + np.arange(360) % 5, np.inf)
+    for k in range(100):
+        drift.add(scan_of(0.2 * k, ranges.astype(np.float32), SE2(0.06 * k, 0.0, 0.0)))
+    assert len(drift.displacements_m) == 0
+
+
 @pytest.mark.parametrize("far_m", [1e9, 1e200])
 def test_poses_that_jump_far_are_no_pair(far_m):
     drift = PoseDrift()
