@@ -3,7 +3,7 @@
 `python -m studies.site_minutes` takes the junction as a place that general weights never saw. Each tracker is trained
 there from its general weights on the first 1, 5, 15 and 65 minutes of data/junction/train.tracks, and compared on the
 twenty test minutes with its general weights (0 minutes) and with those shipped for the site. Trainings that exist in
-`--out` are kept and an interrupted one is resumed, as is the comparison. Thresholds are chosen on the junction's
+`--trainings` are kept and an interrupted one is resumed, as is the comparison. Thresholds are chosen on the junction's
 validation recording for every row, so that rows differ in what they learned; the general rows are compared once more
 with the thresholds of their cards, which know nothing of the place. Expected on two idle cores: a search of `kalman`
 about 15 minutes at each number of minutes, of `dogma` 10, a network 40 (the number of updates does not depend on the
@@ -31,29 +31,41 @@ LEAST_GAP = 0.01
 """Of F1 between general and site weights: a smaller one is within the intervals of both, and a share of it noise."""
 
 
-def weights_after(tracker: str, minutes: int, out: Path) -> Path:
+def weights_after(tracker: str, minutes: int, trainings: Path) -> Path:
     """The card of a training on so many minutes."""
-    return out / f"minutes-{minutes}" / tracker / f"{SITE}.toml"
+    return trainings / f"minutes-{minutes}" / tracker / f"{SITE}.toml"
 
 
-def rows_of(tracker: str, minutes: Sequence[int], general: Path, out: Path) -> dict[str, str]:
+def rows_of(tracker: str, minutes: Sequence[int], general: Path, trainings: Path) -> dict[str, str]:
     """The rows of a tracker as `--tracker` names them, by label: general, after each training, and of the site."""
     chosen = {f"{tracker}-general": f"weights={general},card={GENERAL}"}
-    chosen |= {f"{tracker}-{n}-min": f"weights={weights_after(tracker, n, out).parents[1]},card=site" for n in minutes}
+    trained = {n: weights_after(tracker, n, trainings).parents[1] for n in minutes}
+    chosen |= {f"{tracker}-{n}-min": f"weights={folder},card=site" for n, folder in trained.items()}
     chosen[f"{tracker}-site"] = f"weights={WEIGHTS},card=site"
     return {label: f"{label}={tracker}:{weights}" for label, weights in chosen.items()}
 
 
-def run(trackers: Sequence[str], minutes: Sequence[int], general: Path, out: Path, options: Sequence[str]) -> None:
-    """Train what is missing, and compare on the test minutes with the thresholds of the site, and with the cards'."""
+def train_missing(trackers: Sequence[str], minutes: Sequence[int], general: Path, trainings: Path) -> None:
+    """Train each tracker on each number of minutes, where no complete training is there."""
     for tracker in trackers:
         for number in minutes:
             chosen = ("--validation", VALIDATION, "--weights", general)
-            train(weights_after(tracker, number, out), tracker, f"{TRAINING}@0s-{60 * number}s", *chosen)
+            train(weights_after(tracker, number, trainings), tracker, f"{TRAINING}@0s-{60 * number}s", *chosen)
+
+
+def run(
+    trackers: Sequence[str],
+    minutes: Sequence[int],
+    general: Path,
+    trainings: Path,
+    out: Path,
+    options: Sequence[str],
+) -> None:
+    """Compare on the test minutes with the thresholds of the site, and with the cards'."""
     tests = sorted(RECORDINGS.glob("test-*.tracks"))
-    every = [row for tracker in trackers for row in rows_of(tracker, minutes, general, out).values()]
+    every = [row for tracker in trackers for row in rows_of(tracker, minutes, general, trainings).values()]
     compare(tests, VALIDATION, [REFERENCE, *every], out / "site-thresholds", "--resume", *options)
-    unseen = [rows_of(tracker, (), general, out)[f"{tracker}-general"] for tracker in trackers]
+    unseen = [rows_of(tracker, (), general, trainings)[f"{tracker}-general"] for tracker in trackers]
     compare(tests, None, [REFERENCE, *unseen], out / "card-thresholds", "--resume", *options)
 
 
@@ -96,6 +108,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=int, action="append", help="default: 1, 5, 15 and 65")
     parser.add_argument("--weights", type=Path, default=WEIGHTS, help="folder of the general weights")
     parser.add_argument("--every", default="1s", help="between two scored forecasts")
+    parser.add_argument("--trainings", type=Path, default=Path("studies/trainings/site-minutes"))
     parser.add_argument("--out", type=Path, default=Path("runs/site-minutes"))
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--jobs", default="1", help="trials at the same time")
@@ -103,7 +116,9 @@ def main() -> None:
     given = parser.parse_args()
     trackers, minutes = given.tracker or TRACKERS, given.minutes or MINUTES
     if not given.collect:
-        run(trackers, minutes, given.weights, given.out, ["--every", given.every, "--jobs", given.jobs])
+        train_missing(trackers, minutes, given.weights, given.trainings)
+        options = ["--every", given.every, "--jobs", given.jobs]
+        run(trackers, minutes, given.weights, given.trainings, given.out, options)
     site, cards = (PlaceScores.read(given.out / name) for name in ("site-thresholds", "card-thresholds"))
     for name, section in sections_of(site, cards, trackers, minutes).items():
         write_section(given.results, name, section)
