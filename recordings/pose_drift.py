@@ -18,16 +18,13 @@ from gridtrack.common.scan import Scan
 
 PAIR_S, LONGEST_PAIR_S = 1.0, 2.0
 """Between the two scans of a pair. Poses are reported as they drift in PAIR_S."""
-MOVED_M, TURNED_RAD = 0.2, math.radians(5.0)
-"""A pair between which the sensor moved less says nothing: odometry at rest is exact. Nor does one that is MAX_RANGE_M
-apart: that is a jump, of which `PoseJumps` tells."""
+PAIR_MOVED_M, PAIR_TURNED_RAD, PAIR_JUMPED_M = 0.2, math.radians(5.0), 20.0
+"""A pair between which the sensor moved less says nothing: odometry at rest is exact. Nor does one that is as far apart as
+a jump, of which `PoseJumps` tells."""
 SPARSER = 1.0 / 32.0
 """The next pair comes after this share of the time since the first scan: a long recording has not many more pairs."""
-MAX_RANGE_M = 20.0
 KERNELS_M = (0.5, 0.2, 0.1)
 """Of the matches of a pair, one after the other: the first reaches poses that are far off."""
-MAX_STEPS, SMALL_STEP = 10, 1e-3
-"""As in the matching of whole recordings (ego_motion/matching.py)."""
 ENOUGH_PAIRS = 8
 DRIFT_LIMIT_M = 0.04
 """Median displacement from which poses are told to disagree with the scans: half a cell or less of any usual grid."""
@@ -56,7 +53,8 @@ class PoseDrift:
             return
         between = self._earlier.world_T_sensor.inverse() @ scan.world_T_sensor
         way_m = math.hypot(between.x, between.y)
-        moved = MOVED_M < way_m < MAX_RANGE_M or (way_m <= MOVED_M and abs(between.theta) > TURNED_RAD)
+        turned = abs(between.theta) > PAIR_TURNED_RAD
+        moved = PAIR_MOVED_M < way_m < PAIR_JUMPED_M or (way_m <= PAIR_MOVED_M and turned)
         if not moved or since_s > LONGEST_PAIR_S:
             self._begin(scan, motion)
             return
@@ -102,11 +100,14 @@ def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: 
     from scipy.spatial import cKDTree
 
     from gridtrack.recordings.ego_motion.fit import fit_at, share_on_map, walls_of, weighed_step
+    from gridtrack.recordings.ego_motion.matching import MAX_STEPS, SMALL_STEP
     from gridtrack.recordings.ego_motion.returns import returns_of
     from gridtrack.recordings.ego_motion.settings import MatchingSettings
 
     settings = MatchingSettings()
-    before, returns = returns_of(earlier, MAX_RANGE_M, *moved), returns_of(later, MAX_RANGE_M, *moves)
+    before, returns = (
+        returns_of(scan, settings.max_range_m, *motion) for scan, motion in ((earlier, moved), (later, moves))
+    )
     if min(len(before.points), len(returns.points)) < settings.min_returns:
         return None
     between = earlier.world_T_sensor.inverse() @ later.world_T_sensor
