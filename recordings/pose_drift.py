@@ -19,8 +19,8 @@ from gridtrack.common.scan import Scan
 PAIR_S, LONGEST_PAIR_S = 1.0, 2.0
 """Between the two scans of a pair. Poses are reported as they drift in PAIR_S."""
 PAIR_MOVED_M, PAIR_TURNED_RAD, PAIR_JUMPED_M = 0.2, math.radians(5.0), 20.0
-"""A pair between which the sensor moved less says nothing: odometry at rest is exact. Nor does one that is as far apart as
-a jump, of which `PoseJumps` tells."""
+"""A pair between which the sensor moved less says nothing: odometry at rest is exact. Nor does one that is as far apart
+as a jump, of which `PoseJumps` tells."""
 SPARSER = 1.0 / 32.0
 """The next pair comes after this share of the time since the first scan: a long recording has not many more pairs."""
 KERNELS_M = (0.5, 0.2, 0.1)
