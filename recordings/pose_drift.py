@@ -25,6 +25,8 @@ SPARSER = 1.0 / 32.0
 """The next pair comes after this share of the time since the first scan: a long recording has not many more pairs."""
 KERNELS_M = (0.5, 0.2, 0.1)
 """Of the matches of a pair, one after the other: the first reaches poses that are far off."""
+PRIOR_INFORMATION = 0.01
+"""Of the recorded poses in these matches: they decide in the directions alone that the walls leave open."""
 ENOUGH_PAIRS = 8
 DRIFT_LIMIT_M = 0.04
 """Median displacement from which poses are told to disagree with the scans: half a cell or less of any usual grid."""
@@ -38,15 +40,17 @@ class PoseDrift:
     _start_ns: int = 0
     _earlier: Scan | None = None
     _earlier_motion: tuple[SE2, float] = (SE2(), 0.0)
-    _last: tuple[int, SE2] | None = None
+    _before: tuple[int, SE2] | None = None
     _next_ns: int = 0
 
     def add(self, scan: Scan) -> None:
         """Add the sensor's next scan."""
-        motion = self._motion_to(scan)
+        before, self._before = self._before, (scan.stamp_ns, scan.world_T_sensor)
+        if before is None:
+            self._start_ns = scan.stamp_ns
         if self._earlier is None:
             if scan.stamp_ns >= self._next_ns:
-                self._begin(scan, motion)
+                self._begin(scan, before)
             return
         since_s = (scan.stamp_ns - self._earlier.stamp_ns) / 1e9
         if since_s < PAIR_S:
@@ -56,24 +60,16 @@ class PoseDrift:
         turned = abs(between.theta) > PAIR_TURNED_RAD
         moved = PAIR_MOVED_M < way_m < PAIR_JUMPED_M or (way_m <= PAIR_MOVED_M and turned)
         if not moved or since_s > LONGEST_PAIR_S:
-            self._begin(scan, motion)
+            self._begin(scan, before)
             return
-        displaced_m = displacement_m(self._earlier, self._earlier_motion, scan, motion)
+        displaced_m = displacement_m(self._earlier, self._earlier_motion, scan, motion_since(before, scan))
         if displaced_m is not None:
             self.displacements_m.append(displaced_m * PAIR_S / since_s)
         self._earlier = None
         self._next_ns = scan.stamp_ns + int(SPARSER * (scan.stamp_ns - self._start_ns))
 
-    def _motion_to(self, scan: Scan) -> tuple[SE2, float]:
-        """The sensor's motion from the scan before, and its duration in seconds."""
-        last, self._last = self._last, (scan.stamp_ns, scan.world_T_sensor)
-        if last is None or scan.stamp_ns <= last[0]:
-            self._start_ns = self._start_ns or scan.stamp_ns
-            return SE2(), 0.0
-        return last[1].inverse() @ scan.world_T_sensor, (scan.stamp_ns - last[0]) / 1e9
-
-    def _begin(self, scan: Scan, motion: tuple[SE2, float]) -> None:
-        self._earlier, self._earlier_motion = scan, motion
+    def _begin(self, scan: Scan, before: tuple[int, SE2] | None) -> None:
+        self._earlier, self._earlier_motion = scan, motion_since(before, scan)
 
     @property
     def median_m(self) -> float | None:
@@ -82,13 +78,21 @@ class PoseDrift:
 
     def problem(self, remedy: str) -> str:
         """One line about poses that disagree with the scans, with the command that is the `remedy`; else empty."""
-        if self.median_m is None or self.median_m < DRIFT_LIMIT_M:
+        median_m = self.median_m
+        if median_m is None or median_m < DRIFT_LIMIT_M:
             return ""
         return (
-            f"its poses disagree with its scans: by them a wall moves {self.median_m:.2f} m in a second (median of"
+            f"its poses disagree with its scans: by them a wall moves {median_m:.2f} m in a second (median of"
             f" {len(self.displacements_m)} pairs of scans), so that trackers with a memory smear it and lose by it:"
             f" correct them by `{remedy}`"
         )
+
+
+def motion_since(before: tuple[int, SE2] | None, scan: Scan) -> tuple[SE2, float]:
+    """The sensor's motion from the stamp and pose of the scan before, and its duration in seconds; none without one."""
+    if before is None or scan.stamp_ns <= before[0]:
+        return SE2(), 0.0
+    return before[1].inverse() @ scan.world_T_sensor, (scan.stamp_ns - before[0]) / 1e9
 
 
 def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: tuple[SE2, float]) -> float | None:
@@ -99,8 +103,7 @@ def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: 
     """
     from scipy.spatial import cKDTree
 
-    from gridtrack.recordings.ego_motion.fit import fit_at, share_on_map, walls_of, weighed_step
-    from gridtrack.recordings.ego_motion.matching import MAX_STEPS, SMALL_STEP
+    from gridtrack.recordings.ego_motion.fit import fit_at, share_on_map, stepped, walls_of
     from gridtrack.recordings.ego_motion.returns import returns_of
     from gridtrack.recordings.ego_motion.settings import MatchingSettings
 
@@ -113,12 +116,7 @@ def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: 
     between = earlier.world_T_sensor.inverse() @ later.world_T_sensor
     map_points, walls, pose = cKDTree(before.points), walls_of(returns), between
     for kernel_m in KERNELS_M:
-        for _ in range(MAX_STEPS):
-            fit = fit_at(pose, walls, map_points, kernel_m)
-            step = weighed_step(fit, pose.inverse() @ between, 0.01 * np.eye(3), settings).motion
-            pose = pose @ step
-            if math.hypot(step.x, step.y) + abs(step.theta) < SMALL_STEP:
-                break
+        pose = stepped(pose, walls, map_points, (between, PRIOR_INFORMATION * np.eye(3)), kernel_m, settings)
     fit = fit_at(pose, walls, map_points, KERNELS_M[-1])
     shared = share_on_map(pose, returns, map_points, KERNELS_M[-1], len(returns.points))
     if shared < settings.min_inlier_share or np.count_nonzero(fit.on_map) < settings.min_returns:

@@ -7,6 +7,7 @@ open too: along a street the car in front is the only thing that seems to tell h
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,8 @@ from gridtrack.recordings.ego_motion.settings import MatchingSettings
 
 KERNEL_REACH = 3.0
 """Returns further from the map than this many kernels have no weight."""
+MAX_STEPS, SMALL_STEP = 10, 1e-3
+"""Steps on the walls, until one is smaller than this: metres and radians together."""
 COMPACT_M = 3.0
 """A cluster smaller than this, such as the rear of a car, constrains no direction alone."""
 
@@ -166,6 +169,25 @@ def weighed_step(fit: Fit, fit_T_prior: SE2, prior: PlaneArray, settings: Matchi
     towards = np.array([fit_T_prior.x, fit_T_prior.y, fit_T_prior.theta])
     step = np.linalg.solve(information, prior @ towards + gradient)
     return Step(SE2(*step.tolist()), information, bool(strong.all()))
+
+
+def stepped(
+    pose: SE2,
+    walls: Walls,
+    map_points: cKDTree,
+    prior: tuple[SE2, PlaneArray],
+    kernel_m: float,
+    settings: MatchingSettings,
+) -> SE2:
+    """The pose on the walls, from a `pose` nearby, and at the `prior` (pose and information) in open directions."""
+    expected, information = prior
+    for _ in range(MAX_STEPS):
+        fit = fit_at(pose, walls, map_points, kernel_m)
+        motion = weighed_step(fit, pose.inverse() @ expected, information, settings).motion
+        pose = pose @ motion
+        if math.hypot(motion.x, motion.y) + abs(motion.theta) < SMALL_STEP:
+            break
+    return pose
 
 
 def by_objects(fit: Fit, walls: Walls, settings: MatchingSettings) -> bool:

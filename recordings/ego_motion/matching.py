@@ -17,7 +17,15 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.pose_quality import MatchOutcome, PoseQuality
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.ego_motion.drift_from_odometry import DriftFromOdometry
-from gridtrack.recordings.ego_motion.fit import KERNEL_REACH, by_objects, fit_at, share_on_map, walls_of, weighed_step
+from gridtrack.recordings.ego_motion.fit import (
+    KERNEL_REACH,
+    by_objects,
+    fit_at,
+    share_on_map,
+    stepped,
+    walls_of,
+    weighed_step,
+)
 from gridtrack.recordings.ego_motion.moving_returns import EarlierScans
 from gridtrack.recordings.ego_motion.prior import Prior, inverse
 from gridtrack.recordings.ego_motion.returns import (
@@ -31,10 +39,8 @@ from gridtrack.recordings.ego_motion.returns import (
 from gridtrack.recordings.ego_motion.settings import MatchingSettings
 
 MAX_ITERATIONS, CONVERGED_M = 100, 1e-4
-MAX_STEPS, SMALL_STEP = 10, 1e-3
-"""Steps on the walls after the registration, until one is smaller than this: metres and radians together."""
 PRIOR_SHARE = 1e-4
-"""Share of the prior's information in these steps: it decides in the open directions alone."""
+"""Share of the prior's information in the steps on the walls: it decides in the open directions alone."""
 POINTS_PER_VOXEL = 20
 MATCH_M, MATCH_RAD = 0.2, math.radians(15.0)
 """Differences of a match from the prior that are never too large."""
@@ -133,15 +139,8 @@ class ScanMatcher:
 
     def _stepped(self, pose: SE2, returns: ScanReturns, map_points: cKDTree, prior: Prior) -> SE2:
         """The pose on the walls, and at the prior in the directions that they leave open."""
-        walls = walls_of(returns)
-        for _ in range(MAX_STEPS):
-            fit = fit_at(pose, walls, map_points, self.settings.kernel_m)
-            towards = pose.inverse() @ prior.world_T_sensor
-            motion = weighed_step(fit, towards, PRIOR_SHARE * prior.information, self.settings).motion
-            pose = pose @ motion
-            if math.hypot(motion.x, motion.y) + abs(motion.theta) < SMALL_STEP:
-                break
-        return pose
+        weak = (prior.world_T_sensor, PRIOR_SHARE * prior.information)
+        return stepped(pose, walls_of(returns), map_points, weak, self.settings.kernel_m, self.settings)
 
     def _judged(self, returns: ScanReturns, pose: SE2, map_points: cKDTree, prior: Prior, count: int) -> ScanMatch:
         """The pose from the match and the prior, or the prior's; `count` returns, with those of what moves."""
