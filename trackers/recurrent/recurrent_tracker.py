@@ -29,6 +29,10 @@ from gridtrack.trackers.weights import Weights, load_start, load_weights, save_i
 if TYPE_CHECKING:
     from gridtrack.trackers.recurrent.sequences import SequenceDataset
 
+MOST_MISSED = 20
+"""Missed frames that are caught up on at a time: with all of them a network whose step takes longer than a period would
+be later at every frame."""
+
 
 class RecurrentTracker(Tracker):
     """A recurrent network as a tracker; a subclass sets `name` and builds the network."""
@@ -80,14 +84,30 @@ class RecurrentTracker(Tracker):
         self.state: LatentState = self.network.initial(1)
         self.network.anchor(Shift())
         self._updates = 0
+        self._stamp_ns: int | None = None
         self._world_T_grid: SE2 | None = None
 
     def update(self, frame: GridFrame) -> None:
-        """Update the state with the planes visible and occupied of x_t, in the window of this frame."""
+        """Update the state with the planes visible and occupied of x_t, in the window of this frame.
+
+        A frame that a late tracker did not receive is a step without input, so that what moves has moved on since.
+        """
         x = input_planes(frame) if frame.visible.any() else None
         with torch.inference_mode():
+            for _ in range(self._missed_before(frame.stamp_ns)):
+                self._step(None)
             self._follow(frame.world_T_grid)
-            self.state = self.network.step(x, self.state)
+            self._step(x)
+
+    def _missed_before(self, stamp_ns: int) -> int:
+        """The number of frames that were missed since the last one, MOST_MISSED at most; notes the stamp."""
+        last_ns, self._stamp_ns = self._stamp_ns, stamp_ns
+        if last_ns is None:
+            return 0
+        return min(MOST_MISSED, max(0, round((stamp_ns - last_ns) / 1e9 / self.stream.period_s) - 1))
+
+    def _step(self, x: Tensor | None) -> None:
+        self.state = self.network.step(x, self.state)
         self._updates += 1
 
     def _follow(self, world_T_grid: SE2) -> None:
