@@ -21,8 +21,9 @@ dynamic cells alone what stands decides; and vehicles that wait at a red light a
 minutes: only the visible cells have them."""
 EXCERPTS, EXCERPT_S = 4, 100.0
 """Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
-PLACES, PLACE_EXCERPT_S = 24, 20.0
-"""Number of places on an excerpt of which general weights are searched or validated, and its duration."""
+PLACES, SEARCHED_S, VALIDATED_S = 24, 20.0, 60.0
+"""Number of places on an excerpt of which general weights are searched or validated, and its durations: a search scores
+hundreds of settings, a training a few networks, which differ by less than 20 s of ten places tell."""
 PLACE_STRIDE = 5
 """Between places that follow each other; it has no divisor in common with PLACES."""
 
@@ -73,15 +74,15 @@ def excerpts(sources: Sequence[FrameSource]) -> list[FrameSource]:
     return chosen
 
 
-def excerpts_of_places(sources: Sequence[FrameSource]) -> list[FrameSource]:
-    """For weights of any place: one excerpt of PLACE_EXCERPT_S of each of at most PLACES sources, evenly chosen.
+def excerpts_of_places(sources: Sequence[FrameSource], duration_s: float) -> list[FrameSource]:
+    """For weights of any place: one excerpt of `duration_s` of each of at most PLACES sources, evenly chosen.
 
     The middle of each source; their frames are cached in memory. Neighbours among the sources, such as two worlds of
     one kind, do not follow each other: the first excerpts are a fair choice already.
     """
     order = [n * PLACE_STRIDE % PLACES for n in range(PLACES)]
     chosen = [sources[n * len(sources) // PLACES] for n in order] if len(sources) > PLACES else sources
-    return [_middle(source, round(PLACE_EXCERPT_S / source.period_s)) for source in chosen]
+    return [_middle(source, round(duration_s / source.period_s)) for source in chosen]
 
 
 def mean_of_defined(scores: Sequence[float]) -> float:

@@ -25,6 +25,7 @@ from gridtrack.trackers.calibration import IDENTITY, CalibratedTracker, fit_cali
 from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StreamSpec, StretchScore, stream_of
 from gridtrack.trackers.excerpts import (
+    SEARCHED_S,
     SELECTION_HORIZONS_S,
     SELECTION_STRATA,
     excerpts,
@@ -91,7 +92,7 @@ def fit_searched(
     arrays = {**arrays, "calibration": IDENTITY}
     start, ranges = _begin(search, out, given)
     card = card_for(search.name, out, train, validation, {})
-    searched = excerpts_of_places(train) if out.general else excerpts(train)
+    searched = excerpts_of_places(train, SEARCHED_S) if out.general else excerpts(train)
     with TemporaryDirectory() as folder:
         draft = _Draft(search.tracker, Path(folder) / f"{search.name}.toml", score)
         save_weights(draft.path, card, arrays)

@@ -16,7 +16,7 @@ from gridtrack.common.grid import GridFrame, Shift, shift_between
 from gridtrack.common.horizons import nearest_step
 from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
-from gridtrack.trackers.excerpts import SELECTION_HORIZONS_S, excerpts_of_places
+from gridtrack.trackers.excerpts import SELECTION_HORIZONS_S, VALIDATED_S, excerpts_of_places
 from gridtrack.trackers.recurrent.general_network import begin_from, general_options, settings_from_general
 from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState, as_cells, channels_last
 from gridtrack.trackers.recurrent.pacing import StepPace, paced
@@ -203,7 +203,7 @@ class RecurrentTracker(Tracker):
         in_training = cls.prepare_training(network, dataset.occupied_rate, training_device())
         if start is not None:
             begin_from(network, start)
-        held_out = excerpts_of_places(validation) if out.general else validation
+        held_out = excerpts_of_places(validation, VALIDATED_S) if out.general else validation
 
         def validate(trained: nn.Module) -> dict[str, float]:
             def score_on(source: FrameSource) -> Any:

@@ -14,6 +14,7 @@ from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame  # noqa: E402
 from gridtrack.trackers import cell_training  # noqa: E402
 from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
+from gridtrack.trackers.excerpts import VALIDATED_S, excerpts_of_places  # noqa: E402
 from gridtrack.trackers.label_settings import ClassifierSettings  # noqa: E402
 from gridtrack.trackers.one_shot.tracker import OneShotTracker  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
@@ -195,6 +196,13 @@ def test_a_validation_recording_in_which_nothing_moves_has_no_part_in_the_score(
     assert (found["dynamic_f1_1s"], found["visible_f1_1s"]) == (0.5, pytest.approx(0.6))
     alone = validation_scores(score, sources[1:], (1.0,))
     assert alone["score"] == pytest.approx(0.7), "what is defined chooses between updates, not nothing"
+
+
+def test_a_general_network_is_validated_on_the_middle_minute_of_a_long_recording():
+    short, long = Walk(8, 0.1, 1.0, frames=40), Walk(8, 0.1, 0.5, frames=400)
+    found = excerpts_of_places([short, long], VALIDATED_S)
+    assert [len(one) for one in found] == [40, 120]
+    assert [one.stamp_ns / 1e9 for one in found[1]][:: len(found[1]) - 1] == [70.0, 129.5]
 
 
 def test_where_no_beam_reached_in_training_the_network_says_the_occupied_rate(tmp_path):
