@@ -154,7 +154,7 @@ class Tracker(ABC):
     """The classes that it estimates probabilities for; empty: occupancy only."""
     moving_sensor: ClassVar[bool] = False
     """Whether it follows a sensor that moves: the window of its frames then moves by whole cells, by several where a
-    frame was missed, and what it keeps of each cell has to move with it (`common.grid.rolled`)."""
+    frame was missed, and what it keeps of each cell has to move with it (`gridtrack.common.grid.rolled`)."""
     learns: ClassVar[bool] = False
     """Whether `fit` must have run, for the site or for any place, before the tracker can be used."""
     learns_general: ClassVar[bool] = False

@@ -128,8 +128,8 @@ CLAUSES = (
         "scrolling-window",
         "A tracker that follows a moving sensor keeps what it saw at its place in the world while the window moves.",
         "The window moves by whole cells with the sensor. A forecast is in the window of the last update.",
-        "Move what is kept of each cell by the cells that the window moved, the other way (`common.grid.rolled`), also"
-        " by more than the window's width; or leave `moving_sensor` false.",
+        "Move what is kept of each cell by the cells that the window moved, the other way"
+        " (`gridtrack.common.grid.rolled`), also by more than the window's width; or leave `moving_sensor` false.",
         FORECASTS,
     ),
     Clause(
