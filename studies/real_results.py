@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from studies.support.place_command import collect_places, compare_places, place_parser
+from studies.support.place_command import compare_places, place_parser, write_places
 from studies.support.real_recordings import REAL, RealRecording, import_real
 from studies.support.results_file import ResultSection, ResultTable, measured_table
 from studies.support.unseen_places import STRATA, PlaceScores, not_measured
@@ -94,8 +94,10 @@ def main() -> None:
     given = parser.parse_args()
     if not given.collect:
         recordings = [one for one in REAL if given.recording is None or one.name in given.recording]
-        compare_places(given, imported(recordings, given.data, given.out.with_name(f"{given.out.name}-recordings")))
-    collect_places(given, sections_of)
+        folder = given.out.with_name(f"{given.out.name}-recordings")
+        compare_places(given, imported(recordings, given.data, folder), given.out)
+    scores = PlaceScores.read(given.out)
+    write_places(given.results, scores, sections_of(scores))
 
 
 if __name__ == "__main__":

@@ -4,10 +4,10 @@
 there from its general weights on the first 1, 5, 15 and 65 minutes of data/junction/train.tracks, and compared on the
 twenty test minutes with its general weights (0 minutes) and with those shipped for the site. Trainings that exist in
 `--trainings` are kept and an interrupted one is resumed, as is the comparison. Thresholds are chosen on the junction's
-validation recording for every row, so that rows differ in what they learned; the general rows are compared once more
-with the thresholds of their cards, which know nothing of the place. Expected on two idle cores: a search of `kalman`
-about 15 minutes at each number of minutes, of `dogma` 10, a network 40 (the number of updates does not depend on the
-minutes), the comparisons 40 together: some five hours.
+validation recording for every row, so that rows differ in what they learned; the general row is compared once more
+with the thresholds of its card, which know nothing of the place. Each tracker has a comparison and results of its own.
+Expected on two idle cores: a search of `kalman` about 15 minutes at each number of minutes, of `dogma` 10, a network 40
+(the number of updates does not depend on the minutes); the comparison of a tracker 40: some six hours.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ TRACKERS = ("kalman", "dogma", "dilated-convgru")
 MINUTES = (1, 5, 15, 65)
 RESULTS = Path("docs/results/worlds/site_minutes.json")
 COMMAND = "python -m studies.site_minutes"
+SITE_THRESHOLDS, CARD_THRESHOLDS = "site-thresholds", "card-thresholds"
+"""The folders of the comparisons of a tracker."""
 LEAST_GAP = 0.01
 """Of F1 between general and site weights: a smaller one is within the intervals of both, and a share of it noise."""
 
@@ -45,39 +47,28 @@ def rows_of(tracker: str, minutes: Sequence[int], general: Path, trainings: Path
     return {label: f"{label}={tracker}:{weights}" for label, weights in chosen.items()}
 
 
-def train_missing(trackers: Sequence[str], minutes: Sequence[int], general: Path, trainings: Path) -> None:
-    """Train each tracker on each number of minutes, where no complete training is there."""
-    for tracker in trackers:
-        for number in minutes:
-            chosen = ("--validation", VALIDATION, "--weights", general)
-            train(weights_after(tracker, number, trainings), tracker, f"{TRAINING}@0s-{60 * number}s", *chosen)
+def train_missing(tracker: str, minutes: Sequence[int], general: Path, trainings: Path) -> None:
+    """Train the tracker on each number of minutes, where no complete training is there."""
+    for number in minutes:
+        chosen = ("--validation", VALIDATION, "--weights", general)
+        train(weights_after(tracker, number, trainings), tracker, f"{TRAINING}@0s-{60 * number}s", *chosen)
 
 
-def run(
-    trackers: Sequence[str],
-    minutes: Sequence[int],
-    general: Path,
-    trainings: Path,
-    out: Path,
-    options: Sequence[str],
-) -> None:
-    """Compare on the test minutes with the thresholds of the site, and with the cards'."""
+def run(rows: Mapping[str, str], general: str, out: Path, options: Sequence[str]) -> None:
+    """Compare on the test minutes with the thresholds of the site, and the `general` row with its card's."""
     tests = sorted(RECORDINGS.glob("test-*.tracks"))
-    every = [row for tracker in trackers for row in rows_of(tracker, minutes, general, trainings).values()]
-    compare(tests, VALIDATION, [REFERENCE, *every], out / "site-thresholds", "--resume", *options)
-    unseen = [rows_of(tracker, (), general, trainings)[f"{tracker}-general"] for tracker in trackers]
-    compare(tests, None, [REFERENCE, *unseen], out / "card-thresholds", "--resume", *options)
+    compare(tests, VALIDATION, [REFERENCE, *rows.values()], out / SITE_THRESHOLDS, "--resume", *options)
+    compare(tests, None, [REFERENCE, rows[general]], out / CARD_THRESHOLDS, "--resume", *options)
 
 
-def gap_closed(scores: PlaceScores, trackers: Sequence[str], minutes: Sequence[int]) -> ResultTable:
+def gap_closed(scores: PlaceScores, tracker: str, minutes: Sequence[int]) -> ResultTable:
     """The share of the gap in dynamic F1 between general and site weights that so many minutes close, per cent."""
     rows = []
-    for tracker in trackers:
-        for horizon_s, step in scores.horizons.items():
-            f1 = {label: scores.strata[label]["dynamic"].f1[step] for label in scores.strata}
-            start, end = f1[f"{tracker}-general"], f1[f"{tracker}-site"]
-            shares = [share_closed(start, f1[f"{tracker}-{number}-min"], end) for number in minutes]
-            rows.append([f"{tracker}, {horizon_s:g} s", *shares])
+    for horizon_s, step in scores.horizons.items():
+        f1 = {label: scores.strata[label]["dynamic"].f1[step] for label in scores.strata}
+        start, end = f1[f"{tracker}-general"], f1[f"{tracker}-site"]
+        shares = [share_closed(start, f1[f"{tracker}-{number}-min"], end) for number in minutes]
+        rows.append([f"{horizon_s:g} s", *shares])
     return measured_table(("of the gap, %", *(f"{number} min" for number in minutes)), rows)
 
 
@@ -88,18 +79,16 @@ def share_closed(start: float | None, now: float | None, end: float | None) -> s
     return f"{100 * (now - start) / (end - start):.0f}"
 
 
-def sections_of(
-    site: PlaceScores, cards: PlaceScores, trackers: Sequence[str], minutes: Sequence[int]
-) -> Mapping[str, ResultSection]:
-    """The sections of the results file."""
+def section_of(site: PlaceScores, cards: PlaceScores, tracker: str, minutes: Sequence[int]) -> ResultSection:
+    """The section of a tracker in the results file."""
     tables = {
         "F1": site.over_horizons("F1, dynamic", "dynamic", "f1"),
         "PR-AUC": site.over_horizons("PR-AUC, dynamic", "dynamic", "pr_auc"),
         "hidden": site.over_horizons("F1, hidden", "occluded", "f1"),
-        "thresholds of the cards": cards.over_horizons("F1, dynamic", "dynamic", "f1"),
-        "gap": gap_closed(site, trackers, minutes),
+        "thresholds of the card": cards.over_horizons("F1, dynamic", "dynamic", "f1"),
+        "gap": gap_closed(site, tracker, minutes),
     }
-    return {"minutes": ResultSection(command=COMMAND, tables=tables)}
+    return ResultSection(command=COMMAND, tables=tables)
 
 
 def main() -> None:
@@ -114,15 +103,17 @@ def main() -> None:
     parser.add_argument("--jobs", default="1", help="trials at the same time")
     parser.add_argument("--collect", action="store_true", help="run nothing; write the results of what has run")
     given = parser.parse_args()
-    trackers, minutes = given.tracker or TRACKERS, given.minutes or MINUTES
-    if not given.collect:
-        train_missing(trackers, minutes, given.weights, given.trainings)
-        options = ["--every", given.every, "--jobs", given.jobs]
-        run(trackers, minutes, given.weights, given.trainings, given.out, options)
-    site, cards = (PlaceScores.read(given.out / name) for name in ("site-thresholds", "card-thresholds"))
-    for name, section in sections_of(site, cards, trackers, minutes).items():
-        write_section(given.results, name, section)
-        print("\n\n".join(table.markdown() for table in section.tables.values()))
+    minutes = given.minutes or MINUTES
+    for tracker in given.tracker or TRACKERS:
+        out = given.out / tracker
+        if not given.collect:
+            train_missing(tracker, minutes, given.weights, given.trainings)
+            rows = rows_of(tracker, minutes, given.weights, given.trainings)
+            run(rows, f"{tracker}-general", out, ["--every", given.every, "--jobs", given.jobs])
+        site, cards = (PlaceScores.read(out / name) for name in (SITE_THRESHOLDS, CARD_THRESHOLDS))
+        section = section_of(site, cards, tracker, minutes)
+        write_section(given.results, tracker, section)
+        print("\n\n".join(table.markdown() for table in section.tables.values()), end="\n\n")
 
 
 if __name__ == "__main__":

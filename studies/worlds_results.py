@@ -1,10 +1,12 @@
 """Trackers with general weights on the twenty test worlds: places that none of them has learned.
 
 `python -m studies.worlds_results` compares every tracker that has general weights, with its further trainings, on the
-worlds of data/worlds/test, all in one run, and writes the numbers of docs/results/worlds and its drawing. Thresholds
-are those of the cards, chosen on the validation worlds. A tracker without general weights is left out and named. An
-interrupted comparison is continued with the same rows; `--out` takes another folder for others. Duration: a minute a
-world for a network on one idle core, half of that for the pipeline, seconds for the floors.
+worlds of data/worlds/test, all in one run, and writes the numbers of docs/results/worlds and its drawing. The worlds
+whose robot drives with the poses of its wheels are compared once more with refined poses (`recording import
+--ego-motion refined`, which knows the scans and the odometry alone); forecasts are scored by the true poses both times.
+Thresholds are those of the cards, chosen on the validation worlds. A tracker without general weights is left out and
+named. An interrupted comparison is continued with the same rows; `--out` takes another folder for others. Duration: a
+minute a world for a network on one idle core, half of that for the pipeline, seconds for the floors.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from studies.support.place_command import collect_places, compare_places, place_parser, worlds_called
+from studies.support.place_command import compare_places, place_parser, worlds_called, write_places
 from studies.support.results_file import ResultSection, ResultTable, measured_table
 from studies.support.score_text import score_text
 from studies.support.unseen_places import (
@@ -21,10 +23,13 @@ from studies.support.unseen_places import (
     PlaceScores,
     not_measured,
 )
+from studies.support.world_lasers import DRIVES, ODOMETRY, STANDS, drift_text, laser_of, refined_world
 
 RESULTS = Path("docs/results/worlds/worlds.json")
 COMMAND = "python -m studies.worlds_results"
 PARTS = ("indoors", "outdoors")
+FEWEST_POOLED = 2
+"""Worlds that can be pooled."""
 AIM_TRACKERS, AIM_HORIZONS_S, AIM_F1 = ("dilated-convgru", "kalman"), (0.5, 1.0), 0.10
 """The aim: these trackers are above the reference by AIM_F1 on dynamic cells at these horizons, interval apart."""
 
@@ -64,8 +69,8 @@ def part_table(parts: Mapping[str, PlaceScores], labels: list[str]) -> ResultTab
 
 def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
     """The sections of the results file."""
-    several = [part for part in PARTS if sum(name.startswith(part) for name in scores.described) > 1]
-    parts = {part: scores.of(part) for part in several}
+    names = {part: [name for name in scores.described if name.startswith(part)] for part in PARTS}
+    parts = {part: scores.of(found) for part, found in names.items() if len(found) >= FEWEST_POOLED}
     near = [(f"{h:g} s, {scale} cells", "dynamic", f"fss_{scale}", h) for h in (0.5, 1.0) for scale in (1, 3, 5, 9)]
     along = [
         (f"{h:g} s, {name}", stratum, score, h)
@@ -98,13 +103,68 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
     }
 
 
+def by_laser(groups: Mapping[str, PlaceScores]) -> ResultTable:
+    """F1 of dynamic cells by how the laser is carried: too few worlds of each for intervals."""
+    rows = [
+        [label, *(scores.text(label, "dynamic", "f1", h) for scores in groups.values() for h in AIM_HORIZONS_S)]
+        for label in next(iter(groups.values())).labels
+    ]
+    columns = (f"{name}, {h:g} s" for name in groups for h in AIM_HORIZONS_S)
+    return measured_table(("F1, dynamic", *columns), rows)
+
+
+def both_poses(recorded: PlaceScores, refined: PlaceScores) -> ResultTable:
+    """F1 a second ahead in the same worlds, with the poses of the wheels and with refined ones."""
+    both = {"odometry": recorded, "refined": refined}
+    shown = [(stratum, kind) for stratum in ("in-motion", "visible", "occluded") for kind in both]
+    rows = [
+        [label, *(both[kind].text(label, stratum, "f1", 1.0) for stratum, kind in shown)] for label in recorded.labels
+    ]
+    return measured_table(("F1, 1 s", *(f"{STRATA[stratum]}, {kind}" for stratum, kind in shown)), rows)
+
+
+def drift_table(drivers: Mapping[str, Path], refined: Mapping[str, Path]) -> ResultTable:
+    """How far a wall moves in a second by the poses of each kind, metres."""
+    rows = [[name, drift_text(path), drift_text(refined[name])] for name, path in drivers.items()]
+    return measured_table(("a wall moves in a second, m", "odometry", "refined"), rows)
+
+
+def poses_section(
+    recorded: PlaceScores, refined: PlaceScores, lasers: Mapping[str, str], drift: ResultTable
+) -> ResultSection:
+    """What the poses of the wheels cost: `recorded` are the scores of all worlds, `refined` of those with odometry."""
+    names = {kind: [name for name, laser in lasers.items() if laser == kind] for kind in (STANDS, DRIVES, ODOMETRY)}
+    groups = {kind: recorded.of(found) for kind, found in names.items() if len(found) >= FEWEST_POOLED}
+    counted = {f"{kind} ({len(names[kind])})": scores for kind, scores in groups.items()}
+    tables = {
+        "by laser": by_laser({**counted, "drives, refined": refined}),
+        "F1": both_poses(groups[ODOMETRY], refined),
+        "aim": aim_table(recorded.with_places(refined)),
+        "drift": drift,
+    }
+    return ResultSection(command=COMMAND, tables=tables)
+
+
 def main() -> None:
     parser = place_parser(__doc__, Path("runs/worlds-results"), RESULTS)
     parser.add_argument("--world", action="append", help="such as indoors-room-1008; default: all twenty")
     given = parser.parse_args()
+    worlds = {path.stem: path for path in worlds_called(given.world)}
+    lasers = {name: laser_of(path) for name, path in worlds.items()}
+    drivers = {name: worlds[name] for name, laser in lasers.items() if laser == ODOMETRY}
+    refined = {name: refined_world(path, given.out / "refined-recordings") for name, path in drivers.items()}
+    folders = {"recorded": list(worlds.values()), "refined": list(refined.values())}
+    if len(drivers) < FEWEST_POOLED:
+        del folders["refined"]
     if not given.collect:
-        compare_places(given, worlds_called(given.world))
-    collect_places(given, sections_of)
+        for name, recordings in folders.items():
+            compare_places(given, recordings, given.out / name)
+    scores = {name: PlaceScores.read(given.out / name) for name in folders}
+    sections = sections_of(scores["recorded"])
+    if "refined" in scores:
+        drift = drift_table(drivers, refined)
+        sections["poses"] = poses_section(scores["recorded"], scores["refined"], lasers, drift)
+    write_places(given.results, scores["recorded"], sections)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from studies.support.comparison import compare
@@ -37,21 +37,18 @@ def worlds_called(names: Sequence[str] | None) -> list[Path]:
     return [worlds[name] for name in names or worlds]
 
 
-def compare_places(given: argparse.Namespace, recordings: Sequence[Path]) -> None:
-    """Compare the rows that are asked for on `recordings`, with the thresholds of the cards."""
+def compare_places(given: argparse.Namespace, recordings: Sequence[Path], out: Path) -> None:
+    """Compare the rows that are asked for on `recordings`, with the thresholds of the cards; the run is in `out`."""
     rows = general_rows(given.weights, given.trainings)
     if unknown := [label for label in given.tracker or () if label not in rows]:
         raise SystemExit(f"--tracker {', '.join(unknown)}: no row that can run; there are {', '.join(rows)}")
     chosen = [rows[label] for label in given.tracker or rows]
-    compare(recordings, None, chosen, given.out, "--every", given.every, "--jobs", given.jobs, "--resume")
+    compare(recordings, None, chosen, out, "--every", given.every, "--jobs", given.jobs, "--resume")
 
 
-def collect_places(
-    given: argparse.Namespace, sections_of: Callable[[PlaceScores], Mapping[str, ResultSection]]
-) -> None:
-    """Write the results of what has run, and the drawing beside them."""
-    scores = PlaceScores.read(given.out)
-    for name, section in sections_of(scores).items():
-        write_section(given.results, name, section)
+def write_places(results: Path, scores: PlaceScores, sections: Mapping[str, ResultSection]) -> None:
+    """Write and print the sections of a results file, and the drawing of the scores beside it."""
+    for name, section in sections.items():
+        write_section(results, name, section)
         print("\n\n".join(table.markdown() for table in section.tables.values()), end="\n\n")
-    given.results.with_name("scales.svg").write_text(scale_charts(scores, "dynamic"), "utf-8")
+    results.with_name("scales.svg").write_text(scale_charts(scores, "dynamic"), "utf-8")

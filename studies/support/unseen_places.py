@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+
+import numpy as np
 
 from gridtrack.evaluation.results.recording import RecordingSummary
 from gridtrack.evaluation.results.summary import ORACLE, TrackerDifference, TrackerTrainings, read_summary
@@ -93,10 +95,15 @@ class PlaceScores:
         summary = read_summary(folder)
         return cls(summary.recordings, finished_trials(folder, summary))
 
-    def of(self, beginning: str) -> PlaceScores:
-        """Those of the recordings whose names begin so."""
-        chosen = {name: one for name, one in self.described.items() if name.startswith(beginning)}
+    def of(self, names: Collection[str]) -> PlaceScores:
+        """Those of the recordings of these names."""
+        chosen = {name: one for name, one in self.described.items() if name in names}
         return PlaceScores(chosen, [trial for trial in self._trials if trial.record.recording in chosen])
+
+    def with_places(self, others: PlaceScores) -> PlaceScores:
+        """These, with those of `others` in place of, or beside, the recordings of the same names."""
+        kept = [trial for trial in self._trials if trial.record.recording not in others.described]
+        return PlaceScores({**self.described, **others.described}, [*kept, *others._trials])
 
     @property
     def labels(self) -> list[str]:
@@ -107,9 +114,11 @@ class PlaceScores:
 
     @cached_property
     def horizons(self) -> dict[float, int]:
-        """The step of each horizon, seconds."""
-        found = self._statistics.horizons_s
-        return {horizon_s: found.index(horizon_s) for horizon_s in HORIZONS_S if horizon_s in found}
+        """The step nearest to each horizon, seconds, where forecasts reach so far."""
+        found = np.array(self._statistics.horizons_s)
+        half_a_step_s = np.diff(found).min() / 2.0
+        nearest = {horizon_s: int(abs(found - horizon_s).argmin()) for horizon_s in HORIZONS_S}
+        return {horizon_s: at for horizon_s, at in nearest.items() if abs(found[at] - horizon_s) <= half_a_step_s}
 
     @cached_property
     def strata(self) -> dict[str, dict[str, StratumScores]]:
@@ -150,12 +159,12 @@ class PlaceScores:
         return {label: self._statistics.strata_of(trial) for label, trial in trials if trial.record.recording == name}
 
     def text_of(self, found: StratumScores | None, score: str, horizon_s: float) -> str:
-        """A score in one stratum with its interval, where it has one."""
-        step = self.horizons[horizon_s]
-        value = None if found is None else found.at(score, step)
-        if found is None or value is None:
+        """A score in one stratum with its interval, where it has one; NONE where no forecast reaches the horizon."""
+        if found is None or horizon_s not in self.horizons:
             return NONE
-        return score_text(value, found.at(f"{score}_low", step), found.at(f"{score}_high", step))
+        step = self.horizons[horizon_s]
+        value, *ends = (found.at(f"{score}{end}", step) for end in ("", "_low", "_high"))
+        return NONE if value is None else score_text(value, *ends)
 
     def table(self, corner: str, columns: Sequence[tuple[str, str, str, float]]) -> ResultTable:
         """A row for each tracker; columns are heading, stratum, score and horizon."""

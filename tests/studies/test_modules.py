@@ -55,9 +55,7 @@ QUICK = {
     "studies.two_sensors": "persistence --minutes 1 --out TMP/two_sensors.json",
     "studies.velocity_errors": "kalman --recordings 1 --out TMP/dogma.json",
     "studies.worlds_look": "data/leg_tracker/leg_tracker.mcap --frames 1 --out TMP/look.svg",
-    "studies.worlds_poses": "--world indoors-hall-1002 --world outdoors-street-1006 --tracker persistence --every 15s"
-    " --out TMP/run --results TMP/poses.json",
-    "studies.worlds_results": "--world indoors-room-1008 --world outdoors-street-1006 --tracker persistence --every 15s"
+    "studies.worlds_results": "--world indoors-hall-1002 --world outdoors-street-1006 --tracker persistence --every 15s"
     " --out TMP/run --results TMP/worlds.json",
 }
 """What is run of each: the same code on seconds in place of minutes. TMP is a folder of the test."""

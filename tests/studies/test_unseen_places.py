@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -12,20 +13,29 @@ from gridtrack.evaluation.statistics.summary import summarise
 
 from scenes.synthetic_run import description, write_trial
 from studies.real_results import sections_of as sections_of_real
-from studies.site_minutes import rows_of, share_closed
+from studies.site_minutes import rows_of, section_of, share_closed
 from studies.support.real_recordings import REAL
+from studies.support.results_file import measured_table
 from studies.support.scale_charts import scale_charts
 from studies.support.unseen_places import PlaceScores, general_rows, not_measured
-from studies.worlds_results import aim_met, aim_table, sections_of
+from studies.support.world_lasers import DRIVES, ODOMETRY, STANDS
+from studies.worlds_results import aim_met, aim_table, poses_section, sections_of
 
 PERIODS_S = (0.1, 0.105263, 0.0625)
 SKILLS = {"oracle": 1.0, "persistence": 0.5, "kalman": 0.8}
 
 
-def run_of(folder: Path, names: list[str], skills: dict[str, float], *, scored: int = 2) -> PlaceScores:
-    """A comparison on recordings of unlike periods, two forecasts on each; counts are drawn at random."""
-    periods_s = {name: PERIODS_S[k % len(PERIODS_S)] for k, name in enumerate(names)}
-    steps = {name: round(1.0 / period_s) for name, period_s in periods_s.items()}
+def run_of(
+    folder: Path,
+    names: list[str],
+    skills: dict[str, float],
+    *,
+    scored: int = 2,
+    periods_s: Sequence[float] = PERIODS_S,
+) -> PlaceScores:
+    """A comparison on recordings of these periods in turns, two forecasts on each; counts are drawn at random."""
+    period_s = {name: periods_s[k % len(periods_s)] for k, name in enumerate(names)}
+    steps = {name: round(1.0 / of_name) for name, of_name in period_s.items()}
     trials = [
         write_trial(
             folder,
@@ -43,7 +53,7 @@ def run_of(folder: Path, names: list[str], skills: dict[str, float], *, scored: 
         for label, skill in skills.items()
     ]
     described = {
-        name: description(2, source_sha256=name.ljust(64, "0"), period_s=periods_s[name], steps=steps[name])
+        name: description(2, source_sha256=name.ljust(64, "0"), period_s=period_s[name], steps=steps[name])
         for name in names
     }
     summarise(described, trials, [], interrupted=False).write(folder)
@@ -85,6 +95,22 @@ def test_the_aim_is_judged_where_it_was_measured_and_named_where_it_was_not(worl
     assert sections_of(worlds)["scores"].values["not measured"].startswith("`static-map`, `blank`, `factor-graph`")
 
 
+def test_worlds_with_refined_poses_take_the_place_of_those_with_the_poses_of_the_wheels(tmp_path: Path) -> None:
+    lasers = {f"world-{10 + k}": (STANDS, DRIVES, ODOMETRY)[k // 7] for k in range(21)}
+    drivers = [name for name, laser in lasers.items() if laser == ODOMETRY]
+    recorded = run_of(tmp_path / "recorded", list(lasers), {"persistence": 0.5, "kalman": 0.55})
+    refined = run_of(tmp_path / "refined", drivers, {"persistence": 0.5, "kalman": 0.95})
+    tables = poses_section(recorded, refined, lasers, drift=measured_table(("",), [])).tables
+    assert tables["by laser"].columns[1::2] == tuple(
+        f"{kind}, 0.5 s" for kind in ("stands (7)", "drives (7)", "drives, odometry (7)", "drives, refined")
+    )
+    verdicts = {
+        name: [row[-1] for row in table.rows][-1]
+        for name, table in (("recorded", aim_table(recorded)), ("refined", tables["aim"]))
+    }
+    assert verdicts == {"recorded": "not met", "refined": "met"}
+
+
 @pytest.mark.parametrize(
     ("difference", "low", "verdict"),
     [(0.1, 0.01, "met"), (0.099, 0.05, "not met"), (0.2, -0.01, "not met"), (0.2, None, "no interval")],
@@ -108,6 +134,13 @@ def test_further_trainings_are_in_the_table_of_their_spread_and_are_no_rows_of_t
     names = [f"indoors-{k}" for k in range(3)]
     scores = run_of(tmp_path, names, {"persistence": 0.5, "dilated-convgru": 0.7, "dilated-convgru 2": 0.75})
     assert scores.labels == ["persistence", "dilated-convgru"]
+
+
+def test_recordings_of_one_period_have_the_steps_nearest_to_the_horizons(tmp_path: Path) -> None:
+    scores = run_of(tmp_path, ["walker-1", "walker-3"], {"persistence": 0.5}, periods_s=(0.133333,))
+    assert scores.horizons == {0.5: 4, 1.0: 8}
+    assert scores.table("F1", [("1 s", "dynamic", "f1", 1.0)]).rows[0][0] == "persistence"
+    assert set(scores.occupied("dynamic", 1.0)) == {"walker-1", "walker-3"}
 
 
 def test_a_comparison_that_ended_early_is_refused(tmp_path: Path) -> None:
@@ -146,6 +179,17 @@ def test_minutes_of_a_site_stand_between_general_and_site_weights(tmp_path: Path
     rows = rows_of("kalman", (1, 65), Path("general"), tmp_path)
     assert list(rows) == ["kalman-general", "kalman-1-min", "kalman-65-min", "kalman-site"]
     assert rows["kalman-1-min"] == f"kalman-1-min=kalman:weights={tmp_path / 'minutes-1'},card=site"
+
+
+def test_the_section_of_a_tracker_has_its_rows_and_the_share_of_the_gap_that_its_minutes_close(tmp_path: Path) -> None:
+    names = [f"test-{10 + k}" for k in range(3)]
+    skills = {"persistence": 0.3, "dogma-general": 0.5, "dogma-1-min": 0.7, "dogma-site": 0.9}
+    scores = run_of(tmp_path, names, skills)
+    tables = section_of(scores, scores, "dogma", (1,)).tables
+    assert [row[0] for row in tables["F1"].rows] == list(skills)
+    assert tables["gap"].columns == ("of the gap, %", "1 min")
+    assert [row[0] for row in tables["gap"].rows] == ["0.5 s", "1 s"]
+    assert all(0 < float(row[1]) < 100 for row in tables["gap"].rows)
 
 
 def test_the_share_of_a_gap_is_given_where_there_is_a_gap() -> None:
