@@ -152,16 +152,16 @@ def main() -> None:
     worlds = {path.stem: path for path in worlds_called(given.world)}
     lasers = {name: laser_of(path) for name, path in worlds.items()}
     drivers = {name: worlds[name] for name, laser in lasers.items() if laser == ODOMETRY}
-    refined = {name: refined_world(path, given.out / "refined-recordings") for name, path in drivers.items()}
-    folders = {"recorded": list(worlds.values()), "refined": list(refined.values())}
-    if len(drivers) < FEWEST_POOLED:
-        del folders["refined"]
+    folders, refined = {"recorded": list(worlds.values())}, {}
+    if len(drivers) >= FEWEST_POOLED:
+        refined = {name: refined_world(path, given.out / "refined-recordings") for name, path in drivers.items()}
+        folders["refined"] = list(refined.values())
     if not given.collect:
         for name, recordings in folders.items():
             compare_places(given, recordings, given.out / name)
     scores = {name: PlaceScores.read(given.out / name) for name in folders}
     sections = sections_of(scores["recorded"])
-    if "refined" in scores:
+    if refined:
         drift = drift_table(drivers, refined)
         sections["poses"] = poses_section(scores["recorded"], scores["refined"], lasers, drift)
     write_places(given.results, scores["recorded"], sections)
