@@ -18,10 +18,22 @@ def with_ceiling(trackers: Mapping[str, TrackerSummary]) -> dict[str, TrackerSum
     """The rows with `share_of_oracle`, `share_of_oracle_nll` in each stratum, and `gap_to_truth`, also pooled.
 
     A share is (score - floor) / (oracle - floor), with the best of the rows with the role `floor`: 0 for the floor, 1
-    for the oracle. None where a row is missing, the oracle is not clearly better than the floor (MIN_ORACLE_GAP), or
-    the row was scored in part, on other frames than the oracle. The gap is F1 on visible less F1 on occluded cells.
+    for the oracle. None where the oracle or one of the floors is missing or was scored in part, for that one may be the
+    best; where the oracle is not clearly better than the floor (MIN_ORACLE_GAP); and where the row was scored in part,
+    on other frames than the oracle. The gap is F1 on visible less F1 on occluded cells.
     """
     return {label: _row_with_ceiling(label, row, trackers) for label, row in trackers.items()}
+
+
+def incomplete_floors(trackers: Mapping[str, TrackerSummary]) -> list[str]:
+    """A line for each floor without which no share of the oracle is known, on some of the recordings or on all."""
+    found = []
+    for label, row in trackers.items() if ORACLE in trackers else ():
+        missing, trials = sum(not _is_bound(trial) for trial in row.recordings.values()), len(row.recordings)
+        if row.floor and missing:
+            where = f" on {missing} of {trials} recordings, nor on all together" if trials > 1 else ""
+            found.append(f"no share of the oracle{where}: {label}, a floor, is not complete")
+    return found
 
 
 def _row_with_ceiling(label: str, row: TrackerSummary, trackers: Mapping[str, TrackerSummary]) -> TrackerSummary:
@@ -47,15 +59,20 @@ def _added(scope: ScopeSummary, oracle: ScopeSummary | None, floors: Sequence[Sc
     strata = {}
     for name, scores in scope.strata.items():
         best = _bound(oracle, name)
-        lowest = [one for floor in floors if (one := _bound(floor, name))]
-        shares = _shares(scores, best, lowest) if best and scope.outcome == "ok" else {}
+        lowest = [_bound(floor, name) for floor in floors]
+        known = [one for one in lowest if one]
+        shares = _shares(scores, best, known if known == lowest else []) if best and scope.outcome == "ok" else {}
         strata[name] = scores.model_copy(update=shares)
     return {"strata": strata, "gap_to_truth": _gap(scope.strata)}
 
 
 def _bound(scope: ScopeSummary | None, stratum: str) -> StratumScores | None:
     """The scores of a scope that may be the floor or the ceiling of others; None where there are none."""
-    return scope.strata.get(stratum) if scope is not None and scope.outcome == "ok" and not scope.leak else None
+    return scope.strata.get(stratum) if scope is not None and _is_bound(scope) else None
+
+
+def _is_bound(scope: ScopeSummary) -> bool:
+    return scope.outcome == "ok" and not scope.leak
 
 
 def _shares(scores: StratumScores, oracle: StratumScores, floors: Sequence[StratumScores]) -> dict[str, Curve]:

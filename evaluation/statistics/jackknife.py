@@ -33,11 +33,15 @@ PROPORTIONS = ("f1", "precision", "recall", "brier")
 LEVEL = 0.95
 LEAST_UNITS = 20
 """With fewer units no interval is computed: no method that was tried reaches its nominal coverage there."""
+LEAST_AGREEING = 6
+"""Units that agree exactly have no spread to go by: six equal ones are the fewest by which a sign test tells any."""
 TOO_SHORT = "too short for an interval"
 HALF_A_COUNT = 0.5
 """Added to counts of cells before the logarithm. A sum of losses is no count: half a nat may be most of it."""
 _COUNTED = ("f1", "precision", "recall")
 """The scores of which both sums of the odds are counts."""
+WITHIN_ROUNDING = 1e-9
+"""Differences that are no larger are none."""
 _NEAREST_TO_0_OR_1 = 1e-9
 """Scores without a unit are no nearer to 0 and 1, where log odds are infinite; a sum that is no count is no smaller
 share of that over all units."""
@@ -87,7 +91,7 @@ def interval(counts: NDArray[np.floating], score: str = "f1", level: float = LEV
     The jackknife over units of the logarithm of the odds (of the ratio, for `nll`), with Student's t: its degrees of
     freedom are the effective number of units less one (Kish 1965), the smaller of those of the two sums in the odds.
     Half a count is added to each sum where both are counts. Where the score is 0 in all units, or 1 in all, the
-    interval is that point.
+    interval is that point; NaN where these are fewer than LEAST_AGREEING effective units.
     """
     part, whole = ratio_sums(counts, score)
     if score in PROPORTIONS:
@@ -118,12 +122,14 @@ def _interval(
         return np.full_like(value, np.nan), np.full_like(value, np.nan)
     of_part, of_other = (_log_without_each(sums, counted=counted) for sums in (part, other))
     error = _standard_error(of_part - of_other)
-    reach = _quantile(degrees_of_freedom(part, other), level) * error
+    freedom = degrees_of_freedom(part, other)
+    reach = _quantile(freedom, level) * error
     with np.errstate(divide="ignore", invalid="ignore"):
         centre = np.log(part.sum(axis=0)) - np.log(other.sum(axis=0))
     low, high = (back(centre + side * reach) for side in (-1, 1))
     agreed = (part.sum(axis=0) == 0) | (other.sum(axis=0) == 0)
-    low, high = (np.where(np.isnan(value), np.nan, np.where(agreed, value, end)) for end in (low, high))
+    unknown = np.isnan(value) | (agreed & (freedom < LEAST_AGREEING - 1))
+    low, high = (np.where(unknown, np.nan, np.where(agreed, value, end)) for end in (low, high))
     return low, high
 
 
@@ -132,8 +138,9 @@ def differences(
 ) -> PairedDifferences:
     """Pooled score less the reference's, paired: `counts` and `reference` (U, ..., C) are of the same units.
 
-    The jackknife over units of the difference itself, with Student's t as in `interval`. Two trackers with the same
-    counts differ by exactly 0 with p = 1. With fewer than LEAST_UNITS the interval and p are NaN.
+    The jackknife over units of the difference itself, with Student's t as in `interval`; the effective number of units
+    is that of the denominators. Two trackers with the same counts differ by 0 with p = 1. The interval and p are NaN
+    with fewer than LEAST_UNITS, and where fewer than LEAST_AGREEING effective units agree.
     """
     value = pooled(counts, score) - pooled(reference, score)
     return _differences(ratio_sums(counts, score), ratio_sums(reference, score), value, level)
@@ -157,17 +164,21 @@ def _differences(
         nothing = np.full_like(value, np.nan)
         return PairedDifferences(value, nothing, nothing.copy(), nothing.copy())
     without = [_ratio(_without_each(part), _without_each(whole)) for part, whole in (own, reference)]
-    return _differences_of(value, without[0] - without[1], degrees_of_freedom(own[1], reference[1]), level)
+    error = _standard_error(np.nan_to_num(without[0] - without[1]))
+    return difference_of(value, error, degrees_of_freedom(own[1], reference[1]), level)
 
 
-def _differences_of(value: Floats, without: Floats, freedom: Floats, level: float) -> PairedDifferences:
-    """Interval and p-value of the difference `value` (...), which is `without` (U, ...) without each unit."""
-    error = _standard_error(np.nan_to_num(without))
+def difference_of(value: Floats, error: Floats, freedom: Floats, level: float = LEVEL) -> PairedDifferences:
+    """Interval and p-value of the difference `value` (...) by its standard error and the degrees of freedom of this.
+
+    Up to WITHIN_ROUNDING it is none; above it with an error below WITHIN_ROUNDING, LEAST_AGREEING effective units are needed.
+    """
     reach = _quantile(freedom, level) * error
+    none = np.abs(value) <= WITHIN_ROUNDING
     with np.errstate(divide="ignore", invalid="ignore"):
-        p = np.where(value == 0, 1.0, 2 * stdtr(freedom, -np.abs(value) / error))
-    undefined = np.isnan(value)
-    return PairedDifferences(value, *(np.where(undefined, np.nan, x) for x in (value - reach, value + reach, p)))
+        p = np.where(none, 1.0, 2 * stdtr(freedom, -np.abs(value) / error))
+    unknown = np.isnan(value) | (~none & (error <= WITHIN_ROUNDING) & (freedom < LEAST_AGREEING - 1))
+    return PairedDifferences(value, *(np.where(unknown, np.nan, x) for x in (value - reach, value + reach, p)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,8 +232,8 @@ class JackknifedScore:
         if len(self.without) < LEAST_UNITS:
             nothing = np.full_like(value, np.nan)
             return PairedDifferences(value, nothing, nothing.copy(), nothing.copy())
-        freedom = degrees_of_freedom(self.sizes, reference.sizes)
-        return _differences_of(value, self.without - reference.without, freedom, level)
+        error = _standard_error(np.nan_to_num(self.without - reference.without))
+        return difference_of(value, error, degrees_of_freedom(self.sizes, reference.sizes), level)
 
 
 def jackknifed(counts: NDArray[np.floating], score: str = "f1") -> JackknifedScore:
@@ -250,10 +261,10 @@ def degrees_of_freedom(*sizes: Floats) -> Floats:
     """Degrees of freedom (...) of a jackknife over units: their effective number less one, and at least 1.
 
     The effective number is that of equal units with the same information (Kish 1965); of several `sizes` (U, ...) of
-    the units the smallest.
+    the units the smallest, without those that are 0 in all units.
     """
-    effective = [_ratio(one.sum(axis=0) ** 2, (one**2).sum(axis=0)) for one in sizes]
-    freedom: Floats = np.fmax(np.min(effective, axis=0) - 1, 1.0)
+    effective = np.fmin.reduce([_ratio(one.sum(axis=0) ** 2, (one**2).sum(axis=0)) for one in sizes])
+    freedom: Floats = np.fmax(effective - 1, 1.0)
     return freedom
 
 

@@ -29,6 +29,7 @@ from gridtrack.evaluation.statistics.paired_tests import (
     compare_with,
     headline_tests,
 )
+from gridtrack.evaluation.statistics.parity import mismatched_deliveries
 from gridtrack.evaluation.statistics.pooled_horizons import common_horizons, steps_at
 from gridtrack.evaluation.statistics.score_intervals import Scope, common_strata, intervals
 from gridtrack.evaluation.statistics.spatial_scores import spatial_scores
@@ -61,6 +62,11 @@ class RunStatistics:
         ranked = [t.record.label for t in self._trials if t.tracker != ORACLE]
         return self._reference or next(iter(described + ranked), None)
 
+    @cached_property
+    def mismatched(self) -> dict[str, list[str]]:
+        """By recording the labels of the rows that received other frames than most. Raises ScoresError."""
+        return {name: mismatched_deliveries(trials_on(name, self._trials), self.files) for name in self.recordings}
+
     @property
     def pools(self) -> bool:
         """Whether the scores of the recordings are pooled: there are several, with horizons in common."""
@@ -85,11 +91,14 @@ class RunStatistics:
 
     def strata_of(self, trial: FinishedTrial) -> dict[str, StratumScores]:
         """Scores of one trial with their intervals, by stratum; empty where nothing was scored."""
-        return self._scores_of([trial], trial.strata) if trial.record.frames_scored else {}
+        if not trial.record.frames_scored:
+            return {}
+        return self._scores_of([trial], trial.strata, self.unit_rule([trial.record.recording]))
 
-    def _scores_of(self, trials: Sequence[FinishedTrial], strata: tuple[str, ...]) -> dict[str, StratumScores]:
-        """Scores of `trials` pooled, with their intervals, by stratum."""
-        rule = self.unit_rule([trial.record.recording for trial in trials])
+    def _scores_of(
+        self, trials: Sequence[FinishedTrial], strata: tuple[str, ...], rule: UnitRule
+    ) -> dict[str, StratumScores]:
+        """Scores of `trials` pooled, with their intervals over the units of `rule`, by stratum."""
         frames = [self.frames_in(trial, strata) for trial in trials]
         stamps_ns = [one.stamps_ns for one in frames]
         histograms = self.files.histograms(trials, stamps_ns, rule.units_of(stamps_ns))
@@ -125,6 +134,9 @@ class RunStatistics:
         complete = self.together(trial for trial in trials if trial.complete)
         chosen = {trial.record.thresholds.chosen_on for trial in complete}
         whole = len(complete) == len(self.recordings)
+        strata = common_strata([trial.strata for trial in complete]) if complete else ()
+        # the blocks of all recordings, also for a row without the one that has the longest
+        rule = self.unit_rule([trial.record.recording for trial in complete], list(self.recordings))
         return PooledSummary(
             outcome="ok" if whole else "partial",
             reason="" if whole else self._why_partial(trials),
@@ -133,7 +145,7 @@ class RunStatistics:
             frames_scored=sum(trial.record.frames_scored for trial in complete),
             frames_expected=sum(trial.record.frames_expected for trial in trials),
             threshold_chosen_on=chosen.pop() if len(chosen) == 1 else "",
-            strata=self._scores_of(complete, common_strata([t.strata for t in complete])) if complete else {},
+            strata=self._scores_of(complete, strata, rule) if complete else {},
         )
 
     def _why_partial(self, trials: Sequence[FinishedTrial]) -> str:
@@ -191,10 +203,17 @@ class RunStatistics:
         """The horizons of the scores on one recording, or on several together, seconds."""
         return self.recordings[names[0]].horizons_s if len(names) == 1 else self.horizons_s
 
-    def unit_rule(self, names: Sequence[str]) -> UnitRule:
-        """How the frames of these recordings become units: the same for every tracker, so that they are paired."""
-        sources = tuple(self.recordings[name].source_sha256 or name for name in names)
-        return UnitRule(sources, None if enough_sources(sources) else self._block_s(names))
+    def unit_rule(self, names: Sequence[str], among: Sequence[str] | None = None) -> UnitRule:
+        """How the frames of these recordings become units: the same for every tracker, so that they are paired.
+
+        `among`: the recordings whose units they are, if these are some of them only.
+        """
+        among = names if among is None else among
+        enough = enough_sources([self._source(name) for name in among])
+        return UnitRule(tuple(map(self._source, names)), None if enough else self._block_s(among))
+
+    def _source(self, name: str) -> str:
+        return self.recordings[name].source_sha256 or name
 
     def _block_s(self, names: Sequence[str]) -> float:
         """Length of the blocks on these recordings, seconds."""
@@ -209,16 +228,22 @@ class RunStatistics:
 
     def _why_not_compared(self, label: str | None, names: Sequence[str]) -> str:
         """Why the row is not comparable on all of these recordings; empty where it is."""
-        trials = [trial for trial in self._trials if trial.record.label == label and trial.record.recording in names]
+        trials = self.trials_of(label, names)
         complete = sum(trial.complete for trial in trials)
         if complete < len(names):
             return f"{label} {f'has {complete} of {len(names)} recordings' if len(names) > 1 else 'is not'} complete"
+        if other := [name for name in names if label in self.mismatched[name]]:
+            return f"{label} was delivered other frames than the rest on {other[0]}"
         return f"{label} learned from frames that it is scored on" if any(t.record.leak for t in trials) else ""
+
+    def trials_of(self, label: str | None, names: Sequence[str]) -> list[FinishedTrial]:
+        """All trials of one row on these recordings."""
+        return [trial for trial in self._trials if trial.record.label == label and trial.record.recording in names]
 
     def comparable(self, label: str | None, names: Sequence[str]) -> list[FinishedTrial]:
         """The comparable trials of one row on these recordings, in their order; of several at common horizons."""
-        found = {t.record.recording: t for t in self._trials if t.record.label == label and t.comparable}
-        trials = [found[name] for name in names if name in found]
+        found = {trial.record.recording: trial for trial in self.trials_of(label, names) if trial.comparable}
+        trials = [found[name] for name in names if name in found and label not in self.mismatched[name]]
         return self.together(trials) if len(names) > 1 else trials
 
     def _tracker(self, label: str) -> str:

@@ -14,7 +14,7 @@ from gridtrack.evaluation.results.values import rounded_curve
 from gridtrack.evaluation.scoring.histograms import UnitHistograms
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts
-from gridtrack.evaluation.statistics.jackknife import COUNTS, LEAST_UNITS, RATIO_SCORES, interval
+from gridtrack.evaluation.statistics.jackknife import COUNTS, LEAST_UNITS, RATIO_SCORES, interval, pooled
 from gridtrack.evaluation.statistics.pr_auc import pr_auc_of_units
 from gridtrack.evaluation.statistics.units import (
     UnitRule,
@@ -41,17 +41,14 @@ class Scope:
 
     @property
     def headline(self) -> list[tuple[str, float, int]]:
-        """Stratum, horizon and step of each comparison of the family, as far as the run forecasts.
+        """Stratum, horizon of the step, and step of each comparison of the family, as far as the run forecasts.
 
-        Each step is there once: of two horizons that fall on it, with the nearer one.
+        The steps are those nearest to HEADLINE_HORIZONS_S, each of them once.
         """
         period_s = self.horizons_s[1] - self.horizons_s[0]
         steps = dict.fromkeys(nearest_step(h, period_s) for h in HEADLINE_HORIZONS_S)
-        reached = [(self._nearest_headline(step), step) for step in steps if 0 < step < len(self.horizons_s)]
+        reached = [(float(self.horizons_s[step]), step) for step in steps if 0 < step < len(self.horizons_s)]
         return [(name, h, step) for name in HEADLINE_STRATA if name in self.strata for h, step in reached]
-
-    def _nearest_headline(self, step: int) -> float:
-        return min(HEADLINE_HORIZONS_S, key=lambda horizon_s: abs(horizon_s - self.horizons_s[step]))
 
     def block_s(self, trials: Sequence[FrameCounts]) -> float:
         """Shortest block, seconds, for the longest autocorrelation time of F1 of any of `trials`, in any stratum."""
@@ -72,6 +69,8 @@ INTERVAL_SCORES = (*RATIO_SCORES, "pr_auc")
 """The scores that have intervals."""
 ONE_UNIT = "no interval of PR-AUC: one unit holds all occupied cells of a stratum"
 """Why PR-AUC has no interval at some step of a stratum, where the other scores may have theirs."""
+AGREEING = "no interval at some horizons: the few units that have occupied cells agree exactly"
+"""Why F1 has no interval at some step of a stratum, which may have one at others."""
 
 
 def intervals(
@@ -81,8 +80,8 @@ def intervals(
     strata: Sequence[str],
     rule: UnitRule,
 ) -> dict[str, dict[str, tuple[float | None, ...] | str | None]]:
-    """Per stratum `f1_low`, `f1_high` and so on, one value per step; `interval` has the reason where there are none, or
-    none of PR-AUC.
+    """Per stratum `f1_low`, `f1_high` and so on, one value per step; `interval` has the reason where there are none, at
+    some steps or at all of them, or none of PR-AUC.
 
     `recordings` are the counts of `trials`, at the steps of each, and `histograms` those of their units.
     """
@@ -91,6 +90,7 @@ def intervals(
         nothing = {f"{score}_{end}": None for score in INTERVAL_SCORES for end in ("low", "high")}
         return {name: {**nothing, "interval": rule.too_short(number)} for name in strata}
     found = {score: interval(counts, score) for score in RATIO_SCORES}
+    agreeing = np.isnan(found["f1"][0]) & ~np.isnan(pooled(counts, "f1"))
     stamps = [frames.stamps_ns for frames in recordings]
     chosen = list(product(range(counts.shape[1]), strata))
     pr_auc = pr_auc_of_units(trials, histograms, rule.units_of(stamps), chosen)
@@ -102,7 +102,7 @@ def intervals(
         name: {
             **{f"{score}_low": rounded_curve(low[:, k]) for score, (low, _) in found.items()},
             **{f"{score}_high": rounded_curve(high[:, k]) for score, (_, high) in found.items()},
-            "interval": ONE_UNIT if alone[:, k].any() else "",
+            "interval": AGREEING if agreeing[:, k].any() else ONE_UNIT if alone[:, k].any() else "",
         }
         for k, name in enumerate(strata)
     }

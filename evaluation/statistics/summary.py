@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 from gridtrack.evaluation.results.recording import RecordingDescription, RecordingSummary
@@ -10,7 +9,7 @@ from gridtrack.evaluation.results.summary import RunSummary, TrackerSummary
 from gridtrack.evaluation.results.trial_summary import PooledSummary, TrialSummary
 from gridtrack.evaluation.scoring.class_scores import unknown_classes
 from gridtrack.evaluation.scoring.robustness import mismatched_degradations, with_undegraded
-from gridtrack.evaluation.statistics.ceiling import with_ceiling
+from gridtrack.evaluation.statistics.ceiling import incomplete_floors, with_ceiling
 from gridtrack.evaluation.statistics.class_statistics import ClassStatistics
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial, trials_on
 from gridtrack.evaluation.statistics.occluded_statistics import OccludedStatistics
@@ -18,7 +17,6 @@ from gridtrack.evaluation.statistics.pair_statistics import PairStatistics
 from gridtrack.evaluation.statistics.pooled_horizons import unlike_recordings
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.training_statistics import TrainingStatistics
-from gridtrack.evaluation.statistics.trial_files import TrialFiles
 from gridtrack.evaluation.statistics.turned_rankings import turned_rankings
 from gridtrack.trackers.contract import Role
 
@@ -37,19 +35,20 @@ def summarise(
     trials = list(trials)
     statistics = RunStatistics(recordings, trials, reference)
     classes = ClassStatistics(recordings, statistics)
-    mismatched = {name: mismatched_deliveries(trials_on(name, trials), statistics.files) for name in recordings}
-    found = _notices(recordings, trials, mismatched)
+    found = _notices(recordings, trials, statistics.mismatched)
     if not statistics.pools and len(recordings) > 1:
         found.append("the recordings have no horizons in common: no scores are pooled over them")
     found += unlike_recordings(recordings) if statistics.pools else []
-    trackers = with_ceiling(_rows(trials, statistics, classes))
+    rows = _rows(trials, statistics, classes)
+    found += incomplete_floors(rows)
+    trackers = with_ceiling(rows)
     found += turned_rankings(recordings, trackers, statistics.horizons_s if statistics.pools else ())
     return RunSummary(
         interrupted=interrupted,
         notices=(*notices, *found),
         pooled_horizons_s=statistics.horizons_s if statistics.pools else (),
         recordings={
-            name: RecordingSummary.model_validate({**dict(described), "parity": not mismatched[name]})
+            name: RecordingSummary.model_validate({**dict(described), "parity": not statistics.mismatched[name]})
             for name, described in recordings.items()
         },
         trackers=trackers,
@@ -160,22 +159,3 @@ def _notices(
         if "host" in {measured.clock for measured in (trial.record.latency_ms, trial.record.deadline) if measured}
     ]
     return found
-
-
-def mismatched_deliveries(trials: Sequence[FinishedTrial], files: TrialFiles) -> list[str]:
-    """Labels of the trials of one recording that were delivered other frames than most at a stamp they share.
-
-    Trials of raw returns are compared among themselves: their frames differ by design. Raises ScoresError.
-    """
-    usual: dict[tuple[str, int], Counter[str]] = {}
-    scored = [trial for trial in trials if trial.record.frames_scored]
-    frames = [(trial, files.frames(trial)) for trial in scored]
-    deliveries = [(trial, dict(zip(of.stamps_ns.tolist(), of.delivered.tolist(), strict=True))) for trial, of in frames]
-    for trial, delivered in deliveries:
-        for stamp, digest in delivered.items():
-            usual.setdefault((trial.points, stamp), Counter())[digest] += 1
-    return [
-        trial.record.label
-        for trial, delivered in deliveries
-        if any(digest != usual[trial.points, stamp].most_common(1)[0][0] for stamp, digest in delivered.items())
-    ]

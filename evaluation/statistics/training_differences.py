@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
 
 from gridtrack.evaluation.statistics.jackknife import (
     LEAST_UNITS,
@@ -20,8 +19,12 @@ from gridtrack.evaluation.statistics.jackknife import (
     Floats,
     PairedDifferences,
     degrees_of_freedom,
+    difference_of,
 )
 from gridtrack.evaluation.statistics.training_spread import spread_between, value_of
+
+LEAST_TRAININGS = 3
+"""With fewer the spread between trainings of a tracker is hardly known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +51,8 @@ class Trainings:
 
     @property
     def spread_known(self) -> bool:
-        """Whether the variance of the mean over trainings can be estimated."""
-        return len(self.sums) > 1 or not self.learned
+        """Whether the variance of the mean over trainings can be estimated well enough for an interval."""
+        return len(self.sums) >= LEAST_TRAININGS or not self.learned
 
     @property
     def sizes(self) -> Floats:
@@ -83,6 +86,4 @@ def training_differences(own: Trainings, reference: Trainings, level: float = LE
     squared = np.sum([part**2 / freedom for part, freedom in parts], axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = np.where(variance > 0, variance**2 / squared, 1.0)
-        p = np.where(value == 0, 1.0, 2 * stdtr(freedom, -np.abs(value) / np.sqrt(variance)))
-    reach = stdtrit(freedom, 0.5 + level / 2) * np.sqrt(variance)
-    return PairedDifferences(value, value - reach, value + reach, p)
+    return difference_of(value, np.sqrt(variance), freedom, level)

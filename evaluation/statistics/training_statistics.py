@@ -7,6 +7,7 @@ tracker.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,21 +20,38 @@ from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, Floats, Paire
 from gridtrack.evaluation.statistics.paired_tests import OTHER_FRAMES, OTHER_RETURNS, verdict_of
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.score_intervals import Scope, summed_by_unit
-from gridtrack.evaluation.statistics.training_differences import Trainings, training_differences
+from gridtrack.evaluation.statistics.training_differences import LEAST_TRAININGS, Trainings, training_differences
 from gridtrack.evaluation.statistics.training_spread import spread_between, value_of
 
 _ByWeights = dict[tuple[str, ...], list[FinishedTrial]]
 """Rows of one tracker by the hashes of their weights on each recording."""
-ONE_TRAINING = "one training: the spread between trainings is not known"
+FEW_TRAININGS = f"fewer than {LEAST_TRAININGS} trainings: the spread between them is hardly known"
+
+
+@dataclass(frozen=True, slots=True)
+class _Trained:
+    """What all trainings of one tracker have in common."""
+
+    tracker: str
+    options: str
+    points: str
+
+    @classmethod
+    def of(cls, trial: FinishedTrial) -> _Trained:
+        return cls(trial.tracker, json.dumps(dict(trial.options), sort_keys=True, default=str), trial.points)
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingRows:
-    """The rows of one tracker on the recordings `names`, and those of the reference: the trials of each training."""
+    """The rows of one tracker on the recordings `names`, and those of the reference: the trials of each training.
+
+    `why_partial`: that one of the two has trainings which did not complete these recordings, and may be its worse ones.
+    """
 
     names: tuple[str, ...]
     own: Sequence[Sequence[FinishedTrial]]
     reference: Sequence[Sequence[FinishedTrial]]
+    why_partial: str
 
 
 class TrainingStatistics:
@@ -56,28 +74,33 @@ class TrainingStatistics:
     def _rows_on(self, names: Sequence[str]) -> list[TrainingRows]:
         """The trackers on these recordings by their trainings; none where no tracker has several."""
         statistics = self._statistics
-        groups: dict[tuple[str, ...], _ByWeights] = {}
-        group_of: dict[str | None, _ByWeights] = {}
+        groups: dict[tuple[_Trained, str], _ByWeights] = {}
+        group_of: dict[str | None, tuple[_Trained, str]] = {}
         for label in statistics.labels:
             trials = statistics.comparable(label, names)
-            if len(trials) < len(names) or trials[0].tracker == ORACLE:
-                continue
-            first = trials[0]
-            options = json.dumps(dict(first.options), sort_keys=True, default=str)
-            known = groups.setdefault((first.tracker, options, first.points, first.record.card), {})
-            known.setdefault(_weights(trials), trials)
-            group_of[label] = known
+            if len(trials) == len(names) and trials[0].tracker != ORACLE:
+                group = group_of[label] = _Trained.of(trials[0]), trials[0].record.card
+                groups.setdefault(group, {}).setdefault(_weights(trials), trials)
         of_reference = group_of.get(statistics.reference)
         if of_reference is None or all(len(one) == 1 for one in groups.values()):
             return []
-        reference = list(of_reference.values())
-        rows = [reference if one is of_reference else list(one.values()) for one in groups.values()]
-        return [TrainingRows(tuple(names), row, reference) for row in rows]
+        failed = self._failed(names)
+        rows = {group: list(of_group.values()) for group, of_group in groups.items()}
+        why = {group: _why_partial(group[0].tracker, len(rows[group]), failed[group[0]]) for group in groups}
+        return [
+            TrainingRows(tuple(names), own, rows[of_reference], why[group] or why[of_reference])
+            for group, own in rows.items()
+        ]
+
+    def _failed(self, names: Sequence[str]) -> Counter[_Trained]:
+        """The number of rows of each tracker that did not complete these recordings."""
+        rows = [self._statistics.trials_of(label, names) for label in self._statistics.labels]
+        return Counter(_Trained.of(trials[0]) for trials in rows if trials and not all(t.complete for t in trials))
 
     def _compared(self, rows: TrainingRows) -> _Compared:
         """The scores of the trainings, and their differences from the reference's."""
         scope = self._statistics.scope(rows.names, [*rows.own[0], *rows.reference[0]])
-        own, why = self._trainings(rows.own, scope, rows.names), self._why_unpaired(rows)
+        own, why = self._trainings(rows.own, scope, rows.names), rows.why_partial or self._why_unpaired(rows)
         if why or rows.own is rows.reference:
             nothing = np.full(own.sums.shape[2], np.nan)
             return _Compared(scope, own, PairedDifferences(*(nothing.copy() for _ in range(4))), why)
@@ -86,7 +109,7 @@ class TrainingStatistics:
         if units < LEAST_UNITS:
             why = self._statistics.unit_rule(rows.names).too_short(units)
         elif not (own.spread_known and reference.spread_known):
-            why = ONE_TRAINING
+            why = FEW_TRAININGS
         return _Compared(scope, own, training_differences(own, reference), why)
 
     def _why_unpaired(self, rows: TrainingRows) -> str:
@@ -150,6 +173,13 @@ class _Compared:
     own: Trainings
     differences: PairedDifferences
     why: str
+
+
+def _why_partial(tracker: str, complete: int, failed: int) -> str:
+    """Why a tracker with `failed` trainings is not compared; empty where all are complete."""
+    if not failed:
+        return ""
+    return f"{complete} of {complete + failed} trainings of {tracker} are complete, and the others may be worse"
 
 
 def _label(trials: Sequence[FinishedTrial]) -> str:

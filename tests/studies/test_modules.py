@@ -53,6 +53,7 @@ QUICK = {
     "studies.static_memory": "static-map --out TMP",
     "studies.training_intervals": "--draws 2 --out TMP/statistics.json",
     "studies.two_sensors": "persistence --minutes 1 --out TMP/two_sensors.json",
+    "studies.unlike_sizes": "--draws 20 --out TMP/statistics.json",
     "studies.velocity_errors": "kalman --recordings 1 --out TMP/dogma.json",
     "studies.worlds_look": "data/leg_tracker/leg_tracker.mcap --frames 1 --out TMP/look.svg",
     "studies.worlds_results": "--world indoors-hall-1002 --world outdoors-street-1006 --tracker persistence --every 15s"

@@ -2,7 +2,7 @@
 
 from gridtrack.evaluation.results.summary import TrackerSummary
 from gridtrack.evaluation.results.trial_summary import PooledSummary, StratumScores, TrialSummary
-from gridtrack.evaluation.statistics.ceiling import with_ceiling
+from gridtrack.evaluation.statistics.ceiling import incomplete_floors, with_ceiling
 
 FLOORS = ("persistence", "static-map")
 REQUIRED = [name for name, field in StratumScores.model_fields.items() if field.is_required()]
@@ -66,6 +66,14 @@ def test_there_is_no_share_without_an_oracle_a_floor_or_room_between_them():
     assert shares(flat, "a") == (None,)
     crashed = {"a": row("a", [0.5]), "oracle": row("oracle", [0.9]), "p": row("persistence", [0.4], outcome="crashed")}
     assert shares(crashed, "a") == (None,), "half a floor is none"
+
+
+def test_there_is_no_share_where_one_of_two_floors_is_not_complete_for_it_may_be_the_best():
+    floors = {"p": row("persistence", [0.6], outcome="crashed"), "s": row("static-map", [0.1])}
+    trackers = {"a": row("a", [0.8]), "oracle": row("oracle", [0.9]), **floors}
+    assert shares(trackers, "a") == (None,)
+    assert incomplete_floors(trackers) == ["no share of the oracle: p, a floor, is not complete"]
+    assert incomplete_floors({**trackers, "p": row("persistence", [0.6])}) == []
 
 
 def test_recordings_pooled_have_shares_of_their_own():

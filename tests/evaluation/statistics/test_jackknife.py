@@ -74,6 +74,23 @@ def test_the_interval_is_near_the_bootstraps_where_units_are_many_and_alike(scor
     assert np.array(interval(counts, score)) == pytest.approx([bootstrap.low, bootstrap.high], abs=0.15 * width)
 
 
+def test_few_units_that_agree_exactly_tell_nothing():
+    own, other = np.zeros((2, 20, len(COUNTS)))
+    own[:2, COUNTS.index("tp")] = other[:2, COUNTS.index("fn")] = 1.0
+    found = differences(own, other)
+    assert (float(found.value), np.isnan(found.low), np.isnan(found.p)) == (1.0, True, True)
+    assert np.isnan(interval(own)).all()
+    own[:, COUNTS.index("tp")] = other[:, COUNTS.index("fn")] = 1.0
+    assert differences(own, other).low == 1.0, "twenty that agree tell everything"
+    assert np.array(interval(own)) == pytest.approx(np.ones(2))
+
+
+def test_differences_within_rounding_are_none():
+    own, other = (counts_of(np.random.default_rng(5)) for _ in "ab")
+    other[:, COUNTS.index("log_loss")] *= 1 + 1e-12
+    assert differences(own, other, "nll").p == 1.0
+
+
 def test_a_ratio_of_two_sums_is_treated_as_the_log_loss_of_cells_is():
     own, other = (counts_of(np.random.default_rng(seed)) for seed in (6, 7))
     sums = [(counts[:, COUNTS.index("log_loss")], counts[:, :4].sum(axis=1)) for counts in (own, other)]

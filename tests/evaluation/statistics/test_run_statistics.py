@@ -143,9 +143,9 @@ def test_a_tracker_that_completed_fewer_recordings_is_not_compared_and_says_so(t
 
 @pytest.mark.parametrize(
     ("period_s", "expected"),
-    [(0.125, [(0.5, 4), (1.0, 8), (2.5, 20)]), (1.8, [(2.5, 1)]), (0.7, [(0.5, 1), (2.5, 4)])],
+    [(0.125, [(0.5, 4), (1.0, 8), (2.5, 20)]), (1.8, [(1.8, 1)]), (0.7, [(0.7, 1), (2.8, 4)])],
 )
-def test_each_step_is_in_the_family_once_at_the_headlines_horizon_nearest_to_it(period_s, expected):
+def test_each_step_is_in_the_family_once_with_its_own_horizon(period_s, expected):
     scope = Scope([step * period_s for step in range(21)], ("dynamic", "visible"))
     assert scope.headline == [(name, *one) for name in ("dynamic", "visible") for one in expected]
 
@@ -287,11 +287,37 @@ def test_frames_of_another_delivery_are_not_paired(tmp_path):
     ]
     told = difference(summary_of(trials, ["a"]), "odd")
     assert (told.frames, told.headline) == (0, ())
-    assert told.interval == "no frames in common: it was delivered other frames than the reference"
+    assert told.interval == "not compared: odd was delivered other frames than the rest on a"
     odd = read_frame_counts(trials[1].folder, synthetic.STEPS, STRATA)
     others = FrameCounts(odd.stamps_ns[1:], np.array(["x", *odd.delivered[2:]]), odd.counts[1:])
     one, other = common_frames(odd, others)
     assert one.stamps_ns.tolist() == other.stamps_ns.tolist() == odd.stamps_ns[2:].tolist()
+
+
+def test_rows_with_the_same_frames_are_compared_where_one_more_received_others(tmp_path):
+    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8, "odd": 0.7}, frames=4)
+    odd = trials[2].record
+    trials[2] = synthetic.write_trial(
+        tmp_path / "odd", odd.label, odd.recording, 0.7, seed=0, frames=4, delivered="f", tracker="odd"
+    )
+    summary = summary_of(trials)
+    assert {pair.tracker for family in summary.pairs for pair in family.pairs} == {"persistence"}
+    assert {pair.other for family in summary.pairs for pair in family.pairs} == {"good"}
+    assert {(family.units) for family in summary.pairs} == {20}
+    assert difference(summary, "good").frames == 80
+    assert (
+        difference(summary, "odd").interval == "not compared: odd was delivered other frames than the rest on seed-00"
+    )
+
+
+def test_a_row_that_lacks_the_recording_with_the_longest_blocks_gets_no_units_of_its_own(tmp_path):
+    names, skills = ["a", "b"], {"persistence": 0.6, "picky": 0.8}
+    trials = a_run(tmp_path, skills, names, frames=2400, picky=3)
+    described = {"a": synthetic.description(cycle_s=300.0), "b": synthetic.description()}
+    summary = summarise(described, trials, [], False)
+    for label in skills:
+        assert summary.trackers[label].pooled.strata["dynamic"].f1_low is None
+    assert "blocks of at least 300 s" in summary.trackers["picky"].pooled.strata["dynamic"].interval
 
 
 def test_a_row_of_raw_returns_is_not_compared_with_one_of_cells_centres_and_says_so(tmp_path):

@@ -86,6 +86,13 @@ def test_units_alone_would_cover_too_little_of_the_same_draws():
     assert covered / draws < 0.5
 
 
+def test_trainings_with_equal_counts_do_not_differ_though_their_mean_is_rounded():
+    rng = np.random.default_rng(4)
+    sums = sums_of(0.6 + 0.1 * rng.standard_normal((1, 20, 400)))
+    found = training_differences(Trainings(np.repeat(sums, 7, axis=0), True), Trainings(sums, False))
+    assert (found.p == 1.0).all()
+
+
 def test_an_unknown_spread_gives_no_interval():
     one, three = Trainings(sums_of(np.full((1, 20, 2), 0.5)), True), Trainings(sums_of(np.full((3, 20, 2), 0.6)), True)
     found = training_differences(one, three)
@@ -94,7 +101,13 @@ def test_an_unknown_spread_gives_no_interval():
     assert np.isnan(found.p).all()
 
 
-ROWS = {"persistence": (0.5, ""), "net": (0.6, "a" * 64), "net 2": (0.7, "b" * 64), "net again": (0.6, "a" * 64)}
+ROWS = {
+    "persistence": (0.5, ""),
+    "net": (0.6, "a" * 64),
+    "net 2": (0.7, "b" * 64),
+    "net 3": (0.65, "c" * 64),
+    "net again": (0.6, "a" * 64),
+}
 """Skill and hash of the weights by label."""
 
 
@@ -119,7 +132,7 @@ def summary_of(trials, reference=None):
 
 @pytest.fixture
 def trials(tmp_path):
-    """Persistence, two trainings of a network that differ by a tenth, and one row with the weights of the first."""
+    """Persistence, three trainings of a network that differ by a tenth, and one row with the weights of the first."""
     return write_trials(tmp_path)
 
 
@@ -127,7 +140,7 @@ def test_rows_of_a_tracker_with_other_weights_are_its_trainings(trials):
     summary = summary_of(trials)
     floor, net = summary.trainings
     assert (floor.tracker, floor.labels, floor.reference) == ("persistence", ("persistence",), "persistence")
-    assert (net.tracker, net.labels, net.units, net.interval) == ("net", ("net", "net 2"), 20, "")
+    assert (net.tracker, net.labels, net.units, net.interval) == ("net", ("net", "net 2", "net 3"), 20, "")
     first = net.scores[0]
     pooled = [summary.trackers[label].pooled.strata[first.stratum].f1[first.step] for label in net.labels]
     assert first.f1 == pytest.approx(pooled, abs=1e-6)
@@ -149,17 +162,36 @@ def test_a_run_with_one_training_of_each_tracker_says_nothing_of_trainings(trial
 def test_the_reference_is_found_among_rows_with_the_same_weights_as_another(trials):
     again = summary_of(trials, reference="net again")
     assert again.trainings == summary_of(trials, reference="net").trainings
-    assert [one.labels for one in again.trainings] == [("persistence",), ("net", "net 2")]
+    assert [one.labels for one in again.trainings] == [("persistence",), ("net", "net 2", "net 3")]
 
 
 def test_rows_with_other_weights_on_any_recording_are_trainings_of_their_own(trials):
     last = [
-        with_weights(one, "c" * 64)
+        with_weights(one, "d" * 64)
         if (one.record.label, one.record.recording) == ("net again", RECORDINGS[-1])
         else one
         for one in trials
     ]
-    assert summary_of(last).trainings[1].labels == ("net", "net 2", "net again")
+    assert summary_of(last).trainings[1].labels == ("net", "net 2", "net 3", "net again")
+
+
+def test_two_trainings_have_a_mean_and_a_spread_and_no_interval(trials):
+    net = summary_of([trial for trial in trials if trial.record.label != "net 3"]).trainings[1]
+    assert net.interval.startswith("fewer than 3 trainings")
+    first = net.scores[0]
+    assert None not in (first.f1_mean, first.f1_spread, first.difference)
+    assert (first.difference_low, first.p_holm, first.verdict) == (None, None, "not tested")
+
+
+def test_a_training_that_failed_leaves_no_verdict_of_those_that_did_not(trials, tmp_path):
+    whole = [trial for trial in trials if (trial.record.label, trial.record.recording) != ("net 4", RECORDINGS[0])]
+    failed = synthetic.write_trial(
+        tmp_path / "failed", "net 4", RECORDINGS[0], 0.2, seed=0, frames=4, scored=1, tracker="net"
+    )
+    net = summary_of([*whole, with_weights(failed, "e" * 64)]).trainings[1]
+    assert net.interval == "3 of 4 trainings of net are complete, and the others may be worse"
+    assert {score.verdict for score in net.scores} == {"not tested"}
+    assert all(score.difference is None for score in net.scores)
 
 
 def test_a_stratum_without_an_occupied_cell_is_not_tested_and_no_member_of_the_family(tmp_path, monkeypatch):
@@ -174,7 +206,7 @@ def test_a_stratum_without_an_occupied_cell_is_not_tested_and_no_member_of_the_f
     scores = summary_of(write_trials(tmp_path)).trainings[1].scores
     empty = [one for one in scores if one.stratum == "dynamic"]
     assert {(one.f1, one.f1_mean, one.difference, one.difference_p, one.verdict) for one in empty} == {
-        ((None, None), None, None, None, "not tested")
+        ((None, None, None), None, None, None, "not tested")
     }
     tested = [one for one in scores if one.stratum != "dynamic"]
     assert len(tested) == 6
