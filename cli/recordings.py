@@ -17,7 +17,7 @@ from gridtrack.cli.options import (
     WholeRecordingArgument,
     print_note,
 )
-from gridtrack.common.errors import ConfigurationError, printable
+from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, printable
 
 if TYPE_CHECKING:
     from gridtrack.recordings import Recording
@@ -101,6 +101,7 @@ def recording_import(
         ),
     ] = None,
     strict: bool = False,
+    overwrite: Annotated[bool, typer.Option(help="Replace the file OUT where it exists")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a recording of any format (ROS 1 or 2 bag, ROS or Foxglove MCAP, CARMEN log, ...) as a native one."""
@@ -109,24 +110,29 @@ def recording_import(
     from gridtrack.recordings.stretches import parse_named_stretch
 
     where = "--cloud-slice"
-    recording = import_recording(
-        Path(source),
-        out,
-        topic=topic,
-        site=site,
-        grid=grid,
-        rate_hz=rate,
-        stretches=dict(parse_named_stretch(text) for text in stretch or ()),
-        licence=licence,
-        credit=credit,
-        labels=labels,
-        cloud_slice=validated(CloudSlice, parse_pairs(cloud_slice, where), where) if cloud_slice else None,
-        pose_topic=pose_topic,
-        mounts=[parse_mount(text) for text in mount or ()],
-        zero_range=zero_range,
-        ego_motion=ego_motion or "recorded",
-        strict=strict,
-    )
+    try:
+        recording = import_recording(
+            Path(source),
+            out,
+            topic=topic,
+            site=site,
+            grid=grid,
+            rate_hz=rate,
+            stretches=dict(parse_named_stretch(text) for text in stretch or ()),
+            licence=licence,
+            credit=credit,
+            labels=labels,
+            cloud_slice=validated(CloudSlice, parse_pairs(cloud_slice, where), where) if cloud_slice else None,
+            pose_topic=pose_topic,
+            mounts=[parse_mount(text) for text in mount or ()],
+            zero_range=zero_range,
+            ego_motion=ego_motion or "recorded",
+            strict=strict,
+            overwrite=overwrite,
+        )
+    except KeyboardInterrupt:
+        print_note(f"interrupted: {out} is not written")
+        raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
     _print_overview(recording, as_json)
 
 

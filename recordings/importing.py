@@ -20,6 +20,7 @@ from gridtrack.recordings.opening import open_recording
 from gridtrack.recordings.read_options import NO_POSES, CloudSlice
 from gridtrack.recordings.recording import Recording
 from gridtrack.recordings.recording_info import RecordingInfo, Stretch, stretch_text
+from gridtrack.recordings.stretches import stretch_of
 
 if TYPE_CHECKING:
     from gridtrack.recordings.ego_motion import PoseSource
@@ -43,6 +44,7 @@ def import_recording(
     zero_range: str | None = None,
     ego_motion: PoseSource = "recorded",
     strict: bool = False,
+    overwrite: bool = False,
 ) -> Recording:
     """Write the recording at `source`, in any format, as a native one at `out`, and open it.
 
@@ -50,8 +52,8 @@ def import_recording(
     options give the same bytes. The warnings about the file are written too: reading the result gives them again.
     `site` defaults to the site that the source names, or to its file name. With `ego_motion` "kiss-icp" or "refined"
     the poses come from matching the scans, without or with the recorded motion as a prior; with "kiss-icp" the recorded
-    poses of a single sensor need not be usable. Raises RecordingError and ConfigurationError; `out` is then not
-    changed.
+    poses of a single sensor need not be usable. A file at `out` is replaced with `overwrite` only. Raises
+    RecordingError and ConfigurationError; `out` is then not changed.
     """
     out = Path(out)
     check_utf8(out, RecordingError)
@@ -64,7 +66,9 @@ def import_recording(
         "zero_range": zero_range,
     }
     recording = _opened(source, options, ego_motion)
-    _check_destination(out, recording)
+    _check_destination(out, recording, overwrite)
+    for stretch in (stretches or {}).values():
+        stretch_of(recording, stretch)
     given = {
         "site": site,
         "grid": grid,
@@ -104,12 +108,16 @@ def _can_use_poses(recording: Recording) -> bool:
     return several or not recording.pose_problem
 
 
-def _check_destination(out: Path, recording: Recording) -> None:
+def _check_destination(out: Path, recording: Recording, overwrite: bool) -> None:
     if out.suffix != ".mcap":
         raise RecordingError(f"{out}: a recording is written as .mcap")
     in_source = out.resolve().parent == recording.path.resolve()  # of a bag that is a folder
     if in_source or (out.exists() and out.samefile(recording.path)):
         raise RecordingError(f"{out}: is the source itself, or in its folder; choose another place for the result")
+    if out.exists() and not overwrite:
+        raise RecordingError(
+            f"{out}: exists already; choose another place for the result, or replace it with --overwrite"
+        )
 
 
 def _with_matched_poses(

@@ -60,9 +60,10 @@ class PoseJumps:
             return ""
         at_s = (self.first_ns - recording_start_ns) / 1e9
         return (
-            f"its pose jumps: {self.count} times, by up to {self.largest_m:.2f} m and"
+            f"its pose jumps: {self.count} times in the whole recording, by up to {self.largest_m:.2f} m and"
             f" {math.degrees(self.largest_rad):.0f} deg, first {at_s:.1f} s after the first scan; walls are in two"
-            " places there: use the poses of odometry, which are continuous, where the recording has them"
+            " places there: choose a stretch without a jump, or continuous poses, such as those of odometry or of"
+            " `recording import --ego-motion kiss-icp`"
         )
 
 

@@ -276,7 +276,11 @@ class Recording(ABC):
         present = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.types.items())) or "none"
         if self.warnings:
             last = self.warnings[-1].removeprefix(f"{self.path}: ")
-            return f"no scans before the damage ({last})" if self.damage else f"no scan can be used: {last}"
+            if self.damage:
+                return (
+                    f"no scans before the damage ({last}): copy the file again from where it was recorded, or repair it"
+                )
+            return f"no scan can be used: {last}"
         if topic is not None and topic not in topics.types:
             return f"no topic '{topic}'; {did_you_mean(topic, topics.scans or topics.types)}"
         if topic is not None and topic not in topics.scans:

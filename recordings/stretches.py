@@ -62,6 +62,8 @@ def stretch_of(recording: Recording, stretch: Stretch | str | None) -> tuple[Str
         name, runs = f"{recording.name}@{stretch}", f" ({stretch_text((start_s, end_s))})"
     else:
         name, runs, (start_s, end_s) = f"{recording.name}@{stretch_text(stretch)}", "", stretch
+    if not duration_s:
+        raise RecordingError(f"{name}{runs}: the recording is a single scan, of which there are no stretches")
     if start_s > duration_s or (end_s is not None and end_s > math.ceil(duration_s)):
         long = f"{duration_s:.1f} s long" + (f" ({recording.damage})" if recording.damage else "")
         raise RecordingError(f"{name}{runs}: the recording is {long}: name a range inside it ({_whole(recording)})")

@@ -240,7 +240,7 @@ def _overview(sensor: SensorSurvey, poses_known: bool) -> SensorOverview:
         labelled_scans=sensor.labelled,
         scans_with_truth=sensor.with_truth,
         moves=sensor.moved if poses_known else None,
-        pose_drift_m=None if drift_m is None else round(drift_m, 4),
+        pose_drift_m=round(drift_m, 4) if poses_known and drift_m is not None else None,
     )
 
 

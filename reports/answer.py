@@ -16,7 +16,7 @@ from gridtrack.reports.times import keeps_up_of
 
 MOST_NAMES = 8
 """Further names of a line are counted, where they are more than one."""
-MOST_CHARS = 100
+MOST_CHARS = 300
 """A longer reason is cut."""
 WEIGHTS_WORDS = {"site": "of the site", "general": "general", "general, site": "general or of the site", "": "none"}
 UNTIMED = "not measured: gridtrack compare --latency measures it"
@@ -43,7 +43,7 @@ def answer_of(run: ReportedRun) -> Answer:
 def _compared(run: ReportedRun) -> Fact:
     recordings = [run.summary.recordings[name] for name in run.recordings]
     frames, scored = sum(one.frames for one in recordings), sum(_most_scored(run, name) for name in run.recordings)
-    where = run.recordings[0] if len(recordings) == 1 else f"{len(recordings)} recordings"
+    where = recordings[0].stretch or run.recordings[0] if len(recordings) == 1 else f"{len(recordings)} recordings"
     furthest_s = [one.horizons_s[-1] for one in recordings]
     ahead = " to ".join(dict.fromkeys(f"{s:.3g}" for s in (min(furthest_s), max(furthest_s))))
     forecasts = f"{scored} forecast{'s' * (scored != 1)} scored, of {frames} frames"

@@ -149,7 +149,8 @@ def _why_no_result(table: HeadlineTable) -> str:
     if any(row.trial.complete for row in table.rows_in("unranked")):
         return f"No tracker is ranked on {table.recording}: each learned from its frames, or did not complete it."
     if table.rows_in("unranked"):
-        return f"No tracker completed {table.recording}."
+        others = " but those of the floor" if table.rows_in("floor") else ""
+        return f"No tracker{others} completed {table.recording}."
     return f"Only trackers of the floor were run on {table.recording}."
 
 

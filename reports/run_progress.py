@@ -18,6 +18,7 @@ from gridtrack.trackers.progress import duration_text
 
 RUNNING_LINE_EVERY_S = 30.0
 """Without a terminal, time between two lines about a trial that is still running."""
+STARTING = "starting; trackers with compiled code compile it in their first start on a machine, which takes minutes"
 MIN_SHARE = 0.01
 """Share of the frames that must be delivered before the time left is estimated."""
 
@@ -40,6 +41,8 @@ class RunProgress:
         self._frames: dict[str, int] = {}
         """Of each trial that is planned, has started or has ended in this run."""
         self._ended: set[str] = set()
+        self._starting: dict[str, tuple[float, threading.Timer]] = {}
+        """Of each trial that has received no frame yet, when it was started, and what tells so if it takes long."""
         self._then = ""
         self._delivered: dict[str, int] = {}
         self._began_s = self._last_line_s = time.monotonic()
@@ -52,6 +55,8 @@ class RunProgress:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        for _, timer in self._starting.values():
+            timer.cancel()
         self._bars.stop()
 
     def note(self, text: str) -> None:
@@ -71,16 +76,22 @@ class RunProgress:
     def started(self, trial: str, frames: int) -> None:
         """Show a bar for a trial of `frames` frames, which may start again where its machine was lost."""
         with self._lock:
+            self._has_started(trial)
             if trial in self._tasks:
                 self._bars.remove_task(self._tasks.pop(trial))
             self._frames[trial], self._delivered[trial] = frames, 0
             self._tasks[trial] = self._bars.add_task(escape(printable(trial)), total=frames, left="")
+            timer = threading.Timer(RUNNING_LINE_EVERY_S, self.note, [f"{trial}: {STARTING}"])
+            timer.daemon = True
+            self._starting[trial] = time.monotonic(), timer
+        timer.start()
         self._show_all()
 
     def advanced(self, trial: str) -> None:
         """Count one more frame that is delivered."""
         with self._lock:
             self._delivered[trial] += 1
+            self._has_started(trial)
         self._bars.advance(self._tasks[trial])
         self._show_all()
         if not self._console.is_terminal and time.monotonic() - self._last_line_s >= RUNNING_LINE_EVERY_S:
@@ -89,6 +100,7 @@ class RunProgress:
     def ended(self, trial: str, record: TrialRecord) -> None:
         """Print the outcome of a trial that has ended, or is kept from an earlier run."""
         with self._lock:
+            self._has_started(trial)
             if trial in self._tasks:
                 self._bars.remove_task(self._tasks.pop(trial))
             if trial in self._frames:
@@ -99,6 +111,15 @@ class RunProgress:
         overall = f" ({self._overall()})" if trial in self._ended and not self._console.is_terminal else ""
         self.note(f"{trial}: {record.outcome}, {scored}, {record.times.wall_s:.1f} s{overall}{reason}")
         self._show_all()
+
+    def _has_started(self, trial: str) -> None:
+        """The trial has received a frame, or has ended. Its start is left out of the rate, if nothing ran meanwhile."""
+        if trial not in self._starting:
+            return
+        since_s, timer = self._starting.pop(trial)
+        timer.cancel()
+        if len(self._tasks) == 1:
+            self._began_s += time.monotonic() - since_s
 
     def _show_all(self) -> None:
         if self._all is not None:

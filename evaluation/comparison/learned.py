@@ -80,6 +80,8 @@ def weights_in(folder: Path, tracker: str, site: str, kind: CardKind = "any") ->
     """The weights of `tracker` for `site` in `folder` only, as in `find_weights`. Raises WeightsError without any."""
     paths = [weights_path(folder, tracker, name) for name in _names(site, kind) or (site,)]
     found = next((path for path in paths if path.is_file()), None)
+    if not folder.is_dir():
+        raise WeightsError(f"{folder}: no such folder of weights")
     if found is None:
         missing = " and ".join(map(str, paths)) + (" are missing" if len(paths) > 1 else " is missing")
         raise WeightsError(f"{folder}: no weights of {tracker} for the site '{site}' ({missing})")

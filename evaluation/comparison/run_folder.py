@@ -158,10 +158,12 @@ def _now() -> str:
 
 
 def _earlier_record(path: Path) -> RunRecord | None:
-    """The record of a run that is in the folder already. Raises RunError."""
+    """The record of a run that is in the folder already. Raises RunError, also where it has files of something else."""
     try:
         return read_run_record(path)
     except FileNotFoundError:
+        if any(not file.name.startswith(".") for file in path.iterdir()):
+            raise RunError(f"{path}: has files, and none of a run: name a new or an empty folder with --out") from None
         return None
 
 

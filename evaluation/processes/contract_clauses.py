@@ -62,7 +62,8 @@ CLAUSES = (
         " probabilities that sum to 1, velocities that are finite or NaN.",
         "The referee scores every cell of every step. It guesses no missing value and clips none, and ends the trial.",
         "Return `Forecast(occupancy)` with float32 of shape (steps + 1, M, M), and `semantics` of shape"
-        " (steps + 1, K, M, M); clip what rounding left outside [0, 1], and divide by the sum over classes.",
+        " (steps + 1, K, M, M); look for divisions by zero, clip what rounding left outside [0, 1], and divide by the"
+        " sum over classes.",
         ("takes-frames",),
     ),
     Clause(
@@ -97,8 +98,8 @@ CLAUSES = (
         "repeatable",
         "The same seed and the same frames give the same forecasts, in every process.",
         "A score that nobody can repeat is no result, and a regression check would report chance.",
-        "Draw random numbers from one generator that `reset` seeds. Sets of strings have another order in each process;"
-        " threads and GPU kernels may sum in another order.",
+        "Draw random numbers from one generator that `reset` seeds; take the time from `stamp_ns`, not from a clock."
+        " Sets of strings have another order in each process; threads and GPU kernels may sum in another order.",
         FORECASTS,
     ),
     Clause(
@@ -129,7 +130,8 @@ CLAUSES = (
         "A tracker that follows a moving sensor keeps what it saw at its place in the world while the window moves.",
         "The window moves by whole cells with the sensor. A forecast is in the window of the last update.",
         "Move what is kept of each cell by the cells that the window moved, the other way"
-        " (`gridtrack.common.grid.rolled`), also by more than the window's width; or leave `moving_sensor` false.",
+        " (`rolled` by `shift_between` the last `world_T_grid` and this one, both in `gridtrack.common.grid`), also by"
+        " more than the window's width; or leave `moving_sensor` false.",
         FORECASTS,
     ),
     Clause(

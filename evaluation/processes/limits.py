@@ -10,8 +10,8 @@ from gridtrack.common.config import Settings
 class Limits(Settings):
     """Limits of a trial: seconds for each kind of call, resident memory of all its processes, threads, a sandbox."""
 
-    start_s: float = Field(180.0, gt=0)
-    """A tracker may compile at its first start on a machine: half a minute, several times that on busy cores."""
+    start_s: float = Field(600.0, gt=0)
+    """A tracker may compile at its first start on a machine: a minute, several times that on slow or busy cores."""
     update_s: float = Field(5.0, gt=0)
     predict_s: float = Field(30.0, gt=0)
     memory_mb: int = Field(4096, gt=0)

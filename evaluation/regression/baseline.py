@@ -29,9 +29,11 @@ class BaselineError(GridtrackError):
 def write_baseline(path: Path, runs: Sequence[Measurement]) -> Baseline:
     """Write a baseline of `runs` to `path`, with one line for each unit and stratum, so that git can compare versions.
 
-    Raises BaselineError where the file cannot be written, and the errors of `require_comparable`.
+    Raises BaselineError where the file is something else than a baseline or cannot be written, and the errors of
+    `require_comparable`.
     """
     require_comparable(runs)
+    _refuse_other_content(path)
     content = [run.model_dump(mode="json", by_alias=True) for run in runs]
     baseline = Baseline(digest=digest_of(content), runs=tuple(runs))
     text = json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=0, allow_nan=False)
@@ -47,6 +49,8 @@ def write_baseline(path: Path, runs: Sequence[Measurement]) -> Baseline:
 def read_baseline(path: Path) -> Baseline:
     """The baseline in `path`. Raises BaselineError, and Unmeasured where it is empty or was changed by hand."""
     content = _read_content(path)
+    if not _is_baseline(content):
+        raise BaselineError(f"{path}: is not a baseline: name the file that --update wrote")
     schema = content.get("schema")
     if schema != BASELINE_SCHEMA:
         raise BaselineError(
@@ -83,7 +87,24 @@ def _read_content(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise BaselineError(f"{path}: there is no such baseline; --update makes one of the run") from None
     except BaselineError as error:
-        raise BaselineError(f"{error}: make the baseline again with --update") from None
+        raise BaselineError(f"{error}: name a baseline, or restore this one") from None
+
+
+def _refuse_other_content(path: Path) -> None:
+    """Raises BaselineError where a file that is there is no baseline, of any version."""
+    try:
+        is_baseline = _is_baseline(read_json(path, MAX_BASELINE_BYTES, BaselineError))
+    except FileNotFoundError:
+        return
+    except BaselineError:
+        is_baseline = False
+    if not is_baseline:
+        raise BaselineError(f"{path}: is not a baseline, and is not replaced: name another file, or remove this one")
+
+
+def _is_baseline(content: dict[str, Any]) -> bool:
+    """Whether the content is that of a baseline of any version, empty or not valid though it may be."""
+    return {"schema", "digest"} <= content.keys()
 
 
 def _is_empty(runs: Any) -> bool:

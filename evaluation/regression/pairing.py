@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -74,6 +75,11 @@ def _other_rules(baseline: Measurement, run: Measurement) -> Iterator[str]:
         )
 
 
+def _as_then(baseline: Measurement) -> str:
+    """What mends a run that is not like the baseline."""
+    return f"compare as for the baseline ({shlex.join(baseline.command)}), or make the baseline again with --update"
+
+
 def _missing_entries(baseline: Measurement, run: Measurement) -> Iterator[str]:
     for label in sorted(baseline.trackers.keys() - run.trackers.keys()):
         yield f"tracker {label} of the baseline is missing in the run: run it too, or make the baseline again"
@@ -89,8 +95,8 @@ def _other_splits(baseline: Measurement, run: Measurement) -> Iterator[str]:
             key = differing[0]
             old, new = (str(getattr(side, key))[:80] for side in (then, now))
             yield (
-                f"{name}: not run as for the baseline ({key}: '{old}' in the baseline, '{new}' in the run): compare"
-                " with the command in the baseline, or make the baseline again with --update"
+                f"{name}: not run as for the baseline ({key}: '{old}' in the baseline, '{new}' in the run):"
+                f" {_as_then(baseline)}"
             )
 
 
@@ -152,10 +158,7 @@ def _other_measurements(baseline: Measurement, run: Measurement) -> Iterator[str
         ):
             if old and old != new:
                 what = "with other values" if new else "for the baseline and not"
-                yield (
-                    f"{label}@{name}: measured with {option} {what} in the run: compare with the command in the"
-                    " baseline, or make the baseline again with --update"
-                )
+                yield (f"{label}@{name}: measured with {option} {what} in the run: {_as_then(baseline)}")
 
 
 def _unit_mismatch(then: TrialCounts, now: TrialCounts) -> str:

@@ -171,7 +171,7 @@ def _differences(
 def difference_of(value: Floats, error: Floats, freedom: Floats, level: float = LEVEL) -> PairedDifferences:
     """Interval and p-value of the difference `value` (...) by its standard error and the degrees of freedom of this.
 
-    Up to WITHIN_ROUNDING it is none; above it with an error below WITHIN_ROUNDING, LEAST_AGREEING effective units are needed.
+    Up to WITHIN_ROUNDING it is none; above it, with an error below, LEAST_AGREEING effective units are needed.
     """
     reach = _quantile(freedom, level) * error
     none = np.abs(value) <= WITHIN_ROUNDING

@@ -134,9 +134,6 @@ class RunStatistics:
         complete = self.together(trial for trial in trials if trial.complete)
         chosen = {trial.record.thresholds.chosen_on for trial in complete}
         whole = len(complete) == len(self.recordings)
-        strata = common_strata([trial.strata for trial in complete]) if complete else ()
-        # the blocks of all recordings, also for a row without the one that has the longest
-        rule = self.unit_rule([trial.record.recording for trial in complete], list(self.recordings))
         return PooledSummary(
             outcome="ok" if whole else "partial",
             reason="" if whole else self._why_partial(trials),
@@ -145,8 +142,14 @@ class RunStatistics:
             frames_scored=sum(trial.record.frames_scored for trial in complete),
             frames_expected=sum(trial.record.frames_expected for trial in trials),
             threshold_chosen_on=chosen.pop() if len(chosen) == 1 else "",
-            strata=self._scores_of(complete, strata, rule) if complete else {},
+            strata=self._strata_together(complete) if complete else {},
         )
+
+    def _strata_together(self, trials: Sequence[FinishedTrial]) -> dict[str, StratumScores]:
+        """Scores of some recordings pooled: in the units of all, also where the one with the longest blocks is not in
+        them."""
+        rule = self.unit_rule([trial.record.recording for trial in trials], list(self.recordings))
+        return self._scores_of(trials, common_strata([trial.strata for trial in trials]), rule)
 
     def _why_partial(self, trials: Sequence[FinishedTrial]) -> str:
         missing = [f"{trial.record.recording}: {trial.record.outcome}" for trial in trials if not trial.complete]

@@ -75,14 +75,16 @@ export class MomentCanvas {
     });
   }
 
+  // A form without a direction: nobody knows where a sensor looks.
   sensors(points) {
     const side = 1.6 * Math.max(this.cell, 4);
     for (const point of points) {
       const [x, y] = this.at(...point);
       this.context.beginPath();
       this.context.moveTo(x, y - side);
-      this.context.lineTo(x + side, y + side);
-      this.context.lineTo(x - side, y + side);
+      this.context.lineTo(x + side, y);
+      this.context.lineTo(x, y + side);
+      this.context.lineTo(x - side, y);
       this.context.closePath();
       this.context.fillStyle = cssColour(MARK_COLOURS.hit);
       this.context.fill();

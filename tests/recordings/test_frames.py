@@ -260,7 +260,7 @@ def test_odometry_is_taken_before_a_localisation_that_jumps(tmp_path: Path) -> N
     ]
     recording = open_recording(ROS.write(tmp_path / "map.bag", [*FRONT_ONLY, *renamed]))
     (warning,) = recording.overview().warnings
-    assert "sensor 'front_scan': its pose jumps: 2 times, by up to 0.50 m and 0 deg" in warning
+    assert "sensor 'front_scan': its pose jumps: 2 times in the whole recording, by up to 0.50 m and 0 deg" in warning
 
 
 def test_two_robots_with_prefixed_frames_meet_in_the_map(tmp_path: Path) -> None:

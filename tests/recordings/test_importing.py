@@ -47,7 +47,24 @@ def test_an_import_names_its_source(log: Path, tmp_path: Path) -> None:
 def test_importing_again_gives_the_same_bytes(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     once = import_recording(log, out, site="hall").path.read_bytes()
-    assert import_recording(log, out, site="hall").path.read_bytes() == once
+    assert import_recording(log, out, site="hall", overwrite=True).path.read_bytes() == once
+
+
+def test_a_stretch_that_the_recording_does_not_have_is_refused_before_anything_is_written(log, tmp_path) -> None:
+    out = tmp_path / "out.mcap"
+    with pytest.raises(
+        RecordingError, match=r"building.clf@100s-200s: the recording is 4\.0 s long: name a range inside it"
+    ):
+        import_recording(log, out, stretches={"train": (0.0, 2.0), "test": (100.0, 200.0)})
+    assert not out.exists()
+
+
+def test_an_import_replaces_a_recording_only_where_it_is_told_to(log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    before = import_recording(log, out, site="hall").path.read_bytes()
+    with pytest.raises(RecordingError, match="exists already; choose another place for the result, or replace it with"):
+        import_recording(log, out)
+    assert out.read_bytes() == before
 
 
 def test_an_import_keeps_the_metadata_that_no_option_replaces(
@@ -70,9 +87,9 @@ def test_a_failed_import_does_not_change_an_existing_file(log: Path, tmp_path: P
     out.write_bytes(b"earlier")
     log.write_text(log.read_text() + "FLASER 3 1.0\n")
     with pytest.raises(RecordingError, match="line 6"):
-        import_recording(log, out, strict=True)
+        import_recording(log, out, strict=True, overwrite=True)
     with pytest.raises(ConfigurationError, match="rate_hz"):
-        import_recording(log, out, rate_hz=-1.0)
+        import_recording(log, out, rate_hz=-1.0, overwrite=True)
     assert out.read_bytes() == b"earlier"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["building.clf", "out.mcap"]
 

@@ -229,6 +229,9 @@ def test_a_run_in_which_every_trial_failed_is_still_a_page(make_run, tmp_path):
     run = make_run(tmp_path / "run", trackers={}, broken=[("net", 0, "untrained", "no weights for site 'x'")])
     page = page_of(run, out=tmp_path / "page")
     assert "No tracker completed crossing" in page
+    floor = {"blank": ("blank", lambda _: np.zeros((21, 32, 32), np.float32))}
+    beside = make_run(tmp_path / "beside", trackers=floor, broken=[("net", 3, "interrupted", "")])
+    assert "No tracker but those of the floor completed crossing" in page_of(beside, out=tmp_path / "other page")
     assert page.count("no weights for site") == 2, "in the answer and in the notices"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import threading
 
 from rich.console import Console
 
@@ -31,6 +32,25 @@ def test_on_a_terminal_all_trials_have_a_bar_with_the_time_left():
         assert re.search(r"0 of 2 trials.*100/400 frames.*3 min \d s left", shown)
         progress.ended(name, record())
     assert "1 of 2 trials" in console.file.getvalue()
+
+
+def test_a_long_start_is_told_and_left_out_of_the_time_left(monkeypatch):
+    console, told = Console(file=io.StringIO(), width=80, force_terminal=False), threading.Event()
+    monkeypatch.setattr(run_progress, "RUNNING_LINE_EVERY_S", 0.0)
+    with RunProgress(console) as progress:
+        note = progress.note
+        monkeypatch.setattr(progress, "note", lambda text: (note(text), told.set()))
+        progress.planned({"a@hall": 100})
+        progress.started("a@hall", 100)
+        assert told.wait(30)
+        since_s, timer = progress._starting["a@hall"]
+        progress._began_s, progress._starting["a@hall"] = since_s - 160.0, (since_s - 100.0, timer)
+        monkeypatch.setattr(run_progress, "RUNNING_LINE_EVERY_S", 1e9)
+        for _ in range(50):
+            progress.advanced("a@hall")
+        assert re.fullmatch(r"1 min \d s left", progress._left()), "of 160 s a hundred were the start"
+    assert console.file.getvalue().startswith("a@hall: starting; trackers with compiled code compile it in their first")
+    assert console.file.getvalue().count("\n") == 1
 
 
 def test_elsewhere_lines_say_how_far_all_trials_are(monkeypatch):

@@ -162,6 +162,18 @@ def test_a_folder_that_holds_another_run_is_refused_in_one_line(settings, progre
         compare(settings("blank", resume=True, horizon_s=0.5), progress)
 
 
+def test_a_folder_with_files_that_are_no_run_is_refused_and_they_stay(settings, progress, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / ".gitignore").write_text("*\n")
+    mine = tmp_path / "run" / "summary.json"
+    mine.write_text("mine")
+    with pytest.raises(RunError, match="has files, and none of a run: name a new or an empty folder with --out"):
+        compare(settings("blank"), progress)
+    assert mine.read_text() == "mine"
+    mine.unlink()
+    compare(settings("blank"), progress)
+
+
 def test_the_reason_of_an_untrained_tracker_is_the_command_that_trains_it(settings, progress):
     result = trial_of(compare(settings("static-map:card=site"), progress), "static-map")
     assert result.outcome == "untrained"

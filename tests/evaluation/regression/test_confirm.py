@@ -116,7 +116,7 @@ def test_a_second_run_that_fails_or_is_of_something_else_is_not_measured(runs, f
     now, baseline = runs
     (folder / "broken").touch()
     done = regress(now, "--baseline", baseline, "--confirm")
-    assert (done.code, "not measured: moody@one: " in done.err) == (3, True)
+    assert (done.code, "not measured: moody@one: " in done.err) == (3, True), done.err
     edit(now / "run.json", lambda record: record["versions"].update(numpy="1.0"))
     done = regress(now, "--baseline", baseline, "--confirm")
     assert (done.code, "numpy was 1.0 in the run and is " in done.err) == (3, True)

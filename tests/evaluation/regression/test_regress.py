@@ -30,6 +30,18 @@ def short_baseline(write_run, regress, tmp_path):
     return path
 
 
+@pytest.mark.parametrize("content", ["not even JSON", '{"schema": 2, "trackers": {}}'])
+def test_a_file_that_is_no_baseline_is_neither_read_nor_replaced(content, write_run, regress, tmp_path):
+    mine = tmp_path / "mine.json"
+    mine.write_text(content)
+    run = write_run("now", NAMES, recordings=2)
+    for update in ((), ("--update",)):
+        done = regress(run, "--baseline", mine, *update)
+        assert done.code == 2
+        assert "make it again with --update" not in done.err
+        assert mine.read_text() == content
+
+
 def test_a_run_compared_with_itself_passes_and_every_count_is_equal(baseline, write_run, regress):
     done = regress(write_run("now", NAMES), "--baseline", baseline, "--json")
     verdict = json.loads(done.out)
@@ -325,7 +337,7 @@ def kalman_of(baseline):
     [
         (lambda b: b.update(schema=4), 2, "schema '4' of a baseline; this gridtrack reads schema 3"),
         (lambda b: b.update(schema=2), 2, "schema '2' of a baseline; this gridtrack reads schema 3"),
-        (lambda b: b.pop("schema"), 2, "schema 'None' of a baseline"),
+        (lambda b: b.pop("schema"), 2, "is not a baseline"),
         (lambda b: b.update(runs=[]), 3, "the baseline is empty"),
         (lambda b: b["runs"][0].update(trackers={}), 3, "the baseline is empty"),
         (lambda b: b["runs"].append(b["runs"][0]), 2, "2 runs of 2 units: the spread between trainings needs 20"),
