@@ -52,9 +52,7 @@ def test_importing_again_gives_the_same_bytes(log: Path, tmp_path: Path) -> None
 
 def test_a_stretch_that_the_recording_does_not_have_is_refused_before_anything_is_written(log, tmp_path) -> None:
     out = tmp_path / "out.mcap"
-    with pytest.raises(
-        RecordingError, match=r"building.clf@100s-200s: the recording is 4\.0 s long: name a range"
-    ):
+    with pytest.raises(RecordingError, match=r"building.clf@100s-200s: the recording is 4\.0 s long: name a range"):
         import_recording(log, out, stretches={"train": (0.0, 2.0), "test": (100.0, 200.0)})
     assert not out.exists()
 
