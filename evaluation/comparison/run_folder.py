@@ -119,9 +119,16 @@ def _differing(then: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, st
 
 
 def refuse_earlier_run(path: Path) -> None:
-    """Raise RunError where the folder holds a run."""
+    """Raise RunError where the folder holds a run, or files of something else."""
     if _earlier_record(path) is not None:
         raise holds_a_run(path)
+    refuse_other_files(path)
+
+
+def refuse_other_files(path: Path) -> None:
+    """Raise RunError where the folder has files, but no run."""
+    if not (path / RUN_FILE).exists() and any(not file.name.startswith(".") for file in path.iterdir()):
+        raise RunError(f"{path}: has files, and none of a run: name a new or an empty folder with --out")
 
 
 def holds_a_run(path: Path | str) -> RunError:
@@ -158,12 +165,10 @@ def _now() -> str:
 
 
 def _earlier_record(path: Path) -> RunRecord | None:
-    """The record of a run that is in the folder already. Raises RunError, also where it has files of something else."""
+    """The record of a run that is in the folder already. Raises RunError."""
     try:
         return read_run_record(path)
     except FileNotFoundError:
-        if any(not file.name.startswith(".") for file in path.iterdir()):
-            raise RunError(f"{path}: has files, and none of a run: name a new or an empty folder with --out") from None
         return None
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from gridtrack.evaluation.comparison.edited_code import without_edited
 from gridtrack.evaluation.comparison.engine_choice import engine_of
 from gridtrack.evaluation.comparison.plan import ComparisonPlan, with_copied_weights
-from gridtrack.evaluation.comparison.run_folder import RunFolder
+from gridtrack.evaluation.comparison.run_folder import RunFolder, refuse_other_files
 from gridtrack.evaluation.comparison.run_lock import run_lock
 from gridtrack.evaluation.comparison.stages import Stages
 from gridtrack.evaluation.engines.engine import Engine, RunObserver
@@ -22,10 +22,12 @@ def run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver) -> 
 
     An interrupt (Ctrl-C) ends the trackers, keeps the scores so far, and returns the summary with `interrupted` true;
     one while the summary is made is raised, after a note.
-    Raises RunError where the run's folder contains another run, or another run has locked it.
+    Raises RunError where the run's folder has another run or files of something else, or another run has locked it.
     """
-    with run_lock(plan.settings.out), engine_of(plan.settings, progress) as engine:
-        return _run(with_copied_weights(plan, engine.scratch), command, progress, engine)
+    with run_lock(plan.settings.out):
+        refuse_other_files(plan.settings.out)
+        with engine_of(plan.settings, progress) as engine:
+            return _run(with_copied_weights(plan, engine.scratch), command, progress, engine)
 
 
 def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, engine: Engine) -> RunSummary:
