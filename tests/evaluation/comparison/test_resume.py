@@ -226,6 +226,9 @@ def test_weights_of_an_interrupted_training_are_a_notice(settings, record, tmp_p
 
 def test_a_row_with_its_own_folder_of_weights_uses_no_others(settings, record, tmp_path):
     train_tracker(Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path / "given"), lambda _: None)
+    with pytest.raises(WeightsError, match="empty: no such folder of weights"):
+        resolve(settings(f"static-map:weights={tmp_path / 'empty'}", weights=tmp_path / "given"))
+    (tmp_path / "empty").mkdir()
     with pytest.raises(WeightsError, match=r"empty: no weights of static-map for the site 'room'"):
         resolve(settings(f"static-map:weights={tmp_path / 'empty'}", weights=tmp_path / "given"))
 
