@@ -131,7 +131,7 @@ def recording_import(
             overwrite=overwrite,
         )
     except KeyboardInterrupt:
-        print_note(f"interrupted: {out} is not written")
+        print_note(f"interrupted: {out} is as it was before, or written whole")
         raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
     _print_overview(recording, as_json)
 

@@ -58,10 +58,8 @@ def find_weights(tracker: str, site: str, override: Path | None, kind: CardKind 
     `kind` restricts the search to one of the two. Raises WeightsError where the file cannot be read, or where there is
     no folder `override`.
     """
-    if override is not None and not override.is_dir():
-        raise WeightsError(
-            f"{override}: no such folder of weights; omit --weights to use your own and the shipped ones"
-        )
+    if override is not None:
+        _require_folder(override, "; omit --weights to use your own and the shipped ones")
     names = _names(site, kind)
     overriding = [(override, name) for name in names] if override else []
     others = [(folder, name) for name in names for folder in _folders(None)]
@@ -78,14 +76,19 @@ def sites_with_weights(tracker: str, override: Path | None) -> tuple[str, ...]:
 
 def weights_in(folder: Path, tracker: str, site: str, kind: CardKind = "any") -> LearnedWeights:
     """The weights of `tracker` for `site` in `folder` only, as in `find_weights`. Raises WeightsError without any."""
+    _require_folder(folder)
     paths = [weights_path(folder, tracker, name) for name in _names(site, kind) or (site,)]
     found = next((path for path in paths if path.is_file()), None)
-    if not folder.is_dir():
-        raise WeightsError(f"{folder}: no such folder of weights")
     if found is None:
         missing = " and ".join(map(str, paths)) + (" are missing" if len(paths) > 1 else " is missing")
         raise WeightsError(f"{folder}: no weights of {tracker} for the site '{site}' ({missing})")
     return read_weights(found, found.parent)
+
+
+def _require_folder(folder: Path, mend: str = "") -> None:
+    """Raises WeightsError where there is no such folder; `mend` ends its line."""
+    if not folder.is_dir():
+        raise WeightsError(f"{folder}: no such folder of weights{mend}")
 
 
 def _names(site: str, kind: CardKind) -> tuple[str, ...]:

@@ -158,7 +158,7 @@ def _other_measurements(baseline: Measurement, run: Measurement) -> Iterator[str
         ):
             if old and old != new:
                 what = "with other values" if new else "for the baseline and not"
-                yield (f"{label}@{name}: measured with {option} {what} in the run: {_as_then(baseline)}")
+                yield f"{label}@{name}: measured with {option} {what} in the run: {_as_then(baseline)}"
 
 
 def _unit_mismatch(then: TrialCounts, now: TrialCounts) -> str:

@@ -59,9 +59,9 @@ def _added(scope: ScopeSummary, oracle: ScopeSummary | None, floors: Sequence[Sc
     strata = {}
     for name, scores in scope.strata.items():
         best = _bound(oracle, name)
-        lowest = [_bound(floor, name) for floor in floors]
-        known = [one for one in lowest if one]
-        shares = _shares(scores, best, known if known == lowest else []) if best and scope.outcome == "ok" else {}
+        lowest = [one for floor in floors if (one := _bound(floor, name))]
+        known = lowest if len(lowest) == len(floors) else []
+        shares = _shares(scores, best, known) if best and scope.outcome == "ok" else {}
         strata[name] = scores.model_copy(update=shares)
     return {"strata": strata, "gap_to_truth": _gap(scope.strata)}
 

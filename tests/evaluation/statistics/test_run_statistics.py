@@ -303,7 +303,7 @@ def test_rows_with_the_same_frames_are_compared_where_one_more_received_others(t
     summary = summary_of(trials)
     assert {pair.tracker for family in summary.pairs for pair in family.pairs} == {"persistence"}
     assert {pair.other for family in summary.pairs for pair in family.pairs} == {"good"}
-    assert {(family.units) for family in summary.pairs} == {20}
+    assert {family.units for family in summary.pairs} == {20}
     assert difference(summary, "good").frames == 80
     assert (
         difference(summary, "odd").interval == "not compared: odd was delivered other frames than the rest on seed-00"
