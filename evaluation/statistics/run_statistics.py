@@ -219,15 +219,15 @@ class RunStatistics:
         return self.recordings[name].source_sha256 or name
 
     def _block_s(self, names: Sequence[str]) -> float:
-        """Length of the blocks on these recordings, seconds."""
+        """Length of the blocks on those of these recordings on which a frame was scored, seconds."""
         for name in names:
-            if name not in self._blocks:
-                scored = [trial for trial in trials_on(name, self._trials) if trial.record.frames_scored]
+            scored = [trial for trial in trials_on(name, self._trials) if trial.record.frames_scored]
+            if scored and name not in self._blocks:
                 trials = [trial for trial in scored if trial.complete] or scored
                 scope = self.scope([name], trials)
                 frames = [self.frames_in(trial, scope.strata) for trial in trials]
                 self._blocks[name] = scope.block_s(frames)
-        return max(self._blocks[name] for name in names)
+        return max(self._blocks[name] for name in names if name in self._blocks)
 
     def _why_not_compared(self, label: str | None, names: Sequence[str]) -> str:
         """Why the row is not comparable on all of these recordings; empty where it is."""

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from datetime import timedelta
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -26,7 +27,7 @@ from torch import Tensor, nn
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import write_text
 from gridtrack.common.horizons import nearest_step
-from gridtrack.trackers.contract import FitOutput, FrameSource
+from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
 from gridtrack.trackers.excerpts import SELECTION_STRATA, mean_of_defined
 from gridtrack.trackers.recurrent.devices import ONE_DEVICE, SEVERAL_DEVICES, called_here, check_devices, end_devices
 from gridtrack.trackers.recurrent.network import RecurrentNetwork
@@ -40,6 +41,8 @@ BEST, LAST = "best", "last"
 """Names of the checkpoints with the best validation score, and of the last one."""
 CHECKPOINT_EVERY_S = 60.0
 """Time between two checkpoints; there is one after every validation too."""
+NEAR_TIE = 0.002
+"""Differences of validation F1 up to this say nothing: two trainings with other seeds differ by more."""
 NO_NEWS = (
     "You're resuming from a checkpoint that ended before the epoch ended",  # the next window is an unused one
     ".*does not have many workers",  # on a processor: see drawing_processes
@@ -101,7 +104,7 @@ def train_network(
     kept = torch.load(best, weights_only=True, map_location="cpu")
     module.load_state_dict(kept["state_dict"])
     scores = dict(kept["scores"])
-    if begun is not None and not begun.scores["score"] < scores["score"]:
+    if begun is not None and not _improves(scores, begun.scores):
         scores = begun.kept_in(network, out)
     reached = f"update {_updates_in(_checkpoint_in(out, LAST))} of {settings.updates}" if trainer.interrupted else ""
     return TrainedNetwork(scores, reached)
@@ -133,6 +136,12 @@ class _Begun(NamedTuple):
         out.report("no update is better on the validation than the general weights: they are kept")
         network.load_state_dict(self.state)
         return self.scores
+
+
+def _improves(scores: dict[str, float], on: dict[str, float]) -> bool:
+    """Whether the `scores` are better: by F1, and by log loss where that is nearly the same."""
+    gain = scores["score"] - on["score"]
+    return gain > 0 if abs(gain) > NEAR_TIE else scores["log_loss"] < on["log_loss"]
 
 
 def _checkpoint_in(out: FitOutput, which: str) -> Path:
@@ -190,18 +199,20 @@ def _resumable(out: FitOutput, training: dict[str, Any]) -> Path | None:
 
 
 def validation_scores(
-    score: Callable[[FrameSource], Any], sources: Sequence[FrameSource], horizons_s: Sequence[float]
+    score: Callable[[FrameSource], StretchScore], sources: Sequence[FrameSource], horizons_s: Sequence[float]
 ) -> dict[str, float]:
     """F1 of SELECTION_STRATA at the horizons, mean over the stretches; `score` is the mean of those that are defined.
 
-    A stretch in which nothing moves has no F1 of dynamic cells: it does not count there.
+    `log_loss` is that of the same cells, nats. A stretch in which nothing moves has no F1 of dynamic cells: it does not
+    count there.
     """
     found: dict[str, list[float]] = {}
+    losses: list[float] = []
     for source in sources:
-        f1 = score(source).f1
-        for stratum in SELECTION_STRATA:
-            for horizon in horizons_s:
-                at = nearest_step(horizon, source.period_s)
-                found.setdefault(f"{stratum}_f1_{horizon:g}s", []).append(float(f1[stratum][at]))
+        scores = score(source)
+        for stratum, horizon in product(SELECTION_STRATA, horizons_s):
+            at = nearest_step(horizon, source.period_s)
+            found.setdefault(f"{stratum}_f1_{horizon:g}s", []).append(float(scores.f1[stratum][at]))
+            losses.append(float(scores.log_loss[stratum][at]))
     results = {name: mean_of_defined(values) for name, values in found.items()}
-    return {"score": mean_of_defined(list(results.values())), **results}
+    return {"score": mean_of_defined(list(results.values())), "log_loss": mean_of_defined(losses), **results}

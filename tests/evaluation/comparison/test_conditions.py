@@ -12,6 +12,7 @@ from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.robustness_pass import RobustnessRun
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.results.passes import AtStrength, Robustness
 from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.scoring import scorekeeper
@@ -208,13 +209,13 @@ def test_an_unexpected_error_ends_its_trial_and_no_other(compare, progress, monk
 
 
 def test_a_trial_whose_folder_cannot_be_written_ends_alone(compare, tmp_path):
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "blank@room").write_text("in the way")
-    summary = compare("blank", "persistence")
+    compare("persistence")
+    (tmp_path / "run" / "blank@room" / SCORES_TABLE.file).mkdir(parents=True)  # in the way
+    summary = compare("blank", "persistence", resume=True)
     assert trial_of(summary, "blank").outcome == "failed"
     assert trial_of(summary, "blank").strata == {}
     assert trial_of(summary, "persistence").outcome == "ok"
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["trackers"]["blank"]
-    (tmp_path / "run" / "blank@room").unlink()
+    shutil.rmtree(tmp_path / "run" / "blank@room")
     shutil.rmtree(tmp_path / "run" / "persistence@room")
     assert trial_of(compare("blank", "persistence", resume=True), "blank").outcome == "ok"

@@ -25,6 +25,7 @@ from gridtrack.trackers.recurrent.sequences import SequenceDataset  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.training import validation_scores  # noqa: E402
 from gridtrack.trackers.weights import read_card  # noqa: E402
+from tests.trackers.recurrent.scores import of_every_stratum  # noqa: E402
 
 TRACKERS = [DilatedConvGRUTracker, DeepTrackingRNNTracker]
 SMALL = {
@@ -67,8 +68,7 @@ def no_score(tracker, source, steps):
         tracker.update(frame)
     shape = tracker.predict(steps).occupancy.shape
     assert shape == (steps + 1, *source.grid.shape)
-    ones = np.ones(steps + 1)
-    return StretchScore({"dynamic": ones, "in-motion": ones, "visible": ones}, {})
+    return of_every_stratum(1.0, 0.1, steps)
 
 
 HELD_OUT = (Walk(20, 0.1, 0.1), Walk(9, 0.3, 0.25))
@@ -188,12 +188,12 @@ def test_a_validation_recording_in_which_nothing_moves_has_no_part_in_the_score(
 
     def score(source):
         dynamic, visible = f1[Walk if source is sources[0] else None]
-        return StretchScore(
-            {"dynamic": np.full(3, dynamic), "in-motion": np.full(3, dynamic), "visible": np.full(3, visible)}, {}
-        )
+        of = {"dynamic": np.full(3, dynamic), "in-motion": np.full(3, dynamic), "visible": np.full(3, visible)}
+        return StretchScore(of, {name: 1.0 - values for name, values in of.items()})
 
     found = validation_scores(score, sources, (1.0,))
     assert (found["dynamic_f1_1s"], found["visible_f1_1s"]) == (0.5, pytest.approx(0.6))
+    assert found["log_loss"] == pytest.approx(0.45), "the mean of 0.5, 0.5, 0.5 and 0.3"
     alone = validation_scores(score, sources[1:], (1.0,))
     assert alone["score"] == pytest.approx(0.7), "what is defined chooses between updates, not nothing"
 

@@ -12,11 +12,12 @@ pytest.importorskip("lightning")
 
 from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
-from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
+from gridtrack.trackers.contract import FitOutput, stream_of  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.general_network import settings_from_general  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.weights import load_start, read_card  # noqa: E402
+from tests.trackers.recurrent.scores import of_every_stratum  # noqa: E402
 from tests.trackers.recurrent.test_general import HELD_OUT, SMALL, TRACKERS, LabelledWalk, Walk, fit  # noqa: E402
 
 SITE = Walk(18, 0.15, 0.16, unseen=4)
@@ -53,15 +54,18 @@ def general(request, tmp_path_factory):
 
 
 class Scores:
-    """A `score` that keeps the forecast after each frame of the first trackers; the n-th network has `values[n]`."""
+    """A `score` that keeps the forecast after each frame of the first trackers.
 
-    def __init__(self, *values):
-        self.values, self.forecasts = list(values), []
+    The n-th network has `f1[n]` and `log_loss[n]`, those after the last ones too.
+    """
+
+    def __init__(self, *f1, log_loss=(0.1,)):
+        self.f1, self.log_loss, self.forecasts = f1, log_loss, []
 
     def __call__(self, tracker, source, steps):
+        f1, log_loss = (of[min(len(self.forecasts), len(of) - 1)] for of in (self.f1, self.log_loss))
         self.forecasts.append(forecasts_of(tracker, source))
-        value = np.full(steps + 1, self.values.pop(0) if len(self.values) > 1 else self.values[0])
-        return StretchScore({"dynamic": value, "in-motion": value, "visible": value}, {})
+        return of_every_stratum(f1, log_loss, steps)
 
 
 def forecasts_of(tracker, source):
@@ -139,6 +143,15 @@ def test_general_weights_that_no_update_improves_are_kept(general, tmp_path):
         np.testing.assert_array_equal(value, np.broadcast_to(theirs[name], value.shape))
     assert read_card(card_path).results["score"] == pytest.approx(0.9)
     assert any("they are kept" in line for line in lines)
+
+
+def test_at_nearly_the_same_f1_the_log_loss_decides_whether_they_are_kept(general, tmp_path):
+    tracker, path = general
+    for log_loss, f1 in ((0.2, 0.5005), (0.1, 0.4995)):
+        score = Scores(0.5, f1, log_loss=(0.15, log_loss))
+        card_path, lines = train_at_site(tracker, path, tmp_path / str(f1), score, updates=2, learning_rate=0.1)
+        assert read_card(card_path).results["log_loss"] == min(log_loss, 0.15)
+        assert any("they are kept" in line for line in lines) == (log_loss > 0.15)
 
 
 def test_settings_are_those_of_the_general_weights_but_for_the_length_of_the_training(general):

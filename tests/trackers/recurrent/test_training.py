@@ -21,7 +21,7 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec  # noqa: E402
-from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
+from gridtrack.trackers.contract import FitOutput, stream_of  # noqa: E402
 from gridtrack.trackers.recurrent import accelerated_convgru, training  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.entered_cells import near_entered_cells  # noqa: E402
@@ -32,6 +32,7 @@ from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceD
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.training_module import TrainingModule  # noqa: E402
 from gridtrack.trackers.weights import read_card  # noqa: E402
+from tests.trackers.recurrent.scores import of_every_stratum  # noqa: E402
 
 SIZE = 12
 
@@ -68,8 +69,7 @@ def no_score(tracker, source, steps):
         p = np.clip(tracker.predict(1).occupancy[1][future.visible], 1e-3, 1 - 1e-3)
         hit = future.occupied[future.visible]
         losses.append(-np.log(np.where(hit, p, 1 - p)).mean())
-    f1 = np.full(steps + 1, 1.0 - np.mean(losses))
-    return StretchScore({"dynamic": f1, "in-motion": f1, "visible": f1}, {})
+    return of_every_stratum(1.0 - np.mean(losses), np.mean(losses), steps)
 
 
 def fit(tracker, folder, **options):
@@ -122,8 +122,7 @@ def test_a_resumed_training_equals_an_uninterrupted_one(tmp_path):
             call = next(calls)
             if call == interrupt_at:
                 raise KeyboardInterrupt
-            f1 = np.full(steps + 1, 0.9 - 0.1 * call)
-            return StretchScore({"dynamic": f1, "in-motion": f1, "visible": f1}, {})
+            return of_every_stratum(0.9 - 0.1 * call, 0.1, steps)
 
         return score
 
@@ -310,8 +309,7 @@ def test_a_training_ends_after_its_updates_and_is_validated(tmp_path, every, val
     options = validated(DilatedConvGRUTracker.Options, options, "test")
 
     def score(tracker, source, steps):
-        ones = np.ones(steps + 1)
-        return StretchScore({"dynamic": ones, "in-motion": ones, "visible": ones}, {})
+        return of_every_stratum(1.0, 0.1, steps)
 
     DilatedConvGRUTracker.fit([Shuttle()], [Shuttle(30)], score, out, options)
 
