@@ -126,7 +126,7 @@ def regress_defaults() -> dict[str, str]:
 
 
 def _update_baseline(runs: Sequence[Path], baseline: Path) -> None:
-    """Write `runs` as the baseline and print its content."""
+    """Write `runs` as the baseline; print its content, and what is worse than in the one that it replaces."""
     from gridtrack.evaluation.regression.baseline import write_baseline
     from gridtrack.evaluation.regression.measuring import measure_run
     from gridtrack.reports.verdict_text import text_of_update
@@ -134,8 +134,21 @@ def _update_baseline(runs: Sequence[Path], baseline: Path) -> None:
     if len({run.resolve() for run in runs}) < len(runs):
         raise ConfigurationError("a run is given twice: each run of a baseline is a training or a seed of its own")
     first = measure_run(runs[0])
-    written = write_baseline(baseline, [first, *(measure_run(run, like=first) for run in runs[1:])])
-    typer.echo(text_of_update(baseline, written))
+    measured = [first, *(measure_run(run, like=first) for run in runs[1:])]
+    replaced = _against_replaced(runs[0], baseline) if baseline.exists() else None
+    typer.echo(text_of_update(baseline, write_baseline(baseline, measured), replaced))
+
+
+def _against_replaced(run: Path, baseline: Path) -> Verdict | str:
+    """The verdict on the run by the baseline that is replaced, or why there is none."""
+    from gridtrack.evaluation.regression.baseline import BaselineError
+    from gridtrack.evaluation.regression.measurement import Unmeasured
+    from gridtrack.evaluation.regression.settings import GateSettings
+
+    try:
+        return _judge(run, baseline, GateSettings(), confirm=False, bases={})
+    except (BaselineError, Unmeasured) as reason:
+        return str(reason)
 
 
 def _settings(values: dict[str, Any]) -> GateSettings:

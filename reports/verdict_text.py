@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -49,20 +50,37 @@ def text_of(verdict: Verdict) -> str:
     return "\n".join(map(printable, [*lines, rule_of(verdict), _conclusion(verdict)]))
 
 
-def text_of_update(path: Path, baseline: Baseline) -> str:
-    """The baseline that `--update` wrote, for a terminal: its runs, and the range of F1 of each tracker over them."""
+def text_of_update(path: Path, baseline: Baseline, replaced: Verdict | str | None) -> str:
+    """The baseline that `--update` wrote, for a terminal: its runs, and the range of F1 of each tracker over them.
+
+    `replaced`: the verdict on its first run by the baseline that it replaces, if any, or why there is no verdict.
+    """
     if len(baseline.runs) == 1:
-        return printable(f"baseline: {path}; {UNKNOWN_SPREAD}")
-    lines = [f"baseline: {path}, of {len(baseline.runs)} runs"]
+        lines = [f"baseline: {path}; {UNKNOWN_SPREAD}"]
+    else:
+        lines = [f"baseline: {path}, of {len(baseline.runs)} runs", *_ranges_of(baseline)]
+    return "\n".join(map(printable, [*_replaced_lines(replaced), *lines]))
+
+
+def _replaced_lines(replaced: Verdict | str | None) -> list[str]:
+    if replaced is None:
+        return []
+    if isinstance(replaced, str):
+        return [f"not compared with the baseline that it replaces: {replaced}"]
+    worse = [f"worse than in the baseline that it replaces: {sentence_of(row)}" for row in replaced.worse]
+    return worse or ["no worse than the baseline that it replaces"]
+
+
+def _ranges_of(baseline: Baseline) -> Iterator[str]:
+    """How far the runs of a baseline differ, by tracker."""
     rows = [row for row in paired_rows(baseline, baseline.first) if row.score == "F1"]
     for label in baseline.first.trackers:
         ranges = {np.ptp(np.nan_to_num(value_of(r.trainings.sum(axis=1)))): r for r in rows if r.label == label}
         widest = max(ranges)
         where = f"{ranges[widest].region}, {band_text(ranges[widest].band)}"
-        lines.append(
+        yield (
             f"{label}: F1 differs by up to {widest:.4f} ({where})" if widest else f"{label}: F1 is the same in all runs"
         )
-    return "\n".join(map(printable, lines))
 
 
 def sentence_of(row: AnyRow) -> str:

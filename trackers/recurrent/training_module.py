@@ -25,7 +25,7 @@ Validate = Callable[[nn.Module], dict[str, float]]
 
 def scores_text(scores: dict[str, float]) -> str:
     """The `scores` by name, for a line of progress."""
-    return "  ".join(f"{name} {value:.3f}" for name, value in scores.items())
+    return "  ".join(f"{name} {value:.4f}" for name, value in scores.items())
 
 
 def _untold(text: str) -> None:

@@ -42,6 +42,20 @@ def test_a_file_that_is_no_baseline_is_neither_read_nor_replaced(content, write_
         assert mine.read_text() == content
 
 
+def test_an_update_tells_what_is_worse_than_in_the_baseline_that_it_replaces(baseline, write_run, regress):
+    again = regress(write_run("same", NAMES), "--baseline", baseline, "--update")
+    assert again.out.splitlines()[0] == "no worse than the baseline that it replaces"
+    lower = regress(write_run("lower", {**NAMES, "kalman": {"recall": 0.3}}), "--baseline", baseline, "--update")
+    worse = [
+        line for line in lower.out.splitlines() if line.startswith("worse than in the baseline that it replaces: ")
+    ]
+    assert any(": kalman, visible, " in line and " F1 " in line for line in worse)
+    assert not any("persistence" in line for line in worse)
+    fewer = regress(write_run("fewer", {"kalman": {}}, recordings=2), "--baseline", baseline, "--update")
+    assert fewer.out.startswith("not compared with the baseline that it replaces: ")
+    assert (again.code, lower.code, fewer.code) == (0, 0, 0), "it is an update all the same"
+
+
 def test_a_run_compared_with_itself_passes_and_every_count_is_equal(baseline, write_run, regress):
     done = regress(write_run("now", NAMES), "--baseline", baseline, "--json")
     verdict = json.loads(done.out)
