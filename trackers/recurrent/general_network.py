@@ -24,9 +24,9 @@ from gridtrack.trackers.weights import Weights
 
 NetworkOptions = TypeVar("NetworkOptions", bound=ResolutionSettings)
 
-FROM_GENERAL = {"updates": 600, "validate_every": 150, "warm_up": 50, "learning_rate": 1e-3}
+FROM_GENERAL = {"updates": 600, "validate_every": 150, "warm_up": 50, "learning_rate": 1e-3, "burn_in": 20}
 """Settings of a training that starts from general weights: minutes of a processor, and at this rate what the network
-knows is not forgotten."""
+knows is not forgotten. A longer burn-in gains nothing at a site and takes twice as long."""
 LARGEST_BATCH = 2
 """General weights may come from an accelerator, whose batches take a processor too long."""
 NOT_TAKEN_OVER = frozenset({"static_gates", "precision", "devices", "shape_updates", "shape_share", "motion_weight"})

@@ -162,7 +162,7 @@ def test_settings_are_those_of_the_general_weights_but_for_the_length_of_the_tra
     )
     for start, options in ((weights, tracker.Options()), (of_accelerator, tracker.Options())):
         settings = settings_from_general(options, start).model_dump()
-        assert (settings["updates"], settings["learning_rate"], settings["batch"]) == (600, 1e-3, 2)
+        assert [settings[key] for key in ("updates", "learning_rate", "batch", "burn_in")] == [600, 1e-3, 2, 20]
         assert settings["unseen_weight"] == 0.1
         shape = SMALL[tracker].keys() - {"stage"}
         assert {name: settings[name] for name in shape} == {name: weights.card.settings[name] for name in shape}
