@@ -24,11 +24,12 @@ from gridtrack.trackers.weights import Weights
 
 NetworkOptions = TypeVar("NetworkOptions", bound=ResolutionSettings)
 
-FROM_GENERAL = {"updates": 600, "validate_every": 150, "warm_up": 50, "learning_rate": 1e-3, "burn_in": 20}
+FROM_GENERAL = {"updates": 600, "validate_every": 150, "warm_up": 50, "learning_rate": 1e-3}
 """Settings of a training that starts from general weights: minutes of a processor, and at this rate what the network
-knows is not forgotten. A longer burn-in gains nothing at a site and takes twice as long."""
-LARGEST_BATCH = 2
-"""General weights may come from an accelerator, whose batches take a processor too long."""
+knows is not forgotten."""
+AT_MOST = {"batch": 2, "burn_in": 20}
+"""Its settings that are those of the general weights, but no larger: these may come from an accelerator, whose batches
+take a processor too long, and a longer burn-in takes twice as long and gains nothing at a site."""
 NOT_TAKEN_OVER = frozenset({"static_gates", "precision", "devices", "shape_updates", "shape_share", "motion_weight"})
 """Settings that are not those of the general weights: the last three are what a network learns motion from at first."""
 FOR_ANY_PLACE = {"resolution_input": True, "step_s": 0.1}
@@ -56,7 +57,7 @@ def settings_from_general(options: NetworkOptions, weights: Weights) -> NetworkO
                 f"the general weights have {name}={getattr(trained, name)}, not {getattr(options, name)}: leave the"
                 " option out, or train with --from-scratch"
             )
-    shorter = {**FROM_GENERAL, "batch": min(trained.batch, LARGEST_BATCH)}
+    shorter = FROM_GENERAL | {name: min(getattr(trained, name), most) for name, most in AT_MOST.items()}
     return validated(type(options), theirs | shorter | options.model_dump(exclude_unset=True), "training")
 
 

@@ -158,11 +158,12 @@ def test_settings_are_those_of_the_general_weights_but_for_the_length_of_the_tra
     tracker, path = general
     weights = load_start(path, tracker.name)
     of_accelerator = replace(
-        weights, card=weights.card.model_copy(update={"settings": {**weights.card.settings, "batch": 32}})
+        weights,
+        card=weights.card.model_copy(update={"settings": {**weights.card.settings, "batch": 32, "burn_in": 80}}),
     )
-    for start, options in ((weights, tracker.Options()), (of_accelerator, tracker.Options())):
+    for start, options, burn_in in ((weights, tracker.Options(), 0), (of_accelerator, tracker.Options(), 20)):
         settings = settings_from_general(options, start).model_dump()
-        assert [settings[key] for key in ("updates", "learning_rate", "batch", "burn_in")] == [600, 1e-3, 2, 20]
+        assert [settings[key] for key in ("updates", "learning_rate", "batch", "burn_in")] == [600, 1e-3, 2, burn_in]
         assert settings["unseen_weight"] == 0.1
         shape = SMALL[tracker].keys() - {"stage"}
         assert {name: settings[name] for name in shape} == {name: weights.card.settings[name] for name in shape}
