@@ -138,10 +138,10 @@ class _Begun(NamedTuple):
         return self.scores
 
 
-def _improves(scores: dict[str, float], on: dict[str, float]) -> bool:
-    """Whether the `scores` are better: by F1, and by log loss where that is nearly the same."""
-    gain = scores["score"] - on["score"]
-    return gain > 0 if abs(gain) > NEAR_TIE else scores["log_loss"] < on["log_loss"]
+def _improves(scores: dict[str, float], before: dict[str, float]) -> bool:
+    """Whether the `scores` are better than those `before`: by F1, and by log loss where that is nearly the same."""
+    gain = scores["score"] - before["score"]
+    return gain > 0 if abs(gain) > NEAR_TIE else scores["log_loss"] < before["log_loss"]
 
 
 def _checkpoint_in(out: FitOutput, which: str) -> Path:
