@@ -18,13 +18,14 @@ from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame  # noqa: E4
 from gridtrack.trackers import cell_training  # noqa: E402
 from gridtrack.trackers.cell_classifier import CellClassifier  # noqa: E402
 from gridtrack.trackers.cell_training import CellCollector, LabelledCells, candidate_settings, train_classifier  # noqa: E402
-from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
+from gridtrack.trackers.contract import FitOutput, stream_of  # noqa: E402
 from gridtrack.trackers.label_settings import ClassifierSettings  # noqa: E402
 from gridtrack.trackers.labelled_scans import class_indices, inverse_frequency  # noqa: E402
 from gridtrack.trackers.one_shot.tracker import OneShotTracker  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.transfer import latent_cells  # noqa: E402
 from gridtrack.trackers.weights import load_weights, read_card, save_weights  # noqa: E402
+from tests.trackers.scores import of_every_stratum  # noqa: E402
 
 SIZE, ROUND = 16, 12
 
@@ -81,8 +82,7 @@ def towers(t):
 
 
 def no_score(tracker, source, steps):
-    flat = np.zeros(steps + 1)
-    return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {})
+    return of_every_stratum(0.0, 0.0, steps)
 
 
 def fit(tracker, folder, things, seed=3, train=None, **options):

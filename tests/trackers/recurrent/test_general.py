@@ -25,7 +25,7 @@ from gridtrack.trackers.recurrent.sequences import SequenceDataset  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.training import validation_scores  # noqa: E402
 from gridtrack.trackers.weights import read_card  # noqa: E402
-from tests.trackers.recurrent.scores import of_every_stratum  # noqa: E402
+from tests.trackers.scores import of_every_stratum  # noqa: E402
 
 TRACKERS = [DilatedConvGRUTracker, DeepTrackingRNNTracker]
 SMALL = {

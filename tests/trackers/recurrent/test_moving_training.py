@@ -14,7 +14,7 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec  # noqa: E402
-from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
+from gridtrack.trackers.contract import FitOutput, stream_of  # noqa: E402
 from gridtrack.trackers.recurrent import precision  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
@@ -22,6 +22,7 @@ from gridtrack.trackers.recurrent.sequences import SequenceDataset  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.transfer import PastStates  # noqa: E402
 from gridtrack.trackers.weights import read_card  # noqa: E402
+from tests.trackers.scores import of_every_stratum  # noqa: E402
 
 SIZE, CELL_M = 12, 0.5
 POST = (4, 40)
@@ -57,8 +58,7 @@ def no_score(tracker, source, steps):
     for frame in source:
         tracker.update(frame)
     tracker.predict(steps)
-    ones = np.ones(steps + 1)
-    return StretchScore({"dynamic": ones, "in-motion": ones, "visible": ones}, {})
+    return of_every_stratum(1.0, 0.1, steps)
 
 
 def fit(tracker, folder, sources=None, **options):

@@ -17,8 +17,8 @@ from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  
 from gridtrack.trackers.recurrent.general_network import settings_from_general  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.weights import load_start, read_card  # noqa: E402
-from tests.trackers.recurrent.scores import of_every_stratum  # noqa: E402
 from tests.trackers.recurrent.test_general import HELD_OUT, SMALL, TRACKERS, LabelledWalk, Walk, fit  # noqa: E402
+from tests.trackers.scores import of_every_stratum  # noqa: E402
 
 SITE = Walk(18, 0.15, 0.16, unseen=4)
 """Of another number and size of cells, and of another period than the general weights."""

@@ -32,7 +32,7 @@ from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceD
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.training_module import TrainingModule  # noqa: E402
 from gridtrack.trackers.weights import read_card  # noqa: E402
-from tests.trackers.recurrent.scores import of_every_stratum  # noqa: E402
+from tests.trackers.scores import of_every_stratum  # noqa: E402
 
 SIZE = 12
 
