@@ -143,10 +143,9 @@ def _against_replaced(run: Path, baseline: Path) -> Verdict | str:
     """The verdict on the run by the baseline that is replaced, or why there is none."""
     from gridtrack.evaluation.regression.baseline import BaselineError
     from gridtrack.evaluation.regression.measurement import Unmeasured
-    from gridtrack.evaluation.regression.settings import GateSettings
 
     try:
-        return _judge(run, baseline, GateSettings(), confirm=False, bases={})
+        return _judge(run, baseline, _settings({}), confirm=False, bases={})
     except (BaselineError, Unmeasured) as reason:
         return str(reason)
 

@@ -219,15 +219,20 @@ class RunStatistics:
         return self.recordings[name].source_sha256 or name
 
     def _block_s(self, names: Sequence[str]) -> float:
-        """Length of the blocks on those of these recordings on which a frame was scored, seconds."""
+        """Length of the blocks on these recordings, seconds: the longest of theirs."""
         for name in names:
-            scored = [trial for trial in trials_on(name, self._trials) if trial.record.frames_scored]
-            if scored and name not in self._blocks:
-                trials = [trial for trial in scored if trial.complete] or scored
-                scope = self.scope([name], trials)
-                frames = [self.frames_in(trial, scope.strata) for trial in trials]
-                self._blocks[name] = scope.block_s(frames)
-        return max(self._blocks[name] for name in names if name in self._blocks)
+            if name not in self._blocks:
+                self._blocks[name] = self._block_of(name)
+        return max(self._blocks[name] for name in names)
+
+    def _block_of(self, name: str) -> float:
+        """Length of the blocks on one recording, seconds; 0 where no frame was scored."""
+        scored = [trial for trial in trials_on(name, self._trials) if trial.record.frames_scored]
+        if not scored:
+            return 0.0
+        trials = [trial for trial in scored if trial.complete] or scored
+        scope = self.scope([name], trials)
+        return scope.block_s([self.frames_in(trial, scope.strata) for trial in trials])
 
     def _why_not_compared(self, label: str | None, names: Sequence[str]) -> str:
         """Why the row is not comparable on all of these recordings; empty where it is."""

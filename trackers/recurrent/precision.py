@@ -20,7 +20,8 @@ from gridtrack.trackers.recurrent.devices import training_device
 from gridtrack.trackers.recurrent.settings import Precision, TrainingSettings
 
 ROUNDS, TURNS = 5, 8
-"""Of each precision in turn, for what else runs on the machine would else slow one of them alone."""
+"""Convolutions of one precision in a turn, and turns of each: they alternate, because what else runs on the machine
+could slow one of them alone."""
 BATCH, SIZE, INPUTS, OUTPUTS = 2, 100, 16, 48
 """The convolution of the states of a layer of the dilated ConvGRU, with a batch of two grids of 100 cells a side."""
 

@@ -42,7 +42,7 @@ BEST, LAST = "best", "last"
 CHECKPOINT_EVERY_S = 60.0
 """Time between two checkpoints; there is one after every validation too."""
 NEAR_TIE = 0.002
-"""Differences of validation F1 up to this say nothing: two trainings with other seeds differ by more."""
+"""Differences of validation F1 up to this say nothing: trainings with other seeds differ by as much."""
 NO_NEWS = (
     "You're resuming from a checkpoint that ended before the epoch ended",  # the next window is an unused one
     ".*does not have many workers",  # on a processor: see drawing_processes

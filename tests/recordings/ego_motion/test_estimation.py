@@ -187,8 +187,8 @@ def test_an_import_says_where_the_poses_come_from_and_gives_the_same_bytes_again
     write: Callable[..., Path], tmp_path: Path
 ) -> None:
     source = write([replace(s, reference_T_sensor=None) for s in drive(ROOM, around, 60, odometry_noise=0.1)])
-    arguments = ["recording", "import", str(source), "--out", str(tmp_path / "out.mcap"), "--ego-motion", "refined"]
-    arguments.append("--overwrite")
+    out = ["--out", str(tmp_path / "out.mcap"), "--overwrite"]
+    arguments = ["recording", "import", str(source), *out, "--ego-motion", "refined"]
     runs = []
     for _ in range(2):
         done = CliRunner().invoke(app, arguments)
