@@ -33,6 +33,11 @@ FEWEST_POOLED = 2
 AIM_TRACKERS, AIM_HORIZONS_S, AIM_F1 = ("dilated-convgru", "kalman"), (0.5, 1.0), 0.10
 """The aim: these trackers are above the reference by AIM_F1 on dynamic cells at these horizons, interval apart."""
 
+CONTENDERS = ("kalman", "factor-graph", "dogma", "dilated-convgru")
+"""The trackers that forecast motion and are near each other: which of them is best?"""
+PAIR_SCORES = {"F1": ("f1", 3), "PR-AUC": ("pr_auc", 3), "log loss": ("nll", 4), "soft IoU": ("soft_iou", 3)}
+"""The scores by which they are told apart, and the decimals of a difference: log losses are small."""
+
 
 def aim_met(difference: float | None, low: float | None) -> str:
     """What a difference and the lower end of its interval say of the aim: at least AIM_F1, and the interval above 0."""
@@ -65,6 +70,14 @@ def part_table(parts: Mapping[str, PlaceScores], labels: list[str]) -> ResultTab
     ]
     columns = (f"{part}, {STRATA[stratum]}" for part in parts for stratum in strata)
     return measured_table(("F1, 1 s", *columns), rows)
+
+
+def pair_tables(scores: PlaceScores) -> dict[str, ResultTable]:
+    """The contenders pair by pair on dynamic cells, a table for each score."""
+    return {
+        name: scores.pair_table(f"{name}, dynamic", "dynamic", score, CONTENDERS, decimals=decimals)
+        for name, (score, decimals) in PAIR_SCORES.items()
+    }
 
 
 def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
@@ -100,6 +113,7 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
                 "aim": aim_table(scores),
             },
         ),
+        "pairs": ResultSection(command=COMMAND, tables=pair_tables(scores)),
     }
 
 

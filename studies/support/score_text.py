@@ -8,16 +8,15 @@ MAY_BE_CHANCE = "°"
 """Stands behind a difference whose corrected p-value is 0.05 or more."""
 
 
-def score_text(value: float, low: float | None = None, high: float | None = None, *, signed: bool = False) -> str:
-    """Three decimals; the interval where it is known."""
-    text = _decimals(value, signed=signed)
+def score_text(
+    value: float, low: float | None = None, high: float | None = None, *, signed: bool = False, decimals: int = 3
+) -> str:
+    """The score, with its interval where that is known."""
+    shown = f"{'+' if signed else ''}.{decimals}f"
+    text = format(value, shown)
     if low is None or high is None:
         return text
-    return f"{text} [{', '.join(_without_zero(_decimals(end, signed=signed)) for end in (low, high))}]"
-
-
-def _decimals(value: float, *, signed: bool) -> str:
-    return f"{value:+.3f}" if signed else f"{value:.3f}"
+    return f"{text} [{', '.join(_without_zero(format(end, shown)) for end in (low, high))}]"
 
 
 def _without_zero(text: str) -> str:

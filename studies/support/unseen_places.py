@@ -9,7 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from gridtrack.evaluation.results.recording import RecordingSummary
-from gridtrack.evaluation.results.summary import ORACLE, TrackerDifference, TrackerTrainings, read_summary
+from gridtrack.evaluation.results.summary import (
+    ORACLE,
+    PairFamily,
+    PairTest,
+    TrackerDifference,
+    TrackerTrainings,
+    read_summary,
+)
 from gridtrack.evaluation.results.trial_summary import StratumScores
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.jackknife import COUNTS
@@ -189,21 +196,38 @@ class PlaceScores:
         return found.f1[step], found.f1_low[step], found.f1_high[step]
 
     @cached_property
-    def not_told_apart(self) -> frozenset[tuple[str, str, int]]:
-        """(row, stratum, step) whose F1 is not told from the reference's: Holm's correction over all pairs of `labels`.
+    def pair_families(self) -> list[PairFamily]:
+        """All pairs of `labels`, each family with Holm's correction; empty where nothing is tested, for too few units.
 
-        Empty where nothing is tested, for too few units. Further trainings and the ceiling are in no pair: no reader
-        asks whether a tracker differs from itself or from the future.
+        Further trainings and the ceiling are in no pair: no reader asks whether a tracker differs from itself or from
+        the future.
         """
         rows = [trial for trial in self._trials if trial.record.label in self.labels]
-        families = PairStatistics(RunStatistics(self.described, rows, REFERENCE)).families()
-        tests = ((family, test) for family in families if family.score == "f1" for test in family.pairs)
+        return PairStatistics(RunStatistics(self.described, rows, REFERENCE)).families()
+
+    @cached_property
+    def not_told_apart(self) -> frozenset[tuple[str, str, int]]:
+        """(row, stratum, step) whose F1 is not told from the reference's."""
+        tests = ((family, test) for family in self.pair_families if family.score == "f1" for test in family.pairs)
         return frozenset(
             (label, family.stratum, family.step)
             for family, test in tests
             for label, other in ((test.tracker, test.other), (test.other, test.tracker))
             if other == REFERENCE and test.verdict not in TOLD_APART
         )
+
+    def pair_table(
+        self, corner: str, stratum: str, score: str, labels: Collection[str], *, decimals: int = 3
+    ) -> ResultTable:
+        """The differences in a score between each two of `labels`, with a mark where they are not told apart."""
+        found = {f.step: f.pairs for f in self.pair_families if (f.stratum, f.score) == (stratum, score)}
+        texts: dict[str, dict[float, str]] = {}
+        for horizon_s, step in self.horizons.items():
+            for test in found.get(step, ()):
+                if test.tracker in labels and test.other in labels:
+                    texts.setdefault(f"{test.tracker} less {test.other}", {})[horizon_s] = _pair_text(test, decimals)
+        rows = [[pair, *(of_pair.get(h, NONE) for h in self.horizons)] for pair, of_pair in texts.items()]
+        return measured_table((corner, *(f"{h:g} s" for h in self.horizons)), rows)
 
     def difference_table(self, stratum: str) -> ResultTable:
         """F1 of each row less the reference's in one stratum, with a mark where it is not told apart."""
@@ -238,3 +262,10 @@ class PlaceScores:
             for score in one.scores
         ]
         return measured_table(("F1", "of each training", "mean", "standard deviation"), rows)
+
+
+def _pair_text(test: PairTest, decimals: int) -> str:
+    if test.difference is None:
+        return NONE
+    chance = "" if test.verdict in TOLD_APART else f" {MAY_BE_CHANCE}"
+    return score_text(test.difference, test.low, test.high, signed=True, decimals=decimals) + chance

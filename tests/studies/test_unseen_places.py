@@ -19,7 +19,7 @@ from studies.support.results_file import measured_table
 from studies.support.scale_charts import scale_charts
 from studies.support.unseen_places import PlaceScores, general_rows, not_measured
 from studies.support.world_lasers import DRIVES, ODOMETRY, STANDS
-from studies.worlds_results import aim_met, aim_table, poses_section, sections_of
+from studies.worlds_results import aim_met, aim_table, pair_tables, poses_section, sections_of
 
 PERIODS_S = (0.1, 0.105263, 0.0625)
 SKILLS = {"oracle": 1.0, "persistence": 0.5, "kalman": 0.8}
@@ -76,11 +76,34 @@ def test_twenty_worlds_have_intervals_and_ten_of_them_none(worlds: PlaceScores) 
     assert not any("[" in text for row in apart.rows for text in row)
 
 
-def test_a_difference_that_may_be_chance_is_marked(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def contenders(tmp_path_factory: pytest.TempPathFactory) -> PlaceScores:
     names = [f"indoors-{1000 + k}" for k in range(20)]
-    scores = run_of(tmp_path, names, {"persistence": 0.5, "kalman": 0.8, "dogma": 0.498, "dilated-convgru 2": 0.5})
-    marked = {row[0]: ["°" in text for text in row[1:]] for row in scores.difference_table("dynamic").rows}
-    assert marked == {"kalman less persistence": [False, False], "dogma less persistence": [True, True]}
+    skills = {"persistence": 0.5, "kalman": 0.8, "dogma": 0.498, "dilated-convgru": 0.798, "dilated-convgru 2": 0.5}
+    return run_of(tmp_path_factory.mktemp("contenders"), names, skills)
+
+
+def test_a_difference_that_may_be_chance_is_marked(contenders: PlaceScores) -> None:
+    marked = {row[0]: ["°" in text for text in row[1:]] for row in contenders.difference_table("dynamic").rows}
+    assert marked == {
+        "kalman less persistence": [False, False],
+        "dogma less persistence": [True, True],
+        "dilated-convgru less persistence": [False, False],
+    }
+
+
+def test_each_pair_of_contenders_has_its_difference_with_a_mark_where_it_may_be_chance(contenders: PlaceScores) -> None:
+    f1 = {row[0]: row[1] for row in pair_tables(contenders)["F1"].rows}
+    assert {pair: (text[0], "°" in text) for pair, text in f1.items()} == {
+        "kalman less dogma": ("+", False),
+        "kalman less dilated-convgru": ("+", True),
+        "dogma less dilated-convgru": ("-", False),
+    }
+
+
+def test_log_losses_of_pairs_have_the_decimals_to_tell_them_apart(contenders: PlaceScores) -> None:
+    difference = pair_tables(contenders)["log loss"].rows[0][1].partition(" ")[0]
+    assert len(difference.partition(".")[2]) == 4
 
 
 def test_the_aim_is_judged_where_it_was_measured_and_named_where_it_was_not(worlds: PlaceScores) -> None:
