@@ -17,7 +17,7 @@ folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
 trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))
 
-.PHONY: help demo demo-junction test lint bench results worlds-results real-results schemas docs figures screenshots ablations returns junction weights baseline clean
+.PHONY: help demo demo-junction test coverage lint bench results worlds-results real-results schemas docs figures screenshots ablations returns junction weights baseline clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
@@ -31,7 +31,10 @@ demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minut
 	rm -rf runs/junction
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS)) --out runs/junction
 
-test: lint ## run lint, types and all tests; print the coverage and the ten files with the least
+test: lint ## run lint, types and all tests
+	$(BIN)/python -m pytest -n auto --dist worksteal
+
+coverage: $(VENV)/.installed-dev ## run all tests; print the coverage and the ten files with the least
 	$(BIN)/python -m pytest -n auto --dist worksteal --cov --cov-report=
 	$(BIN)/coverage report | sed -n '1,12p;$$p'
 
