@@ -25,14 +25,13 @@ from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.score_intervals import summed_by_unit
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.observation import reference_pose
-from gridtrack.reports.tiers import TOLD_APART
 from gridtrack.simulation.junction.drives import CARRIERS
 
 from studies.ego_motion import Pairs, errors
 from studies.support.comparison import compare, finished_trials
 from studies.support.drive_recordings import KINDS, joined_recording, minutes_in, recording_of
 from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section
-from studies.support.score_text import MAY_BE_CHANCE, score_text
+from studies.support.score_text import pair_text, score_text
 from studies.support.unseen_places import HORIZONS_S, STRATA
 
 DRIVES, VALIDATION = Path("data/drives"), Path("runs/drives/validation")
@@ -216,10 +215,7 @@ def pair_section(perfect: Comparison) -> ResultSection:
     rows: dict[str, list[str]] = {}
     for family in chosen.values():
         for one in family.pairs:
-            assert one.difference is not None
-            text = score_text(one.difference, one.low, one.high, signed=True)
-            chance = "" if one.verdict in TOLD_APART else f" {MAY_BE_CHANCE}"
-            rows.setdefault(f"{one.tracker} less {one.other}", []).append(text + chance)
+            rows.setdefault(f"{one.tracker} less {one.other}", []).append(pair_text(one))
     columns = (f"F1, {PAIRS_S:g} s", *(STRATA[stratum] for stratum in chosen))
     table = measured_table(columns, [[pair, *texts] for pair, texts in rows.items()])
     return ResultSection(command=COMMAND, tables={"pairs": table})

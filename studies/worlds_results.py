@@ -35,7 +35,7 @@ AIM_TRACKERS, AIM_HORIZONS_S, AIM_F1 = ("dilated-convgru", "kalman"), (0.5, 1.0)
 
 CONTENDERS = ("kalman", "factor-graph", "dogma", "dilated-convgru")
 """The trackers that forecast motion and are near each other: which of them is best?"""
-PAIR_SCORES = {"F1": ("f1", 3), "PR-AUC": ("pr_auc", 3), "log loss": ("nll", 4), "soft IoU": ("soft_iou", 3)}
+CONTENDER_SCORES = {"F1": ("f1", 3), "PR-AUC": ("pr_auc", 3), "log loss": ("nll", 4), "soft IoU": ("soft_iou", 3)}
 """The scores by which they are told apart, and the decimals of a difference: log losses are small."""
 
 
@@ -76,7 +76,7 @@ def pair_tables(scores: PlaceScores) -> dict[str, ResultTable]:
     """The contenders pair by pair on dynamic cells, a table for each score."""
     return {
         name: scores.pair_table(f"{name}, dynamic", "dynamic", score, CONTENDERS, decimals=decimals)
-        for name, (score, decimals) in PAIR_SCORES.items()
+        for name, (score, decimals) in CONTENDER_SCORES.items()
     }
 
 

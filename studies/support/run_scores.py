@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from studies.support.results_file import ResultTable
-from studies.support.score_text import MAY_BE_CHANCE, score_text
+from studies.support.score_text import chance_marked, score_text
 
 COLUMN = re.compile(
     r"(?P<score>f1|f1_at_visible|pr_auc|nll|share_of_oracle|lead|p|class nll) "
@@ -202,7 +202,7 @@ def _training_texts(found: dict[str, Any], column: str) -> tuple[str, str]:
 
 def _marked(text: str, p_holm: float) -> str:
     """The text of a difference with a mark for its corrected p."""
-    return text if p_holm < 0.001 else f"{text} *" if p_holm < 0.05 else f"{text} {MAY_BE_CHANCE}"
+    return f"{text} *" if 0.001 <= p_holm < 0.05 else chance_marked(text, p_holm >= 0.05)
 
 
 def _title(column: str) -> str:

@@ -12,7 +12,6 @@ from gridtrack.evaluation.results.recording import RecordingSummary
 from gridtrack.evaluation.results.summary import (
     ORACLE,
     PairFamily,
-    PairTest,
     TrackerDifference,
     TrackerTrainings,
     read_summary,
@@ -28,7 +27,7 @@ from gridtrack.trackers.card import GENERAL
 
 from studies.support.comparison import finished_trials
 from studies.support.results_file import ResultTable, measured_table
-from studies.support.score_text import MAY_BE_CHANCE, score_text
+from studies.support.score_text import chance_marked, pair_text, score_text
 
 WEIGHTS, TRAININGS = Path("data/weights"), Path("studies/trainings")
 REFERENCE = "persistence"
@@ -221,12 +220,16 @@ class PlaceScores:
     ) -> ResultTable:
         """The differences in a score between each two of `labels`, with a mark where they are not told apart."""
         found = {f.step: f.pairs for f in self.pair_families if (f.stratum, f.score) == (stratum, score)}
-        texts: dict[str, dict[float, str]] = {}
-        for horizon_s, step in self.horizons.items():
-            for test in found.get(step, ()):
-                if test.tracker in labels and test.other in labels:
-                    texts.setdefault(f"{test.tracker} less {test.other}", {})[horizon_s] = _pair_text(test, decimals)
-        rows = [[pair, *(of_pair.get(h, NONE) for h in self.horizons)] for pair, of_pair in texts.items()]
+        columns = [
+            {
+                f"{test.tracker} less {test.other}": pair_text(test, decimals)
+                for test in found.get(step, ())
+                if {test.tracker, test.other} <= set(labels)
+            }
+            for step in self.horizons.values()
+        ]
+        pairs = dict.fromkeys(pair for column in columns for pair in column)
+        rows = [[pair, *(column.get(pair, NONE) for column in columns)] for pair in pairs]
         return measured_table((corner, *(f"{h:g} s" for h in self.horizons)), rows)
 
     def difference_table(self, stratum: str) -> ResultTable:
@@ -243,7 +246,7 @@ class PlaceScores:
         if value is None:
             return NONE
         chance = (label, stratum, self.horizons[horizon_s]) in self.not_told_apart
-        return score_text(value, low, high, signed=True) + (f" {MAY_BE_CHANCE}" if chance else "")
+        return chance_marked(score_text(value, low, high, signed=True), chance)
 
     @cached_property
     def trainings(self) -> list[TrackerTrainings]:
@@ -262,10 +265,3 @@ class PlaceScores:
             for score in one.scores
         ]
         return measured_table(("F1", "of each training", "mean", "standard deviation"), rows)
-
-
-def _pair_text(test: PairTest, decimals: int) -> str:
-    if test.difference is None:
-        return NONE
-    chance = "" if test.verdict in TOLD_APART else f" {MAY_BE_CHANCE}"
-    return score_text(test.difference, test.low, test.high, signed=True, decimals=decimals) + chance
