@@ -87,15 +87,15 @@ def complete_card(
     train: Sequence[TrainingData],
     validation: Sequence[TrainingData],
     started_from: StartedFrom | None = None,
-) -> None:
+) -> bool:
     """Complete the card that a `fit` wrote: `command` where it has the `placeholder`, and its training data in full.
 
     `train` and `validation` are what the `fit` received, whether it named them or not, and what the general weights
-    learned from that it `started_from`. A card without the placeholder is one of an earlier training, and is not
-    changed. Raises WeightsError, OSError.
+    learned from that it `started_from`. A card without the placeholder is one of an earlier training: it is not
+    changed, and the result is False. Raises WeightsError, OSError.
     """
     if placeholder.encode() not in read_bounded(path, MAX_CARD_BYTES, WeightsError):
-        return
+        return False
 
     def replaced(value: Any) -> Any:
         if isinstance(value, dict):
@@ -111,6 +111,7 @@ def complete_card(
         }
     )
     write_text(path, _card_text(completed))
+    return True
 
 
 def add_thresholds(path: Path, thresholds: CardThresholds) -> None:

@@ -76,10 +76,9 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         else:
             interrupted = False
         finally:
-            if path.exists():
-                _complete(path, recipe, train_on, validate_on, start)
+            written = path.exists() and _complete(path, recipe, train_on, validate_on, start)
         if interrupted:
-            raise KeyboardInterrupt(_what_is_kept(path))
+            raise KeyboardInterrupt(_what_is_kept(path, written=written))
         report("thresholds for recordings without a validation stretch")
         try:
             with ProgressLines(report) as lines:
@@ -105,15 +104,14 @@ def _complete(
     train_on: Sequence[GridStream],
     validate_on: Sequence[GridStream],
     start: LearnedWeights | None,
-) -> None:
-    """Write command, training data and start on the card that a `fit` wrote."""
+) -> bool:
+    """Write command, training data and start on the card that a `fit` wrote. Whether it wrote one."""
     train, validation = _data_of(train_on), _data_of(validate_on)
     if start is None:
-        complete_card(path, COMMAND, recipe.command, train, validation)
-    else:
-        started_from = StartedFrom(name=start.name, sha256=start.sha256)
-        train, validation = [*train, *start.card.train], [*validation, *start.card.validation]
-        complete_card(path, COMMAND, recipe.command, train, validation, started_from)
+        return complete_card(path, COMMAND, recipe.command, train, validation)
+    started_from = StartedFrom(name=start.name, sha256=start.sha256)
+    train, validation = [*train, *start.card.train], [*validation, *start.card.validation]
+    return complete_card(path, COMMAND, recipe.command, train, validation, started_from)
 
 
 def _site_of(stream: GridStream) -> str:
@@ -126,12 +124,14 @@ def _site_of(stream: GridStream) -> str:
     return stream.site
 
 
-def _what_is_kept(path: Path) -> str:
-    """What an interrupted training leaves, and how to go on, in one line."""
+def _what_is_kept(path: Path, *, written: bool) -> str:
+    """What an interrupted training leaves, and how to go on, in one line; `written`: it has written a card."""
     again = "the same command goes on"
     if not path.exists():
         return f"interrupted before there was a result; {again}"
     reached = read_card(path).interrupted
+    if written and not reached:
+        return f"interrupted; {path} has the weights, but not what is learned after them, as classes; {again}"
     if not reached:
         return f"interrupted; {path} keeps the weights of an earlier training; {again}"
     return f"interrupted at {reached}; {path} has the best so far; {again}"

@@ -25,13 +25,11 @@ from tests.evaluation.conftest import RATE_HZ, SECONDS, scan
 
 FITS = '''
 import os, time
-from gridtrack.common.config import Settings
 from gridtrack.common.errors import WeightsError
-from gridtrack.trackers.baselines.static_map import StaticMapTracker
-from gridtrack.trackers.contract import Tracker
+from gridtrack.trackers.baselines.static_map import StaticMapOptions, StaticMapTracker
 
 
-class Options(Settings):
+class Options(StaticMapOptions):
     how: str = "raises"
 
 
@@ -48,6 +46,8 @@ class Fits(StaticMapTracker):
             raise WeightsError("too few frames")
         if options.how == "dies":
             os.abort()
+        if options.how == "writes-and-sleeps":
+            super().fit(train, validation, score, out, options)
         try:
             out.report(f"{os.getpid()}")  # the test interrupts as soon as it has read this line
             time.sleep(60)
@@ -165,11 +165,7 @@ def test_an_unknown_option_is_refused_before_the_recording_is_read(tmp_path):
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
 @pytest.mark.usefixtures("fits")
 def test_ctrl_c_reaches_fit_and_no_process_survives_the_command(end, record, tmp_path):
-    command = [sys.executable, "-m", "gridtrack.cli", "train", "fits:how=sleeps", str(record()), "--out", str(tmp_path)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    lines = iter(process.stdout.readline, "")
-    child = int(next(line for line in lines if line.strip().isdecimal()))  # not a line of progress
+    process, child = begun("sleeps", record(), tmp_path)
     os.kill(process.pid, end)
     rest, errors = process.communicate(timeout=20)
     assert ("saved" in rest) == (end == signal.SIGINT)
@@ -180,3 +176,26 @@ def test_ctrl_c_reaches_fit_and_no_process_survives_the_command(end, record, tmp
     while psutil.pid_exists(child) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not psutil.pid_exists(child)
+
+
+@pytest.mark.usefixtures("fits")
+def test_ctrl_c_says_whose_weights_are_kept(record, tmp_path):
+    recording, card = record(), tmp_path / "fits" / "room.toml"
+    kept = {"writes-and-sleeps": "has the weights, but not what is learned after them, as classes"}
+    kept["sleeps"] = "keeps the weights of an earlier training"
+    for how, text in kept.items():
+        process, _ = begun(how, recording, tmp_path)
+        os.kill(process.pid, signal.SIGINT)
+        assert (
+            process.communicate(timeout=20)[1] == f"gridtrack: interrupted; {card} {text}; the same command goes on\n"
+        )
+        assert "how=writes-and-sleeps" in read_card(card).command
+
+
+def begun(how, recording, out):
+    """The process of a training that `fits` has begun, and the number of that of `fit`."""
+    command = [sys.executable, "-m", "gridtrack.cli", "train", f"fits:how={how}", str(recording), "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    lines = iter(process.stdout.readline, "")
+    return process, int(next(line for line in lines if line.strip().isdecimal()))  # not a line of progress
