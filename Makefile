@@ -8,6 +8,8 @@ JUNCTION := $(wildcard data/junction/test-*.tracks) --validation data/junction/v
 DEMO_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
+# one worker more than processors: many tests wait for the processes that they start
+PYTEST := $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 1) --dist worksteal
 # with general weights: they have seen no recording of a site
 GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
@@ -32,10 +34,10 @@ demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minut
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS)) --out runs/junction
 
 test: lint ## run lint, types and all tests
-	$(BIN)/python -m pytest -n auto --dist worksteal
+	$(PYTEST)
 
 coverage: $(VENV)/.installed-dev ## run all tests; print the coverage and the ten files with the least
-	$(BIN)/python -m pytest -n auto --dist worksteal --cov --cov-report=
+	$(PYTEST) --cov --cov-report=
 	$(BIN)/coverage report | sed -n '1,12p;$$p'
 
 lint: $(VENV)/.installed-dev ## check style, spelling, types and the import rule

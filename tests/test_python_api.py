@@ -119,13 +119,13 @@ def test_an_interrupt_ends_the_comparison_and_keeps_what_was_scored(tmp_path):
 def notebook(tmp_path):
     """A process in a group of its own that compares as a notebook does, once one trial is scored in part."""
     rows = ["blank", "kalman"]
-    options = f"{RECORDING.partition('@')[0] + '@0s-'!r}, trackers={rows}, out={str(tmp_path / 'run')!r}"
+    options = f"{RECORDING.partition('@')[0] + '@0s-40s'!r}, trackers={rows}, out={str(tmp_path / 'run')!r}"
     code = f"import gridtrack; gridtrack.compare({options}, every='0.1s', jobs=1, allow_leak=True)"
     with subprocess.Popen(
         [sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
         assert process.stderr is not None
-        while not (tmp_path / "run" / "kalman@leg_tracker@0s-" / "scores.parquet.partial").exists():
+        while not (tmp_path / "run" / "kalman@leg_tracker@0s-40s" / "scores.parquet.partial").exists():
             assert process.poll() is None, process.stderr.read()
             time.sleep(0.02)
         yield process
@@ -136,8 +136,8 @@ def test_one_interrupt_of_the_whole_group_loses_no_score(notebook, tmp_path):
     os.killpg(notebook.pid, signal.SIGINT)
     assert "KeyboardInterrupt" in notebook.stderr.read()
     trials = gridtrack.Run.load(tmp_path / "run").summary.trackers
-    assert trials["blank"].recordings["leg_tracker@0s-"].outcome == "ok"
-    assert trials["kalman"].recordings["leg_tracker@0s-"].frames_scored > 0
+    assert trials["blank"].recordings["leg_tracker@0s-40s"].outcome == "ok"
+    assert trials["kalman"].recordings["leg_tracker@0s-40s"].frames_scored > 0
 
 
 def test_a_comparison_ends_where_its_notebook_is_killed(notebook, tmp_path):

@@ -17,9 +17,9 @@ from gridtrack.recordings import packaged_recording
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
 def test_a_comparison_that_is_ended_keeps_its_scores_and_leaves_no_process(tmp_path, end):
     rows = ["--tracker", "blank", "--tracker", "persistence", "--jobs", "1", "--every", "0.1s"]
-    arguments = ["compare", f"{packaged_recording('leg_tracker')}@0s-", *rows, "--out", str(tmp_path / "run")]
+    arguments = ["compare", f"{packaged_recording('leg_tracker')}@0s-40s", *rows, "--out", str(tmp_path / "run")]
     host = subprocess.Popen([sys.executable, "-m", "gridtrack.cli", *arguments], stderr=subprocess.DEVNULL)
-    scores = tmp_path / "run" / "persistence@leg_tracker@0s-" / "scores.parquet.partial"
+    scores = tmp_path / "run" / "persistence@leg_tracker@0s-40s" / "scores.parquet.partial"
     while not scores.exists():
         assert host.poll() is None, "the comparison ended before the signal"
         time.sleep(0.02)

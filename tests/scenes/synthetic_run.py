@@ -110,10 +110,13 @@ def write_trial(
     strata: tuple[str, ...] = STRATA,
     delivered: str = "",
     start_s: int = 10,
+    every_s: int = 1,
     steps: int = STEPS,
 ) -> FinishedTrial:
-    """A trial's folder and record; `seed` draws the counts of its frames, one a second from `start_s` on, of which
-    `scored` are scored where it ended early."""
+    """A trial's folder and record; `seed` draws the counts of its frames, one every `every_s` from `start_s` on.
+
+    Of them `scored` are scored where it ended early.
+    """
     folder = run / f"{label}@{recording}"
     folder.mkdir(parents=True)
     rng = np.random.default_rng(seed)
@@ -122,7 +125,7 @@ def write_trial(
     drawn = np.random.default_rng([seed, 1])
     with ScoreWriter(folder, steps, thresholds) as scores, SpatialWriter(folder, steps, strata) as spatial:
         for frame in range(done):
-            stamp_ns, digest = (frame + start_s) * 1_000_000_000, (delivered + f"{frame:x}").rjust(32, "0")
+            stamp_ns, digest = (frame * every_s + start_s) * 1_000_000_000, (delivered + f"{frame:x}").rjust(32, "0")
             scores.add(stamp_ns, digest, tally(rng, skill, strata, steps), stamp_ns + round(steps * PERIOD_S * 1e9))
             spatial.add(stamp_ns, *spatial_sums(drawn, skill, strata, steps))
     record = TrialRecord(
