@@ -171,7 +171,7 @@ def test_of_nineteen_recordings_nothing_is_tested(tmp_path):
 
 
 def test_a_long_recording_is_cut_into_blocks_longer_than_the_cycle(tmp_path):
-    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, ["long"], frames=625, every_s=4)
+    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, ["long"], frames=1250, every_s=2)
     told = {cycle: difference(summary_of(trials, ["long"], cycle_s=cycle), "good") for cycle in (None, 125.0, 127.0)}
     assert told[None].units == 25
     assert told[125.0].units == 20
@@ -179,7 +179,7 @@ def test_a_long_recording_is_cut_into_blocks_longer_than_the_cycle(tmp_path):
 
 
 def test_no_block_is_shorter_than_people_stay_whatever_the_autocorrelation(tmp_path):
-    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, ["short"], frames=150, every_s=4)
+    trials = a_run(tmp_path, {"persistence": 0.6, "good": 0.8}, ["short"], frames=600)
     told = difference(summary_of(trials, ["short"]), "good")
     assert told.interval == "too short for an interval: 6 units, blocks of at least 100 s, and 20 are needed"
 
@@ -313,7 +313,7 @@ def test_rows_with_the_same_frames_are_compared_where_one_more_received_others(t
 
 def test_a_row_that_lacks_the_recording_with_the_longest_blocks_gets_no_units_of_its_own(tmp_path):
     names, skills = ["a", "b"], {"persistence": 0.6, "picky": 0.8}
-    trials = a_run(tmp_path, skills, names, frames=240, every_s=10, picky=3)
+    trials = a_run(tmp_path, skills, names, frames=480, every_s=5, picky=3)
     described = {"a": synthetic.description(cycle_s=300.0), "b": synthetic.description()}
     summary = summarise(described, trials, [], False)
     for label in skills:
@@ -416,5 +416,5 @@ def test_a_run_whose_counts_do_not_fit_in_memory_has_the_same_summary(tmp_path, 
     expected = summary_of(trials, reference="persistence")
     assert expected.trackers["good"].pooled.strata["dynamic"].pr_auc_low[8] is not None
     monkeypatch.setattr(trial_files, "KEPT_BYTES", 1)
-    monkeypatch.setattr(pr_auc, "SUMMED_BYTES", 4 << 20)
+    monkeypatch.setattr(pr_auc, "SUMMED_BYTES", 1 << 20)  # of nine sums for twenty units four at a time
     assert summary_of(trials, reference="persistence") == expected
