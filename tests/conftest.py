@@ -25,13 +25,6 @@ PLUGINS = Path(__file__).parent / "plugins"
 Install = Callable[..., Path]
 
 
-@pytest.fixture(autouse=True)
-def heard_interrupts() -> Iterator[None]:
-    """Lightning has a process ignore Ctrl-C once a training in it was interrupted: the tests that follow hear it."""
-    yield
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
 @pytest.fixture(scope="session", autouse=True)
 def own_cache_of_stretches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """What a training keeps is that of this session: no test passes on frames that earlier code made."""

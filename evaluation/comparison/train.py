@@ -130,11 +130,11 @@ def _what_is_kept(path: Path, *, written: bool) -> str:
     if not path.exists():
         return f"interrupted before there was a result; {again}"
     reached = read_card(path).interrupted
-    if written and not reached:
+    if reached:
+        return f"interrupted at {reached}; {path} has the best so far; {again}"
+    if written:
         return f"interrupted; {path} has the weights, but not what is learned after them, as classes; {again}"
-    if not reached:
-        return f"interrupted; {path} keeps the weights of an earlier training; {again}"
-    return f"interrupted at {reached}; {path} has the best so far; {again}"
+    return f"interrupted; {path} keeps the weights of an earlier training; {again}"
 
 
 def _stretches(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import signal
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -90,6 +91,7 @@ def train_network(
     with _without_news():
         trainer = _trainer(settings, out)
     best = _checkpoint_in(out, BEST)
+    on_interrupt = signal.getsignal(signal.SIGINT)
     try:
         with (
             out.progress.stage("update", settings.updates, done) as stage,
@@ -97,7 +99,8 @@ def train_network(
             _without_news(),
         ):
             trainer.fit(module, ckpt_path=str(resumed) if resumed else None, weights_only=True)
-    except (KeyboardInterrupt, SystemExit):  # Lightning exits after an interrupt
+    except (KeyboardInterrupt, SystemExit):  # Lightning exits after an interrupt, and ignores further ones
+        signal.signal(signal.SIGINT, on_interrupt)
         end_devices(settings.devices)
         if not trainer.interrupted or not best.is_file():
             raise KeyboardInterrupt from None

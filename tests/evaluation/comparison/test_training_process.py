@@ -181,8 +181,10 @@ def test_ctrl_c_reaches_fit_and_no_process_survives_the_command(end, record, tmp
 @pytest.mark.usefixtures("fits")
 def test_ctrl_c_says_whose_weights_are_kept(record, tmp_path):
     recording, card = record(), tmp_path / "fits" / "room.toml"
-    kept = {"writes-and-sleeps": "has the weights, but not what is learned after them, as classes"}
-    kept["sleeps"] = "keeps the weights of an earlier training"
+    kept = {
+        "writes-and-sleeps": "has the weights, but not what is learned after them, as classes",
+        "sleeps": "keeps the weights of an earlier training",
+    }
     for how, text in kept.items():
         process, _ = begun(how, recording, tmp_path)
         os.kill(process.pid, signal.SIGINT)

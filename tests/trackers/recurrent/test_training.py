@@ -163,6 +163,7 @@ def test_an_interrupt_keeps_the_best_weights_and_a_checkpoint_between_validation
     monkeypatch.setattr("gridtrack.trackers.recurrent.sequences.SequenceDataset", InterruptedDataset)
     with pytest.raises(KeyboardInterrupt):
         fit(DilatedConvGRUTracker, tmp_path / "parts", **options)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler, "the process hears the next one"
     kept = tmp_path / "parts" / "shuttle.toml"
     done = int(re.fullmatch(r"update (4|5) of 6", read_card(kept).interrupted)[1])
     forecast(DilatedConvGRUTracker, kept)
