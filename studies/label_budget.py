@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 import torch
@@ -30,7 +31,7 @@ from gridtrack.evaluation.scoring.target import Target
 from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.cell_training import best_classifier
-from gridtrack.trackers.contract import FitOutput
+from gridtrack.trackers.contract import FitTask
 from gridtrack.trackers.label_settings import LabelSettings
 from gridtrack.trackers.labelled_scans import VALIDATE_ON, draw_labelled
 from gridtrack.trackers.one_shot.settings import OneShotSettings
@@ -123,13 +124,18 @@ def losses(classify: Classify, test: Sequence[Reading], matching: Matching) -> d
     return {column: statistics.fmean(values) for column, values in per_scan.items()}
 
 
+def no_objective(*_: Any) -> NoReturn:
+    """Classes are chosen by their own log loss."""
+    raise NotImplementedError
+
+
 def trained(whole: GridStream, budget: Budget) -> tuple[tuple[str, ...], dict[str, Classify]]:
     """The classes learned from the labelled scans of a budget, and the classifiers of each method."""
     shot, options = shipped_options()
-    out = FitOutput(Path(), "", budget.seed, Path())
     drawing = validated(LabelSettings, {"labelled_scans": budget.scans, "label_drawing": budget.drawing}, "study")
     labelled, tracker, held_out_on = draw_labelled([whole], drawing, budget.seed), latent_tracker(whole), validation()
     classes, layers = labelled.classes, options.decoded_layers
+    task = FitTask([whole], [held_out_on], no_objective, Path(), options, Path(), budget.seed)
     training = latent_cells(lambda _: tracker, labelled.runs(), classes, layers)
     held_out = latent_cells(lambda _: tracker, [(whole, held_out_on.labelled())], classes, layers, VALIDATE_ON)
     scan = best_classifier(
@@ -137,10 +143,10 @@ def trained(whole: GridStream, budget: Budget) -> tuple[tuple[str, ...], dict[st
         shot.model_dump(exclude=set(LabelSettings.model_fields)),
         training.scan.cells(),
         [held_out.scan.cells()],
-        out,
+        task,
     ).classifier
-    decoder = fit_decoder(options, training.now.cells(training.ahead), held_out, out)
-    seen, _ = fit_seen_cells(decoder, training, held_out, len(classes), out)
+    decoder = fit_decoder(options, training.now.cells(training.ahead), held_out, task)
+    seen, _ = fit_seen_cells(decoder, training, held_out, len(classes), task)
 
     @torch.no_grad()
     def of_scan(reading: Reading) -> NDArray[np.float32]:

@@ -6,7 +6,7 @@ none for the site: their card has no site and no grid, and the ranges of cell an
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from gridtrack.common.config import Settings
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import MAX_POSITION_M
-from gridtrack.trackers.contract import FitOutput, FrameSource
+from gridtrack.trackers.contract import FitTask, FrameSource
 
 CARD_SCHEMA = 2
 GENERAL = "general"
@@ -141,33 +141,27 @@ class Card(Settings):
 
 
 def card_for(
-    tracker: str,
-    out: FitOutput,
-    train: Iterable[FrameSource],
-    validation: Iterable[FrameSource],
-    settings: Mapping[str, Any],
-    results: Mapping[str, Any] | None = None,
+    tracker: str, task: FitTask, settings: Mapping[str, Any], results: Mapping[str, Any] | None = None
 ) -> Card:
-    """The card of a training on `train`: a general one where `out` asks for it.
+    """The card that `task` asks for, of the tracker registered as `tracker`.
 
     Settings that are None, which TOML cannot hold, are left out: it is their default. Arrays with a value per cell lie
     in the window of the first frame. Raises WeightsError where the training stretches of a site differ in grid, period
     or site.
     """
-    sources = list(train)
     return Card(
         tracker=tracker,
-        **(_ranges_of(sources) if out.general else _place_of(tracker, sources)),
-        seed=out.seed,
-        command=out.command,
-        train=_data_of(sources),
-        validation=_data_of(validation),
+        **(_ranges_of(task.train) if task.general else _place_of(tracker, task.train)),
+        seed=task.seed,
+        command=task.command,
+        train=_data_of(task.train),
+        validation=_data_of(task.validation),
         settings={name: value for name, value in settings.items() if value is not None},
         results=dict(results or {}),
     )
 
 
-def _ranges_of(sources: list[FrameSource]) -> dict[str, Any]:
+def _ranges_of(sources: Sequence[FrameSource]) -> dict[str, Any]:
     """The fields of a general card that say what it was trained on."""
     cells, periods = ([source.grid.cell_m for source in sources], [source.period_s for source in sources])
     return {
@@ -177,7 +171,7 @@ def _ranges_of(sources: list[FrameSource]) -> dict[str, Any]:
     }
 
 
-def _place_of(tracker: str, sources: list[FrameSource]) -> dict[str, Any]:
+def _place_of(tracker: str, sources: Sequence[FrameSource]) -> dict[str, Any]:
     """The fields of a site's card that say where it was trained. Raises WeightsError."""
     kinds = {(str(s.grid), s.period_s, s.site) for s in sources}
     if len(kinds) != 1:
@@ -196,19 +190,14 @@ def _first_window(sources: Iterable[FrameSource]) -> tuple[float, float] | None:
 
 
 def with_classes(
-    card: Card,
-    classes: tuple[str, ...],
-    train: Iterable[FrameSource],
-    validation: Iterable[FrameSource],
-    settings: Mapping[str, Any],
-    results: Mapping[str, Any],
+    card: Card, classes: tuple[str, ...], task: FitTask, settings: Mapping[str, Any], results: Mapping[str, Any]
 ) -> Card:
-    """The card of an earlier training, with classes added from `train` and `validation` (`stage=classes`)."""
+    """The card of an earlier training, with classes added by `task` (`stage=classes`)."""
     return card.model_copy(
         update={
             "classes": classes,
-            "train": tuple(dict.fromkeys([*card.train, *_data_of(train)])),
-            "validation": tuple(dict.fromkeys([*card.validation, *_data_of(validation)])),
+            "train": tuple(dict.fromkeys([*card.train, *_data_of(task.train)])),
+            "validation": tuple(dict.fromkeys([*card.validation, *_data_of(task.validation)])),
             "settings": card.settings | {"stage": "both"} | dict(settings),
             "results": card.results | {"classes": dict(results)},
         }

@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.cell_classifier import CellClassifier
-from gridtrack.trackers.contract import FitOutput
+from gridtrack.trackers.contract import FitTask
 from gridtrack.trackers.label_settings import ClassifierSettings
 from gridtrack.trackers.labelled_scans import class_indices, inverse_frequency
 
@@ -109,19 +109,19 @@ def best_classifier(
     given: Mapping[str, Any],
     training: LabelledCells,
     validation: Sequence[LabelledCells],
-    out: FitOutput,
+    task: FitTask,
 ) -> TrainedClassifier:
     """The classifier with the least log loss on `validation` of SETTINGS_TRIED settings; `given` settings are fixed.
 
     `validation`: sets of cells with equal weight. `build` returns an untrained classifier. An interrupt ends the search
     at the best so far. Raises KeyboardInterrupt where there is none yet.
     """
-    candidates, best = tuple(candidate_settings(given, out.seed)), None
-    with out.progress.stage("classifier", len(candidates)) as stage:
+    candidates, best = tuple(candidate_settings(given, task.seed)), None
+    with task.progress.stage("classifier", len(candidates)) as stage:
         for settings in candidates:
-            torch.manual_seed(out.seed)
+            torch.manual_seed(task.seed)
             try:
-                with out.progress.stage("update", settings.updates) as updates:
+                with task.progress.stage("update", settings.updates) as updates:
                     trained = train_classifier(build(settings), settings, training, validation, updates.advance)
                 tried = calibrated(trained, validation)
             except KeyboardInterrupt:
@@ -130,7 +130,7 @@ def best_classifier(
                 return replace(best, reached=f"classifier {stage.done} of {len(candidates)}")
             best = tried if best is None or tried.log_loss < best.log_loss else best
             stage.advance()
-            out.report(
+            task.report(
                 f"channels {settings.channels}, learning rate {settings.learning_rate:g}, weight decay"
                 f" {settings.weight_decay:g}, class weights {settings.class_weights}: validation log loss"
                 f" {tried.log_loss:.4f} nats a cell"

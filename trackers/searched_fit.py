@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from gridtrack.common.config import Settings
 from gridtrack.trackers.calibration import IDENTITY, CalibratedTracker, fit_calibration
 from gridtrack.trackers.card import card_for
-from gridtrack.trackers.contract import FitOutput, FrameSource, Score, StreamSpec, StretchScore, stream_of
+from gridtrack.trackers.contract import FitTask, FrameSource, Objective, StretchScore, stream_of
 from gridtrack.trackers.excerpts import (
     SEARCHED_S,
     SELECTION_HORIZONS_S,
@@ -32,9 +32,10 @@ from gridtrack.trackers.excerpts import (
     excerpts_of_places,
     mean_of_defined,
 )
+from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.tuning import (
-    Objective,
     SearchInterrupted,
+    SearchTarget,
     clipped,
     delete_search_log,
     search_settings,
@@ -56,15 +57,14 @@ _Searched = TypeVar("_Searched", bound=Settings)
 
 @dataclass(frozen=True, slots=True)
 class SettingsSearch(Generic[_Searched]):
-    """What is searched for the tracker `name`: settings of one `kind` in `ranges`, log-uniformly.
+    """What is searched for a `tracker`: settings of one `kind` in `ranges`, log-uniformly.
 
     `of_place`: those of which general weights know nothing. `during(settings)` are the settings with which a try is
     scored, for trackers that can be faster at some loss. `without_map`: the settings of a tracker that starts without
     its map of the place; empty where there is no map, or no way to do so.
     """
 
-    name: str
-    tracker: Callable[[StreamSpec, _Searched], CalibratedTracker]
+    tracker: type[CalibratedTracker]
     kind: type[_Searched]
     ranges: Mapping[str, tuple[float, float]]
     of_place: frozenset[str]
@@ -75,55 +75,53 @@ class SettingsSearch(Generic[_Searched]):
 def fit_searched(
     search: SettingsSearch[_Searched],
     arrays: Mapping[str, NDArray[Any]],
-    train: Sequence[FrameSource],
-    validation: Sequence[FrameSource],
-    score: Score,
-    out: FitOutput,
+    task: FitTask,
     given: Mapping[str, Any],
     notes: Mapping[str, Any],
 ) -> None:
-    """Write the `arrays`, the settings with the best F1 on excerpts of `train`, and their calibration to `out.path`.
+    """Write the `arrays`, the settings with the best F1 on excerpts of `task.train`, and their calibration.
 
-    The settings in `given` are not searched. The search begins with the defaults, or with those of the general weights
-    `out.start`. Of the best settings those with the best F1 on `validation` are written (`_decided`); `notes` are added
-    to the results on the card. Raises WeightsError where the recordings differ in grid, period or site or the general
-    weights are damaged, ConfigurationError without torch.
+    The settings in `given` are not searched. The search begins with the defaults, or with the settings of the general
+    weights `task.start`; `task.validation` decides between the best settings (`_decided`). `notes` are added to the
+    results on the card. Raises WeightsError if the recordings differ in grid, period or site or the general weights
+    are damaged, ConfigurationError without torch.
     """
     arrays = {**arrays, "calibration": IDENTITY}
-    start, ranges = _begin(search, out, given)
-    card = card_for(search.name, out, train, validation, {})
-    searched = excerpts_of_places(train, SEARCHED_S) if out.general else excerpts(train)
+    name = registered_name(search.tracker)
+    start, ranges = _begin(search, name, task, given)
+    card = card_for(name, task, {})
+    searched = excerpts_of_places(task.train, SEARCHED_S) if task.general else excerpts(task.train)
     with TemporaryDirectory() as folder:
-        draft = _Draft(search.tracker, Path(folder) / f"{search.name}.toml", score)
+        draft = _Draft(search.tracker, Path(folder) / f"{name}.toml", task.objective)
         save_weights(draft.path, card, arrays)
-        objective = Objective[_Searched]("mean F1", lambda tried: draft.f1_of_each(search.during(tried), searched))
+        target = SearchTarget[_Searched]("mean F1", lambda tried: draft.f1_of_each(search.during(tried), searched))
         try:
-            finalists = search_settings(search.kind, ranges, objective, start, SEARCH_ITERATIONS, train, out)
+            finalists = search_settings(search.kind, ranges, target, start, SEARCH_ITERATIONS, task)
         except SearchInterrupted as stopped:
-            card = card_for(search.name, out, train, validation, stopped.best.model_dump(), notes)
-            save_interrupted(out.path, card, arrays, f"{stopped.reached}, not calibrated")
+            card = card_for(name, task, stopped.best.model_dump(), notes)
+            save_interrupted(task.out, card, arrays, f"{stopped.reached}, not calibrated")
             raise
-        settings = _decided(search, draft, finalists, start, validation, out, given)
-        arrays["calibration"] = draft.calibration(settings, searched, out)
+        settings = _decided(search, draft, finalists, start, task, given)
+        arrays["calibration"] = draft.calibration(settings, searched, task)
         save_weights(draft.path, card, arrays)
         results = {
             "train": draft.summaries(settings, searched),
-            "validation": draft.summaries(settings, validation),
+            "validation": draft.summaries(settings, task.validation),
             **notes,
         }
-    save_weights(out.path, card_for(search.name, out, train, validation, settings.model_dump(), results), arrays)
-    delete_search_log(out)
+    save_weights(task.out, card_for(name, task, settings.model_dump(), results), arrays)
+    delete_search_log(task)
 
 
 def _begin(
-    search: SettingsSearch[_Searched], out: FitOutput, given: Mapping[str, Any]
+    search: SettingsSearch[_Searched], name: str, task: FitTask, given: Mapping[str, Any]
 ) -> tuple[_Searched, dict[str, tuple[float, float]]]:
     """The settings that the search begins with, and what it searches. Raises WeightsError."""
     start = search.kind(**given)
     ranges = {key: bounds for key, bounds in search.ranges.items() if key not in given}
-    if out.start is None:
+    if task.start is None:
         return start, ranges
-    start = tuned_settings(search.kind, load_start(out.start, search.name), start)
+    start = tuned_settings(search.kind, load_start(task.start, name), start)
     near = {key: _near(getattr(start, key), *bounds) for key, bounds in ranges.items() if key not in search.of_place}
     return start, ranges | near
 
@@ -133,25 +131,24 @@ def _decided(
     draft: _Draft[_Searched],
     finalists: list[_Searched],
     start: _Searched,
-    validation: Sequence[FrameSource],
-    out: FitOutput,
+    task: FitTask,
     given: Mapping[str, Any],
 ) -> _Searched:
-    """The finalist with the best F1 on `validation`; the first one where there is none.
+    """The finalist with the best F1 on `task.validation`; the first one where there is none.
 
     From general weights on, their settings `start` are a finalist too, and at a site each is also tried without the map
     of the place, which is not used where the best of these is better by MAP_WORTH.
     """
-    if out.start is not None and start not in finalists:
+    if task.start is not None and start not in finalists:
         finalists = [*finalists, start]
-    if len(finalists) == 1 or not validation:
+    if len(finalists) == 1 or not task.validation:
         return finalists[0]
-    settings, f1 = draft.best_of(finalists, validation, out)
-    if out.start is not None and not out.general and not search.without_map.keys() <= given.keys():
+    settings, f1 = draft.best_of(finalists, task)
+    if task.start is not None and not task.general and not search.without_map.keys() <= given.keys():
         bare = [search.kind(**{**one.model_dump(), **search.without_map}) for one in finalists]
-        best_bare, bare_f1 = draft.best_of(bare, validation, out)
+        best_bare, bare_f1 = draft.best_of(bare, task)
         if bare_f1 >= f1 + MAP_WORTH:
-            out.report(f"without the map of the place mean F1 on validation is {bare_f1:.5f}: the map is not used")
+            task.report(f"without the map of the place mean F1 on validation is {bare_f1:.5f}: the map is not used")
             return best_bare
     return settings
 
@@ -164,17 +161,17 @@ def _near(value: float, low: float, high: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class _Draft(Generic[_Searched]):
-    """Weights in training: `tracker` runs with those at `path` and is scored by `score`."""
+    """Weights in training: `tracker` runs with those at `path` and is scored by `objective`."""
 
-    tracker: Callable[[StreamSpec, _Searched], CalibratedTracker]
+    tracker: type[CalibratedTracker]
     path: Path
-    score: Score
+    objective: Objective
 
     def running(self, settings: _Searched, source: FrameSource) -> CalibratedTracker:
         return self.tracker(stream_of(source, self.path), settings)
 
     def scored(self, settings: _Searched, source: FrameSource) -> StretchScore:
-        return self.score(self.running(settings, source), source, step_of(source, max(SELECTION_HORIZONS_S)))
+        return self.objective(self.running(settings, source), source, step_of(source, max(SELECTION_HORIZONS_S)))
 
     def f1_of_each(self, settings: _Searched, sources: Sequence[FrameSource]) -> Iterator[float]:
         """The mean F1 on each source in turn; NaN where it is undefined."""
@@ -184,17 +181,15 @@ class _Draft(Generic[_Searched]):
         """The mean over the sources in which it is defined; NaN where it is in none."""
         return mean_of_defined(list(self.f1_of_each(settings, sources)))
 
-    def best_of(
-        self, finalists: list[_Searched], validation: Sequence[FrameSource], out: FitOutput
-    ) -> tuple[_Searched, float]:
-        """The settings with the best mean F1 on `validation`, and that F1."""
+    def best_of(self, finalists: list[_Searched], task: FitTask) -> tuple[_Searched, float]:
+        """The settings with the best mean F1 on `task.validation`, and that F1."""
         values = []
-        with out.progress.stage("finalist", len(finalists)) as stage:
+        with task.progress.stage("finalist", len(finalists)) as stage:
             for settings in finalists:
-                values.append(self.mean_f1(settings, validation))
+                values.append(self.mean_f1(settings, task.validation))
                 stage.advance(f"mean F1 on validation {values[-1]:.5f}")
         found = int(np.argmax(values))  # 0 where F1 is undefined: nothing moves in the validation recordings
-        out.report(
+        task.report(
             f"number {found + 1} of the {len(finalists)} best is chosen: mean F1 on validation {values[found]:.5f}"
         )
         return finalists[found], values[found]
@@ -202,13 +197,13 @@ class _Draft(Generic[_Searched]):
     def summaries(self, settings: _Searched, sources: Sequence[FrameSource]) -> list[dict[str, Any]]:
         return [stretch_summary(self.scored(settings, source), source, SELECTION_HORIZONS_S) for source in sources]
 
-    def calibration(self, settings: _Searched, sources: Sequence[FrameSource], out: FitOutput) -> NDArray[np.float32]:
+    def calibration(self, settings: _Searched, sources: Sequence[FrameSource], task: FitTask) -> NDArray[np.float32]:
         last = max(SELECTION_HORIZONS_S)
         parameters = fit_calibration(
             (self.running(settings, source), list(source), step_of(source, last)) for source in sources
         )
         for group, (a, b, c) in zip(("cells seen recently", "other cells"), parameters.tolist(), strict=True):
-            out.report(f"calibration, {group}: logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)")
+            task.report(f"calibration, {group}: logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)")
         return parameters
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError, WeightsError, one_line
 from gridtrack.trackers import messages, registry
-from gridtrack.trackers.contract import API, Forecast, StreamSpec, Tracker
+from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
 from gridtrack.trackers.own_code import code_sha256
 from gridtrack.trackers.wire import MAX_HEADER, Message, WireError, encode, fill_from, receive, widen, write_to
 
@@ -159,7 +159,7 @@ def _description(kind: type[Tracker], classes: Any, options: Settings) -> dict[s
         raise WireError(f"classes is {classes!r:.80}; expected a tuple of names")
     schema = kind.Options.model_json_schema()
     return {
-        "api": API,
+        "api": kind.api,
         "about": (kind.__doc__ or "").strip(),
         "classes": list(classes),
         "moving_sensor": kind.moving_sensor,

@@ -18,7 +18,7 @@ from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.files import read_bounded, write_text
 from gridtrack.common.horizons import nearest_step
 from gridtrack.common.untrusted import parse_json
-from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
+from gridtrack.trackers.contract import FitTask, FrameSource, StretchScore
 from gridtrack.trackers.racing import Race
 
 SEARCH_FILE = "search.json"
@@ -29,7 +29,7 @@ FINALISTS = 5
 _Tuned = TypeVar("_Tuned", bound=Settings)
 
 
-class Objective(NamedTuple, Generic[_Tuned]):
+class SearchTarget(NamedTuple, Generic[_Tuned]):
     """What a search maximises: the mean of the scores `of` settings, one for each excerpt; its `name` in reports."""
 
     name: str
@@ -66,57 +66,56 @@ class SearchLog:
         return self._scores[key]
 
 
-def delete_search_log(out: FitOutput) -> None:
+def delete_search_log(task: FitTask) -> None:
     """Delete the scores of a search whose result is written: a search with other code must not use them."""
-    (out.log_dir / SEARCH_FILE).unlink(missing_ok=True)
+    (task.log_dir / SEARCH_FILE).unlink(missing_ok=True)
 
 
 def search_settings(
     kind: type[_Tuned],
     ranges: Mapping[str, tuple[float, float]],
-    objective: Objective[_Tuned],
+    target: SearchTarget[_Tuned],
     start: _Tuned,
     iterations: int,
-    train: Sequence[FrameSource],
-    out: FitOutput,
+    task: FitTask,
 ) -> list[_Tuned]:
     """The FINALISTS best settings of `iterations` of a Bayesian search, the best first.
 
-    A Gaussian process predicts the objective, and the settings with the greatest logarithm of the expected improvement
+    A Gaussian process predicts the target, and the settings with the greatest logarithm of the expected improvement
     are tried next (Jones, Schonlau and Welch, 1998; Ament et al., 2023); the first tries are `start` and random ones.
     Each key of `ranges` is searched log-uniformly from low to high; the other settings are those of `start`, which is
     the only result where nothing is searched. Settings that lose a race against the best ones so far are not scored on
-    all excerpts. The same seed gives the same search. The scores of each iteration are written to `out.log_dir`: an
-    interrupted search with the same `train` continues there, until `delete_search_log`.
-    Raises RecordingError where the objective is undefined, SearchInterrupted where it is interrupted after an
+    all excerpts. The same seed gives the same search. The scores of each iteration are written to `task.log_dir`: an
+    interrupted search with the same `task.train` continues there, until `delete_search_log`.
+    Raises RecordingError where the target is undefined, SearchInterrupted where it is interrupted after an
     iteration, ConfigurationError without torch.
     """
     if not ranges:
         return [start]
     searched = {
-        "objective": objective.name,
+        "objective": target.name,
         "ranges": {key: list(bounds) for key, bounds in ranges.items()},
         "start": start.model_dump(mode="json"),
-        "seed": out.seed,
-        "train": [[source.name, source.sha256, len(source)] for source in train],
+        "seed": task.seed,
+        "train": [[source.name, source.sha256, len(source)] for source in task.train],
     }
-    known, race = SearchLog(out.log_dir / SEARCH_FILE, searched), Race()
+    known, race = SearchLog(task.log_dir / SEARCH_FILE, searched), Race()
 
     def with_tried(tried: Mapping[str, float]) -> _Tuned:
         return kind(**{**start.model_dump(), **tried})
 
     def value_of(trial: optuna.Trial) -> float:
         tried = {key: _suggested(trial, key, *ranges[key]) for key in ranges}
-        scores = known.scores(tried, lambda: race.run(objective.of(with_tried(tried))))
-        return _defined(objective, race.mean(scores))
+        scores = known.scores(tried, lambda: race.run(target.of(with_tried(tried))))
+        return _defined(target, race.mean(scores))
 
-    study = _study({key: clipped(getattr(start, key), *ranges[key]) for key in ranges}, out.seed)
+    study = _study({key: clipped(getattr(start, key), *ranges[key]) for key in ranges}, task.seed)
     try:
-        with out.progress.stage("search iteration", iterations) as stage:
+        with task.progress.stage("search iteration", iterations) as stage:
             study.optimize(
                 value_of,
                 n_trials=iterations,
-                callbacks=[lambda study, _: stage.advance(f"best {objective.name} {study.best_value:.5f}")],
+                callbacks=[lambda study, _: stage.advance(f"best {target.name} {study.best_value:.5f}")],
             )
     except KeyboardInterrupt:
         if not stage.done:
@@ -124,7 +123,7 @@ def search_settings(
         raise SearchInterrupted(
             with_tried(_tried(study.best_trial)), f"search iteration {stage.done} of {iterations}"
         ) from None
-    out.report(f"best of {iterations} search iterations: {objective.name} {study.best_value:.5f}")
+    task.report(f"best of {iterations} search iterations: {target.name} {study.best_value:.5f}")
     best = sorted(study.get_trials(deepcopy=False), key=lambda trial: -trial.values[0])[:FINALISTS]
     return [with_tried(_tried(trial)) for trial in best]
 
@@ -133,7 +132,7 @@ def _study(start: dict[str, float], seed: int) -> optuna.Study:
     """A study that tries `start` first. Raises ConfigurationError without torch."""
     if find_spec("torch") is None:
         raise ConfigurationError("the search of settings needs torch: pip install 'gridtrack[deep]'")
-    optuna.logging.set_verbosity(optuna.logging.ERROR)  # exceptions of the objective are raised, not logged as well
+    optuna.logging.set_verbosity(optuna.logging.ERROR)  # exceptions of the target are raised, not logged as well
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         sampler = optuna.samplers.GPSampler(seed=seed)
@@ -147,11 +146,11 @@ def clipped(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-def _defined(objective: Objective[Any], value: float) -> float:
-    """The value of the objective. Raises RecordingError where it is undefined."""
+def _defined(target: SearchTarget[Any], value: float) -> float:
+    """The value of the target. Raises RecordingError where it is undefined."""
     if not math.isfinite(value):
         raise RecordingError(
-            f"{objective.name} is not defined on the training recordings: no visible cell was occupied by a moving"
+            f"{target.name} is not defined on the training recordings: no visible cell was occupied by a moving"
             " object; use a longer stretch"
         )
     return value

@@ -18,7 +18,6 @@ from gridtrack.common.errors import GridtrackError, PluginError
 from gridtrack.evaluation.processes.orphans import forget_leader, start_leader
 from gridtrack.evaluation.processes.shielding import shielded_environment
 from gridtrack.evaluation.processes.supervised import ProcessExit
-from gridtrack.trackers.contract import FitOutput
 from gridtrack.trackers.wire import Message, WireError, encode, fill_from, receive, write_to
 
 INTERRUPT_S = 30.0
@@ -70,10 +69,17 @@ class TrainingProcess:
         self,
         train: Sequence[Path],
         validation: Sequence[Path],
-        output: FitOutput,
         regions_of: Callable[[int], Path],
+        report: Callable[[str], None],
+        *,
+        out: Path,
+        log_dir: Path,
+        seed: int,
+        command: str,
+        general: bool,
+        start: Path | None,
     ) -> None:
-        """Run `fit` on these files of stretches; its lines go to `output.report`.
+        """Run `fit` on these files of stretches, with the other fields of its FitTask; its lines go to `report`.
 
         `regions_of(n)` makes the file with the regions of the n-th stretch, those of training first, when `fit` asks
         for it. Raises GridtrackError.
@@ -82,16 +88,16 @@ class TrainingProcess:
             "fit",
             train=[str(path) for path in train],
             validation=[str(path) for path in validation],
-            path=str(output.path),
-            command=output.command,
-            seed=output.seed,
-            log_dir=str(output.log_dir),
-            general=output.general,
-            start=str(output.start or ""),
+            out=str(out),
+            log_dir=str(log_dir),
+            seed=seed,
+            command=command,
+            general=general,
+            start=str(start or ""),
         )
         with self._passing_on_interrupts() as interrupted:
             try:
-                self._answer("done", output.report, lambda n: self._send("regions", path=str(regions_of(n))))
+                self._answer("done", report, lambda n: self._send("regions", path=str(regions_of(n))))
             except GridtrackError:
                 if not interrupted.is_set():
                     raise

@@ -23,8 +23,9 @@ from gridtrack.evaluation.processes.sandbox import confine
 from gridtrack.evaluation.processes.shielding import shielded_environment
 from gridtrack.evaluation.processes.supervised import SupervisedProgram
 from gridtrack.trackers import messages
-from gridtrack.trackers.contract import API, ComparedPart, Forecast, Role, StreamSpec
+from gridtrack.trackers.contract import ComparedPart, Forecast, Role, StreamSpec
 from gridtrack.trackers.own_code import program_sha256
+from gridtrack.trackers.registry import api_breach
 from gridtrack.trackers.selection import Launch
 from gridtrack.trackers.weights import ARRAYS_SUFFIX
 from gridtrack.trackers.wire import Message, TooLargeError, WireError
@@ -282,8 +283,8 @@ def description_from(answer: Message) -> TrackerDescription:
         raise WireError(f"{len(classes)} classes; at most {messages.MAX_CLASSES}")
     if not all(isinstance(name, str) and is_label(name) for name in classes) or len(set(classes)) != len(classes):
         raise WireError(f"classes {classes!r:.80} are not distinct names: {LABEL_RULE}")
-    if answer.value("api", int) != API:
-        raise WireError(f"made for contract {answer.value('api', int)}; this gridtrack has contract {API}")
+    if problem := api_breach(answer.value("api", int), fits=False):
+        raise WireError(problem)
     return TrackerDescription(
         tuple(classes),
         answer.value("moving_sensor", bool),

@@ -18,7 +18,7 @@ from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame  # noqa: E4
 from gridtrack.trackers import cell_training  # noqa: E402
 from gridtrack.trackers.cell_classifier import CellClassifier  # noqa: E402
 from gridtrack.trackers.cell_training import CellCollector, LabelledCells, candidate_settings, train_classifier  # noqa: E402
-from gridtrack.trackers.contract import FitOutput, stream_of  # noqa: E402
+from gridtrack.trackers.contract import FitTask, stream_of  # noqa: E402
 from gridtrack.trackers.label_settings import ClassifierSettings  # noqa: E402
 from gridtrack.trackers.labelled_scans import class_indices, inverse_frequency  # noqa: E402
 from gridtrack.trackers.one_shot.tracker import OneShotTracker  # noqa: E402
@@ -87,9 +87,10 @@ def no_score(tracker, source, steps):
 
 def fit(tracker, folder, things, seed=3, train=None, **options):
     settings = validated(tracker.Options, {"labelled_scans": 150, **options}, "test")
-    out = FitOutput(folder / "toy.toml", f"gridtrack train {options}", seed, folder / "log", lambda line: None)
-    tracker.fit([train or Scene(things)], [Scene(things, 72, seed=1)], no_score, out, settings)
-    return out.path
+    out, sources, validation = folder / "toy.toml", [train or Scene(things)], [Scene(things, 72, seed=1)]
+    command = f"gridtrack train {options}"
+    tracker.fit(FitTask(sources, validation, no_score, out, settings, folder / "log", seed, command))
+    return out
 
 
 NETWORK = {"channels": 8, "layers": 2, "updates": 1, "warm_up": 0, "validate_every": 1, "precision": "32-true"}

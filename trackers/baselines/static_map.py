@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from pydantic import Field
 
@@ -13,11 +11,11 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, shift_between
 from gridtrack.trackers.baselines.cell_rates import LearnedRates, RunningRates, smoothed_rate
 from gridtrack.trackers.card import card_for
-from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
+from gridtrack.trackers.contract import FitTask, Forecast, StreamSpec, Tracker
+from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.site_map import SiteMap
 from gridtrack.trackers.weights import Weights, array, load_weights, save_weights
 
-STATIC_MAP = "static-map"
 MAX_MAP_SIZE = 4096
 """Limit of the cells a side of a map, which spans the windows of its training frames."""
 
@@ -44,12 +42,12 @@ class StaticMapTracker(Tracker):
 
     def __init__(self, stream: StreamSpec, options: StaticMapOptions) -> None:
         super().__init__(stream, options)
-        weights = load_weights(stream, STATIC_MAP)
+        weights = load_weights(stream, registered_name(type(self)))
         occupied, visible = (array(weights, name, _shape_of(weights, stream.grid)) for name in ("occupied", "visible"))
         if not ((occupied >= 0) & (occupied <= visible)).all():
-            raise WeightsError(f"weights of {STATIC_MAP}: a cell has more occupied than visible frames: train again")
+            raise WeightsError(f"{stream.weights}: a cell has more occupied than visible frames: train again")
         if not visible.any():
-            raise WeightsError(f"weights of {STATIC_MAP}: no cell was visible: train again")
+            raise WeightsError(f"{stream.weights}: no cell was visible: train again")
         self._overall = float(occupied.sum() / visible.sum())
         self.frequency = smoothed_rate(occupied, visible, self._overall, options.prior_frames)
         self._card = weights.card
@@ -74,35 +72,28 @@ class StaticMapTracker(Tracker):
         return Forecast(np.tile(self._rates.in_window, (steps + 1, 1, 1)))
 
     @classmethod
-    def fit(
-        cls,
-        train: Sequence[FrameSource],
-        validation: Sequence[FrameSource],
-        score: Score,
-        out: FitOutput,
-        options: StaticMapOptions,
-    ) -> None:
-        """Count the visible and the occupied frames of every cell in `train`, wherever the window went.
+    def fit(cls, task: FitTask) -> None:
+        """Count the visible and the occupied frames of every cell in `task.train`, wherever the window went.
 
         Raises WeightsError where the stretches differ in grid, period or site, no cell is visible, or the map is too
         large.
         """
-        card = card_for(STATIC_MAP, out, train, validation, options.model_dump(mode="json"))
-        frames = (frame for source in train for frame in source)
-        if out.general:
+        card = card_for(registered_name(cls), task, task.options.model_dump(mode="json"))
+        frames = (frame for source in task.train for frame in source)
+        if task.general:
             sums = np.sum([(frame.occupied.sum(), frame.visible.sum()) for frame in frames], axis=0, dtype=np.int64)
             occupied, visible = sums.reshape(2, 1, 1)
         else:
-            counts = WorldCounts(train[0].grid)
+            counts = WorldCounts(task.train[0].grid)
             for frame in frames:
                 counts.add(frame)
             occupied, visible, place = counts.occupied, counts.visible, counts.world_T_map
             card = card.model_copy(update={"world_T_grid": place and (place.x, place.y)})
         if not visible.any():
-            raise WeightsError(f"{STATIC_MAP}: no cell is visible in {', '.join(source.name for source in train)}")
-        save_weights(out.path, card, {"occupied": occupied, "visible": visible})
-        out.report(
-            f"{STATIC_MAP}: {np.count_nonzero(visible)} cells seen, overall rate {occupied.sum() / visible.sum():.4f}"
+            raise WeightsError(f"no cell is visible in {', '.join(source.name for source in task.train)}")
+        save_weights(task.out, card, {"occupied": occupied, "visible": visible})
+        task.report(
+            f"{card.tracker}: {np.count_nonzero(visible)} cells seen, overall rate {occupied.sum() / visible.sum():.4f}"
         )
 
 
@@ -136,7 +127,7 @@ class WorldCounts:
         before, after = windows_before * size, windows_after * size
         if extent + before + after > MAX_MAP_SIZE:
             raise WeightsError(
-                f"{STATIC_MAP}: the window moves over {extent + before + after} cells, and a map has at most"
+                f"the window moves over {extent + before + after} cells, and a map has at most"
                 f" {MAX_MAP_SIZE} a side: train on a shorter stretch"
             )
         grown = [(before, after) if each == axis else (0, 0) for each in range(2)]

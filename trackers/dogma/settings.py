@@ -6,7 +6,6 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 
-NAME = "dogma"
 """Name of the tracker."""
 
 

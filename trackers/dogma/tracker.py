@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +11,11 @@ from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.calibration import CalibratedTracker, Calibration
-from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec
+from gridtrack.trackers.contract import FitTask, Forecast, StreamSpec
 from gridtrack.trackers.dogma.filter import ParticleGrid
 from gridtrack.trackers.dogma.forecast import flow_now, forecast, forecast_with_flow
-from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
+from gridtrack.trackers.dogma.settings import DogmaSettings
+from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.site_map import SiteMap, mean_of_cells
 from gridtrack.trackers.weights import array, cell_probabilities, load_weights, tuned_settings
 
@@ -31,7 +31,7 @@ class DogmaTracker(CalibratedTracker):
     def __init__(self, stream: StreamSpec, options: DogmaSettings) -> None:
         """Raises WeightsError without weights for the stream's site, grid and period."""
         super().__init__(stream, options)
-        weights = load_weights(stream, NAME)
+        weights = load_weights(stream, registered_name(type(self)))
         self._settings = tuned_settings(DogmaSettings, weights, options)
         self._occupancy_rate = cell_probabilities(weights, "occupancy_rate", stream.grid)
         self._world_T_map = weights.card.map_pose
@@ -75,18 +75,11 @@ class DogmaTracker(CalibratedTracker):
         return True
 
     @classmethod
-    def fit(
-        cls,
-        train: Sequence[FrameSource],
-        validation: Sequence[FrameSource],
-        score: Score,
-        out: FitOutput,
-        options: Any,
-    ) -> None:
-        """Count the occupancy rate and tune the settings on `train`, and report the score on `validation`."""
+    def fit(cls, task: FitTask) -> None:
+        """Count the occupancy rate and tune the settings on `task.train`."""
         from gridtrack.trackers.dogma.tuning import fit_dogma
 
-        fit_dogma(cls, train, validation, score, out, options)
+        fit_dogma(cls, task)
 
 
 def compile_filter(period_s: float) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gridtrack.trackers.calibration import CalibratedTracker
-from gridtrack.trackers.contract import FitOutput, FrameSource, Score
+from gridtrack.trackers.contract import FitTask, FrameSource
 from gridtrack.trackers.dogma.masses import Mass
-from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
+from gridtrack.trackers.dogma.settings import DogmaSettings
 from gridtrack.trackers.searched_fit import SettingsSearch, fit_searched
 from gridtrack.trackers.site_rate import NO_MAP, count_anywhere, count_frames, posterior_rate
 
@@ -30,29 +30,20 @@ DOGMA_OF_PLACE = frozenset({"free_decay_s"})
 """The setting that weighs the map of the place against the stream: what is not free counts with the rate of the map."""
 
 
-def fit_dogma(
-    tracker: type[CalibratedTracker],
-    train: Sequence[FrameSource],
-    validation: Sequence[FrameSource],
-    score: Score,
-    out: FitOutput,
-    options: DogmaSettings,
-) -> None:
-    """Write the counted occupancy rate, and the settings with the best F1 on excerpts of `train`, to `out.path`.
+def fit_dogma(tracker: type[CalibratedTracker], task: FitTask) -> None:
+    """Write the counted occupancy rate, and the searched settings, to `task.out`.
 
-    A setting in `options` is not searched. Of the best settings those with the best F1 on `validation` are written. The
-    forecast is calibrated on the excerpts. Raises WeightsError where the recordings differ in grid, period or site.
+    Raises WeightsError if the recordings differ in grid, period or site.
     """
-    if out.general:
-        visible, occupied = count_anywhere(train, lambda frame: (frame.visible, frame.occupied))
+    if task.general:
+        visible, occupied = count_anywhere(task.train, lambda frame: (frame.visible, frame.occupied))
         rate = posterior_rate(occupied, visible)
     else:
-        rate, moves = count_occupancy_rate(train)
+        rate, moves = count_occupancy_rate(task.train)
         if moves:
-            out.report(NO_MAP)
-    search = SettingsSearch(NAME, tracker, DogmaSettings, DOGMA_RANGES, DOGMA_OF_PLACE, with_fewer_particles)
-    given = options.model_dump(exclude_unset=True)
-    fit_searched(search, {"occupancy_rate": rate}, train, validation, score, out, given, {})
+            task.report(NO_MAP)
+    search = SettingsSearch(tracker, DogmaSettings, DOGMA_RANGES, DOGMA_OF_PLACE, with_fewer_particles)
+    fit_searched(search, {"occupancy_rate": rate}, task, task.options.model_dump(exclude_unset=True), {})
 
 
 def with_fewer_particles(settings: DogmaSettings) -> DogmaSettings:

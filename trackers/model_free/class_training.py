@@ -18,11 +18,12 @@ from sklearn.mixture import GaussianMixture
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.card import with_classes
-from gridtrack.trackers.contract import FitOutput, FrameSource, stream_of
+from gridtrack.trackers.contract import FitTask, FrameSource, stream_of
 from gridtrack.trackers.label_settings import LabelSettings
 from gridtrack.trackers.labelled_scans import LabelledScans, class_indices, draw_labelled
 from gridtrack.trackers.model_free.classes import ARRAY_PREFIX, FEATURES, ClassModel, features_of
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
+from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.weights import load_weights, save_weights
 
 if TYPE_CHECKING:
@@ -61,56 +62,50 @@ class TrackSamples(NamedTuple):
         return np.asarray((sums - before) / (np.arange(len(values)) - first + 1)[:, None])
 
 
-def draw_scans(train: Sequence[FrameSource], out: FitOutput, options: ModelFreeSettings) -> LabelledScans | None:
+def draw_scans(task: FitTask) -> LabelledScans | None:
     """The labelled scans of the training; None where no classes are requested or available, or for any place.
 
     Raises ConfigurationError where too few scans are labelled or classes are requested for any place, WeightsError
     where classes are to be added but there are no weights.
     """
-    if out.general:
+    train, options = task.train, task.options
+    if task.general:
         if options.stage == "classes":
             raise ConfigurationError("classes are learned at a site: leave --general out")
         return None
-    if options.stage == "classes" and not out.path.exists():
-        raise WeightsError(f"{out.path}: no weights to add classes to: train with stage=both, or put them there")
+    if options.stage == "classes" and not task.out.exists():
+        raise WeightsError(f"{task.out}: no weights to add classes to: train with stage=both, or put them there")
     if options.stage == "occupancy" or (options.stage == "both" and not any(source.classes for source in train)):
         return None
-    return draw_labelled(train, options, out.seed)
+    return draw_labelled(train, options, task.seed)
 
 
-def fit_classes(
-    kind: type[ModelFreeTracker],
-    labelled: LabelledScans,
-    train: Sequence[FrameSource],
-    validation: Sequence[FrameSource],
-    out: FitOutput,
-    options: ModelFreeSettings,
-) -> None:
-    """Train classes on the `labelled` scans and add them to the weights at `out.path`, which are otherwise unchanged.
+def fit_classes(kind: type[ModelFreeTracker], labelled: LabelledScans, task: FitTask) -> None:
+    """Train classes on the `labelled` scans and add them to the weights at `task.out`, which are otherwise unchanged.
 
-    Raises ConfigurationError where `validation` has no labels.
+    Raises ConfigurationError where `task.validation` has no labels.
     """
-    classes, source = labelled.classes, train[0]
-    out.report(f"classes {', '.join(classes)} from {labelled.name}")
+    classes, source = labelled.classes, task.train[0]
+    task.report(f"classes {', '.join(classes)} from {labelled.name}")
 
-    weights = load_weights(stream_of(source, out.path), kind.name)
+    weights = load_weights(stream_of(source, task.out), registered_name(kind))
     bare = {name: value for name, value in weights.arrays.items() if not name.startswith(ARRAY_PREFIX)}
     with TemporaryDirectory() as folder:
-        draft = Path(folder) / out.path.name
+        draft = Path(folder) / task.out.name
         save_weights(draft, weights.card.model_copy(update={"classes": ()}), bare)
         tracker = kind(stream_of(source, draft), ModelFreeSettings())
     training = track_samples(tracker, labelled.runs(), classes)
-    held_out = track_samples(tracker, ((source, source.labelled()) for source in validation), classes)
+    held_out = track_samples(tracker, ((source, source.labelled()) for source in task.validation), classes)
     if not held_out.cells.any():
-        names_of = ", ".join(source.name for source in validation)
+        names_of = ", ".join(source.name for source in task.validation)
         raise ConfigurationError(f"{names_of}: no track there has a label: give a --validation with labels")
     cell_prior = cell_prior_of(count_cells(labelled, classes), source.grid.cell_m)
-    model, loss = best_model(training, held_out, cell_prior, out)
+    model, loss = best_model(training, held_out, cell_prior, task)
 
-    results = _results(labelled, training, classes, model, loss, out)
-    settings = options.model_dump(include=set(LabelSettings.model_fields)) | {"labelled_scans": labelled.count}
-    card = with_classes(weights.card, classes, train, validation, settings, results)
-    save_weights(out.path, card, bare | model.arrays())
+    results = _results(labelled, training, classes, model, loss, task)
+    settings = task.options.model_dump(include=set(LabelSettings.model_fields)) | {"labelled_scans": labelled.count}
+    card = with_classes(weights.card, classes, task, settings, results)
+    save_weights(task.out, card, bare | model.arrays())
 
 
 def track_samples(
@@ -168,14 +163,14 @@ def cell_prior_of(count: NDArray[np.float64], cell_m: float) -> NDArray[np.float
 
 
 def best_model(
-    training: TrackSamples, held_out: TrackSamples, cell_prior: NDArray[np.float64], out: FitOutput
+    training: TrackSamples, held_out: TrackSamples, cell_prior: NDArray[np.float64], task: FitTask
 ) -> tuple[ClassModel, float]:
     """The model, over COMPONENTS and powers, with the least log loss of `held_out` cells; that loss, nats a cell."""
     flat = cell_prior.reshape(len(cell_prior), -1)
     log_prior = np.log(np.stack([flat[:, returns].mean(axis=1) for returns in held_out.returns]))
     best: tuple[ClassModel, float] | None = None
     for components in COMPONENTS:
-        model = fit_mixtures(training, cell_prior, components, out.seed)
+        model = fit_mixtures(training, cell_prior, components, task.seed)
         evidence = held_out.mean_over_life(model.log_densities(held_out.features))
         tried = [
             (candidate, cell_log_loss(candidate.posteriors(evidence, log_prior), held_out.cells))
@@ -183,7 +178,7 @@ def best_model(
             for candidate in [model._replace(powers=np.array(powers))]
         ]
         chosen = min(tried, key=lambda one: one[1])
-        out.report(
+        task.report(
             f"at most {components} Gaussians of a class: validation log loss {chosen[1]:.4f} nats a cell, powers"
             f" {chosen[0].powers.tolist()}"
         )
@@ -232,14 +227,14 @@ def _results(
     classes: Sequence[str],
     model: ClassModel,
     loss: float,
-    out: FitOutput,
+    task: FitTask,
 ) -> dict[str, Any]:
     """The results of the classes in the card, with their own command: the settings may be from an earlier training."""
     targets = training.cells.argmax(axis=1)[training.cells.any(axis=1)]
     tracks = [len(np.unique(training.track[training.cells[:, k] > 0])) for k in range(len(classes))]
     return {
-        "command": out.command,
-        "seed": out.seed,
+        "command": task.command,
+        "seed": task.seed,
         "labelled": labelled.name,
         "features": list(FEATURES),
         "tracks": dict(zip(classes, tracks, strict=True)),

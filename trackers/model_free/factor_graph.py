@@ -7,5 +7,4 @@ from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 class FactorGraphTracker(ModelFreeTracker):
     """The pipeline with fixed-lag smoothers, whose measurements are robust."""
 
-    name = "factor-graph"
     estimator = staticmethod(FactorGraphEstimator)

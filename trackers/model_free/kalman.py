@@ -7,5 +7,4 @@ from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 class KalmanTracker(ModelFreeTracker):
     """The pipeline with extended Kalman filters."""
 
-    name = "kalman"
     estimator = staticmethod(KalmanEstimator)

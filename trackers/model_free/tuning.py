@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.trackers.contract import FitOutput, FrameSource, Score
+from gridtrack.trackers.contract import FitTask, FrameSource
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP, fit_background, general_background
 from gridtrack.trackers.model_free.open_cells import OpenCells, OpenOnMap, OpenSoFar
 from gridtrack.trackers.model_free.residence import fit_residence, general_residence, table_shape
@@ -54,40 +54,32 @@ WITHOUT_MAP = {"background": "none"}
 """The setting of a pipeline that finds its background while the stream goes."""
 
 
-def fit_pipeline(
-    tracker: type[ModelFreeTracker],
-    train: Sequence[FrameSource],
-    validation: Sequence[FrameSource],
-    score: Score,
-    out: FitOutput,
-    options: PipelineSettings,
-) -> None:
-    """Write the counted arrays, and the settings with the best F1 on excerpts of `train`, to `out.path`.
+def fit_pipeline(tracker: type[ModelFreeTracker], task: FitTask) -> None:
+    """Write the counted arrays, and the searched settings, to `task.out`.
 
-    A setting in `options` is not searched. Of the best settings those with the best F1 on `validation` are written. The
-    forecast is calibrated on the excerpts. Raises WeightsError where the recordings differ in grid, period or site.
+    Raises WeightsError if the recordings differ in grid, period or site.
     """
+    train, options = task.train, task.options
     given = options.model_dump(include=set(PipelineSettings.model_fields), exclude_unset=True)
-    notes = {"classes": _without_classes(train, out)}
-    arrays = general_arrays(train, options) if out.general else fit_arrays(train, options, out.report)
+    notes = {"classes": _without_classes(task)}
+    arrays = general_arrays(train, options) if task.general else fit_arrays(train, options, task.report)
     search = SettingsSearch(
-        tracker.name,
         tracker,
         PipelineSettings,
         SETTING_RANGES,
         PIPELINE_OF_PLACE,
         without_map=WITHOUT_MAP if (arrays["neighbourhood_rate"] < OUTSIDE_MAP).any() else {},
     )
-    fit_searched(search, arrays, train, validation, score, out, given, notes)
+    fit_searched(search, arrays, task, given, notes)
 
 
-def _without_classes(train: Sequence[FrameSource], out: FitOutput) -> str:
+def _without_classes(task: FitTask) -> str:
     """The entry for classes in the card of a training without them."""
-    if out.general:
+    if task.general:
         return "none: classes are learned at a site"
-    if any(source.classes for source in train):
+    if any(source.classes for source in task.train):
         return "none yet: add them with stage=classes"
-    return f"none: {', '.join(source.name for source in train)} has no labels"
+    return f"none: {', '.join(source.name for source in task.train)} has no labels"
 
 
 def general_arrays(train: Sequence[FrameSource], options: PipelineSettings) -> dict[str, NDArray[np.float32]]:

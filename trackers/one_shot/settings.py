@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from gridtrack.trackers.label_settings import ClassifierSettings, LabelSettings
 
-ONE_SHOT = "one-shot"
-
 
 class OneShotSettings(LabelSettings, ClassifierSettings):
     """The width of the classifier, its training, and its labelled scans."""

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import torch
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.contract import ComparedPart, FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
-from gridtrack.trackers.one_shot.settings import ONE_SHOT, OneShotSettings
+from gridtrack.trackers.contract import ComparedPart, FitTask, Forecast, StreamSpec, Tracker
+from gridtrack.trackers.one_shot.settings import OneShotSettings
+from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
 from gridtrack.trackers.trained_network import restore, trained_settings
 from gridtrack.trackers.weights import load_weights
@@ -32,7 +32,7 @@ class OneShotTracker(Tracker):
     def __init__(self, stream: StreamSpec, options: OneShotSettings) -> None:
         """Raises WeightsError without weights for the stream's site, grid and period."""
         super().__init__(stream, options)
-        weights = load_weights(stream, ONE_SHOT)
+        weights = load_weights(stream, registered_name(type(self)))
         self.classes = weights.card.classes
         settings = trained_settings(stream, weights, options)
         general = weights.card.general
@@ -57,15 +57,8 @@ class OneShotTracker(Tracker):
         return Forecast(np.repeat(occupancy, steps + 1, axis=0), np.repeat(semantics, steps + 1, axis=0))
 
     @classmethod
-    def fit(
-        cls,
-        train: Sequence[FrameSource],
-        validation: Sequence[FrameSource],
-        score: Score,
-        out: FitOutput,
-        options: Any,
-    ) -> None:
-        """Train on labelled scans of `train`; settings that `options` do not set are chosen on `validation`."""
+    def fit(cls, task: FitTask) -> None:
+        """Train on labelled scans; settings that the options do not set are chosen on `task.validation`."""
         from gridtrack.trackers.one_shot.training import fit_classifier
 
-        fit_classifier(train, validation, out, options)
+        fit_classifier(registered_name(cls), task)

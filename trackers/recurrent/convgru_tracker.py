@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -11,7 +10,7 @@ from torch import nn
 
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score
+from gridtrack.trackers.contract import FitTask, Forecast
 from gridtrack.trackers.recurrent.accelerated_convgru import AcceleratedConvGRU
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU
 from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferencePlainConvGRU
@@ -26,7 +25,6 @@ from gridtrack.trackers.weights import Weights, read_card
 class DilatedConvGRUTracker(RecurrentTracker):
     """The dilated ConvGRU with static memory (Ondruska et al., 2016)."""
 
-    name = "dilated-convgru"
     Options: ClassVar[type[DilatedConvGRUOptions]] = DilatedConvGRUOptions
 
     _seen: SeenCells | None = None
@@ -66,7 +64,7 @@ class DilatedConvGRUTracker(RecurrentTracker):
         return DilatedConvGRU(size, options, classes, options.class_hidden, options.decoded_layers)
 
     @classmethod
-    def without_map(cls, options: Any, why: str, out: FitOutput) -> Any:
+    def without_map(cls, options: Any, why: str, task: FitTask) -> Any:
         """The options without static memory, which has the cells of one window.
 
         Raises ConfigurationError where it was asked for.
@@ -77,7 +75,7 @@ class DilatedConvGRUTracker(RecurrentTracker):
             raise ConfigurationError(
                 f"{why}, and static memory has the cells of one window: train with static_gates=[]"
             )
-        out.report(f"{why}: trained without static memory (static_gates=[])")
+        task.report(f"{why}: trained without static memory (static_gates=[])")
         return options.model_copy(update={"static_gates": ()})
 
     @classmethod
@@ -105,22 +103,16 @@ class DilatedConvGRUTracker(RecurrentTracker):
         return bool(options.stage != "classes")
 
     @classmethod
-    def fit(
-        cls,
-        train: Sequence[FrameSource],
-        validation: Sequence[FrameSource],
-        score: Score,
-        out: FitOutput,
-        options: Any,
-    ) -> None:
+    def fit(cls, task: FitTask) -> None:
         """Train the network on visible cells and then, if the recording has classes, its class decoder on labels."""
         from gridtrack.trackers.recurrent.transfer import fit_class_decoder
 
-        if options.stage != "classes":
-            super().fit(train, validation, score, out, options)
-        if options.stage == "classes" or (options.stage == "both" and any(source.classes for source in train)):
-            fit_class_decoder(cls, train, validation, out, options)
-        elif out.start is not None and read_card(out.start).classes:
-            out.report(
+        stage = task.options.stage
+        if stage != "classes":
+            super().fit(task)
+        if stage == "classes" or (stage == "both" and any(source.classes for source in task.train)):
+            fit_class_decoder(cls, task)
+        elif task.start is not None and read_card(task.start).classes:
+            task.report(
                 "without classes: the class decoder of the general weights is left out, it reads their network only"
             )

@@ -15,7 +15,7 @@ from typing import get_args
 import torch
 from torch import nn
 
-from gridtrack.trackers.contract import FitOutput
+from gridtrack.trackers.contract import FitTask
 from gridtrack.trackers.recurrent.devices import training_device
 from gridtrack.trackers.recurrent.settings import Precision, TrainingSettings
 
@@ -26,11 +26,11 @@ BATCH, SIZE, INPUTS, OUTPUTS = 2, 100, 16, 48
 """The convolution of the states of a layer of the dilated ConvGRU, with a batch of two grids of 100 cells a side."""
 
 
-def training_precision(settings: TrainingSettings, out: FitOutput) -> Precision:
-    """The precision of `settings`; for `auto` that of the training that `out.log_dir` resumes, or the faster one."""
+def training_precision(settings: TrainingSettings, task: FitTask) -> Precision:
+    """The precision of `settings`; for `auto` that of the training that `task.log_dir` resumes, or the faster one."""
     if settings.precision != "auto":
         return settings.precision
-    if (resumed := _precision_in(out)) is not None:
+    if (resumed := _precision_in(task)) is not None:
         return resumed
     if settings.devices > 1 and training_device() != "cpu":
         return "bf16-mixed"  # a device that this process used to measure could not be used by those that it forks
@@ -39,14 +39,14 @@ def training_precision(settings: TrainingSettings, out: FitOutput) -> Precision:
         took_ms = {precision: min(ms, convolution_ms(precision)) for precision, ms in took_ms.items()}
     fastest: Precision = min(took_ms, key=lambda precision: took_ms[precision])
     times = ", ".join(f"{precision} {ms:.1f} ms" for precision, ms in took_ms.items())
-    out.report(f"precision {fastest}: a convolution and its gradient take {times} on this machine")
+    task.report(f"precision {fastest}: a convolution and its gradient take {times} on this machine")
     return fastest
 
 
-def _precision_in(out: FitOutput) -> Precision | None:
+def _precision_in(task: FitTask) -> Precision | None:
     """The precision of the training that has its checkpoints in the log folder; None without one."""
     with suppress(OSError, ValueError, KeyError, TypeError):
-        recorded = json.loads((out.log_dir / "settings.json").read_text())["precision"]
+        recorded = json.loads((task.log_dir / "settings.json").read_text())["precision"]
         return next((precision for precision in get_args(Precision) if precision == recorded), None)
     return None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -15,7 +14,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Shift, shift_between
 from gridtrack.common.horizons import nearest_step
 from gridtrack.trackers.card import card_for
-from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
+from gridtrack.trackers.contract import FitTask, Forecast, FrameSource, StreamSpec, Tracker, stream_of
 from gridtrack.trackers.excerpts import SELECTION_HORIZONS_S, VALIDATED_S, excerpts_of_places
 from gridtrack.trackers.recurrent.general_network import begin_from, general_options, settings_from_general
 from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState, as_cells, channels_last
@@ -23,6 +22,7 @@ from gridtrack.trackers.recurrent.pacing import StepPace, paced
 from gridtrack.trackers.recurrent.resolution_input import resolution_of, set_resolution
 from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.recurrent.unseen import rolled_state
+from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.trained_network import restore, trained_settings
 from gridtrack.trackers.weights import Weights, load_start, load_weights, save_interrupted, save_weights
 
@@ -35,9 +35,8 @@ be later at every frame."""
 
 
 class RecurrentTracker(Tracker):
-    """A recurrent network as a tracker; a subclass sets `name` and builds the network."""
+    """A recurrent network as a tracker; a subclass builds the network."""
 
-    name: ClassVar[str]
     learns: ClassVar[bool] = True
     learns_general: ClassVar[bool] = True
     moving_sensor: ClassVar[bool] = True
@@ -52,7 +51,7 @@ class RecurrentTracker(Tracker):
         """
         super().__init__(stream, options)
         self._place = place
-        self.network: Any = network or self._restored(load_weights(stream, self.name))
+        self.network: Any = network or self._restored(load_weights(stream, registered_name(type(self))))
         self._buffers: tuple[Float32Array, ...] | None = None
         self.reset(seed=0)
 
@@ -75,7 +74,7 @@ class RecurrentTracker(Tracker):
         """The InferenceNetwork: the same function as the trained `network`, computed faster."""
 
     @classmethod
-    def without_map(cls, options: Any, why: str, out: FitOutput) -> Any:
+    def without_map(cls, options: Any, why: str, task: FitTask) -> Any:
         """The options of a training whose frames do not have one window, and `why`; most networks have no map of it."""
         return options
 
@@ -174,61 +173,54 @@ class RecurrentTracker(Tracker):
         return True
 
     @classmethod
-    def fit(
-        cls,
-        train: Sequence[FrameSource],
-        validation: Sequence[FrameSource],
-        score: Score,
-        out: FitOutput,
-        options: Any,
-    ) -> None:
-        """Train the network on `train` and write the weights that score best on `validation`.
+    def fit(cls, task: FitTask) -> None:
+        """Train the network on `task.train` and write the weights that score best on `task.validation`.
 
-        From general weights `out.start` these are among the candidates.
+        If it starts from general weights `task.start`, these are among the candidates.
         """
         from gridtrack.trackers.recurrent.devices import training_device
         from gridtrack.trackers.recurrent.precision import training_precision
         from gridtrack.trackers.recurrent.sequences import SequenceDataset
         from gridtrack.trackers.recurrent.training import train_network, validation_scores
 
-        start = None if out.start is None else load_start(out.start, cls.name)
-        options = options if start is None else settings_from_general(options, start)
-        if out.general:
+        start = None if task.start is None else load_start(task.start, registered_name(cls))
+        options = task.options if start is None else settings_from_general(task.options, start)
+        if task.general:
             options = general_options(options)
-        dataset = SequenceDataset(train, options, out.seed, step_s=options.step_s, general=out.general)
-        options = cls._for_windows_of(dataset, options, out)
-        options = options.model_copy(update={"precision": training_precision(options, out)})
-        torch.manual_seed(out.seed)
+        dataset = SequenceDataset(task.train, options, task.seed, step_s=options.step_s, general=task.general)
+        options = cls._for_windows_of(dataset, options, task)
+        options = options.model_copy(update={"precision": training_precision(options, task)})
+        torch.manual_seed(task.seed)
         network = cls.build(dataset.size, options, classes=0)
         in_training = cls.prepare_training(network, dataset.occupied_rate, training_device())
         if start is not None:
             begin_from(network, start)
-        held_out = excerpts_of_places(validation, VALIDATED_S) if out.general else validation
+        held_out = excerpts_of_places(task.validation, VALIDATED_S) if task.general else task.validation
 
         def validate(trained: nn.Module) -> dict[str, float]:
             def score_on(source: FrameSource) -> Any:
                 stream, steps = stream_of(source), nearest_step(max(SELECTION_HORIZONS_S), source.period_s)
                 inference = cls.inference_for(deepcopy(trained).cpu(), stream, options)
-                return score(cls(stream, options, inference, dataset.first_window), source, steps)
+                return task.objective(cls(stream, options, inference, dataset.first_window), source, steps)
 
             return validation_scores(score_on, held_out, SELECTION_HORIZONS_S)
 
-        trained = train_network(network, in_training, dataset, options, validate, out, start)
+        trained = train_network(network, in_training, dataset, options, validate, task, start)
         arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
         settings = options.model_dump(mode="json", exclude=set(InferenceSettings.model_fields))
-        card = card_for(cls.name, out, train, validation, settings, trained.scores)
+        card = card_for(registered_name(cls), task, settings, trained.scores)
         if trained.reached:
-            save_interrupted(out.path, card, arrays, trained.reached)
+            save_interrupted(task.out, card, arrays, trained.reached)
             raise KeyboardInterrupt
-        save_weights(out.path, card, arrays)
+        save_weights(task.out, card, arrays)
 
     @classmethod
-    def _for_windows_of(cls, dataset: SequenceDataset, options: Any, out: FitOutput) -> Any:
+    def _for_windows_of(cls, dataset: SequenceDataset, options: Any, task: FitTask) -> Any:
         """The options for these windows: without maps where they differ, and for general weights."""
-        if out.general:
-            return cls.without_map(options, "general weights know no place", out)
+        if task.general:
+            return cls.without_map(options, "general weights know no place", task)
         if not dataset.has_one_window:
-            return cls.without_map(options, "the windows of the training frames differ", out)
+            return cls.without_map(options, "the windows of the training frames differ", task)
         return options
 
 

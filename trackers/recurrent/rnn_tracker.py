@@ -17,7 +17,6 @@ from gridtrack.trackers.recurrent.training_rnn import TrainingRNN
 class DeepTrackingRNNTracker(RecurrentTracker):
     """The original Deep Tracking RNN (Ondruska and Posner, 2016)."""
 
-    name = "deep-tracking-rnn"
     Options: ClassVar[type[DeepTrackingRNNOptions]] = DeepTrackingRNNOptions
 
     @classmethod

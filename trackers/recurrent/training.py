@@ -28,7 +28,7 @@ from torch import Tensor, nn
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import write_text
 from gridtrack.common.horizons import nearest_step
-from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
+from gridtrack.trackers.contract import FitTask, FrameSource, StretchScore
 from gridtrack.trackers.excerpts import SELECTION_STRATA, mean_of_defined
 from gridtrack.trackers.recurrent.devices import ONE_DEVICE, SEVERAL_DEVICES, called_here, check_devices, end_devices
 from gridtrack.trackers.recurrent.network import RecurrentNetwork
@@ -68,13 +68,13 @@ def train_network(
     dataset: SequenceDataset,
     settings: TrainingSettings,
     validate: Validate,
-    out: FitOutput,
+    task: FitTask,
     start: Weights | None = None,
 ) -> TrainedNetwork:
     """Train `network` in place to the weights with the best validation score; those it begins with, of a `start`, too.
 
     The training computes with `in_training`, the same function of the same parameters. Logs (CSV,
-    TensorBoard) and checkpoints are written to `out.log_dir`; checkpoints of the same training in it are resumed. An
+    TensorBoard) and checkpoints are written to `task.log_dir`; checkpoints of the same training in it are resumed. An
     interrupt ends the training at the best weights so far. Raises ConfigurationError where the folder has checkpoints
     of another training or the devices are too few, and KeyboardInterrupt where it is interrupted before the first
     validation.
@@ -83,19 +83,19 @@ def train_network(
     for name in ("lightning.pytorch", "lightning.fabric"):  # they print advertisements
         logging.getLogger(name).setLevel(logging.WARNING)
     network_settings = settings.model_dump(exclude={*TransferSettings.model_fields, *InferenceSettings.model_fields})
-    training = {"seed": out.seed, "train": dataset.sources, **network_settings}
-    resumed = _resumable(out, training if start is None else {"start": start.card.arrays_sha256, **training})
-    begun = None if start is None else _Begun.with_scores(network, validate, out)
+    training = {"seed": task.seed, "train": dataset.sources, **network_settings}
+    resumed = _resumable(task, training if start is None else {"start": start.card.arrays_sha256, **training})
+    begun = None if start is None else _Begun.with_scores(network, validate, task)
     done = _updates_in(resumed) if resumed else 0
     module = TrainingModule(network, in_training, dataset, settings, validate, done)
     with _without_news():
-        trainer = _trainer(settings, out)
-    best = _checkpoint_in(out, BEST)
+        trainer = _trainer(settings, task)
+    best = _checkpoint_in(task, BEST)
     on_interrupt = signal.getsignal(signal.SIGINT)
     try:
         with (
-            out.progress.stage("update", settings.updates, done) as stage,
-            called_here(settings.devices, stage.advance, out.report) as (module.advance, module.report),
+            task.progress.stage("update", settings.updates, done) as stage,
+            called_here(settings.devices, stage.advance, task.report) as (module.advance, module.report),
             _without_news(),
         ):
             trainer.fit(module, ckpt_path=str(resumed) if resumed else None, weights_only=True)
@@ -108,8 +108,8 @@ def train_network(
     module.load_state_dict(kept["state_dict"])
     scores = dict(kept["scores"])
     if begun is not None and not _improves(scores, begun.scores):
-        scores = begun.kept_in(network, out)
-    reached = f"update {_updates_in(_checkpoint_in(out, LAST))} of {settings.updates}" if trainer.interrupted else ""
+        scores = begun.kept_in(network, task)
+    reached = f"update {_updates_in(_checkpoint_in(task, LAST))} of {settings.updates}" if trainer.interrupted else ""
     return TrainedNetwork(scores, reached)
 
 
@@ -128,15 +128,15 @@ class _Begun(NamedTuple):
     scores: dict[str, float]
 
     @classmethod
-    def with_scores(cls, network: nn.Module, validate: Validate, out: FitOutput) -> Self:
+    def with_scores(cls, network: nn.Module, validate: Validate, task: FitTask) -> Self:
         """The `network` as it is now."""
         begun = cls(deepcopy(network.state_dict()), validate(network))
-        out.report(f"general weights  {scores_text(begun.scores)}")
+        task.report(f"general weights  {scores_text(begun.scores)}")
         return begun
 
-    def kept_in(self, network: nn.Module, out: FitOutput) -> dict[str, float]:
+    def kept_in(self, network: nn.Module, task: FitTask) -> dict[str, float]:
         """Load the network of the beginning into `network`; returns its scores."""
-        out.report("no update is better on the validation than the general weights: they are kept")
+        task.report("no update is better on the validation than the general weights: they are kept")
         network.load_state_dict(self.state)
         return self.scores
 
@@ -147,14 +147,14 @@ def _improves(scores: dict[str, float], before: dict[str, float]) -> bool:
     return gain > 0 if abs(gain) > NEAR_TIE else scores["log_loss"] < before["log_loss"]
 
 
-def _checkpoint_in(out: FitOutput, which: str) -> Path:
+def _checkpoint_in(task: FitTask, which: str) -> Path:
     """The checkpoint BEST or LAST of a training."""
-    return out.log_dir / "checkpoints" / f"{which}.ckpt"
+    return task.log_dir / "checkpoints" / f"{which}.ckpt"
 
 
-def _trainer(settings: TrainingSettings, out: FitOutput) -> lightning.Trainer:
-    """A trainer with its checkpoints, BEST and LAST, and logs in `out.log_dir`."""
-    folder = out.log_dir / "checkpoints"
+def _trainer(settings: TrainingSettings, task: FitTask) -> lightning.Trainer:
+    """A trainer with its checkpoints, BEST and LAST, and logs in `task.log_dir`."""
+    folder = task.log_dir / "checkpoints"
     best = ModelCheckpoint(folder, filename=BEST, monitor="score", mode="max", enable_version_counter=False)
     # after every epoch, whatever the score
     last = ModelCheckpoint(folder, filename=LAST, enable_version_counter=False)
@@ -170,10 +170,10 @@ def _trainer(settings: TrainingSettings, out: FitOutput) -> lightning.Trainer:
         strategy=ONE_DEVICE if settings.devices == 1 else SEVERAL_DEVICES,
         use_distributed_sampler=False,  # EpochSampler is one
         max_epochs=math.ceil(settings.updates / settings.validate_every),
-        precision=training_precision(settings, out),
+        precision=training_precision(settings, task),
         gradient_clip_val=settings.gradient_clip,
         callbacks=[best, last, timed],
-        logger=[CSVLogger(out.log_dir, name="csv"), TensorBoardLogger(out.log_dir, name="tensorboard")],
+        logger=[CSVLogger(task.log_dir, name="csv"), TensorBoardLogger(task.log_dir, name="tensorboard")],
         log_every_n_steps=min(10, settings.validate_every, settings.updates),
         enable_progress_bar=False,
         enable_model_summary=False,
@@ -185,15 +185,15 @@ def _updates_in(checkpoint: Path) -> int:
     return int(torch.load(checkpoint, weights_only=True, map_location="cpu")["global_step"])
 
 
-def _resumable(out: FitOutput, training: dict[str, Any]) -> Path | None:
+def _resumable(task: FitTask, training: dict[str, Any]) -> Path | None:
     """The last checkpoint of this `training`, None without one; records `training` in the log folder."""
     described = json.dumps(training, sort_keys=True)
-    record, last = out.log_dir / "settings.json", _checkpoint_in(out, LAST)
-    out.log_dir.mkdir(parents=True, exist_ok=True)
+    record, last = task.log_dir / "settings.json", _checkpoint_in(task, LAST)
+    task.log_dir.mkdir(parents=True, exist_ok=True)
     if record.exists() and last.exists():
         if record.read_text() != described:
             raise ConfigurationError(
-                f"{out.log_dir}: checkpoints of a training with other settings, data or seed: delete the folder to"
+                f"{task.log_dir}: checkpoints of a training with other settings, data or seed: delete the folder to"
                 " train from the start"
             )
         return last

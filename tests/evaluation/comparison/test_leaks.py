@@ -176,9 +176,9 @@ class Secretive(PersistenceTracker):
     learns = True
 
     @classmethod
-    def fit(cls, train, validation, score, out, options):
-        card = card_for("secretive", out, train, validation, {})
-        save_weights(out.path, card.model_copy(update={"train": (), "validation": ()}), {})
+    def fit(cls, task):
+        card = card_for("secretive", task, {})
+        save_weights(task.out, card.model_copy(update={"train": (), "validation": ()}), {})
 """
     install("secretive", {"secretive": "secretive:Secretive"}, {"secretive.py": module})
     path = train_tracker(

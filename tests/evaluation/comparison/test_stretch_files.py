@@ -30,11 +30,11 @@ class Vandal(StaticMapTracker):
     """Its training destroys every file that it was given, once it has learned from them."""
 
     @classmethod
-    def fit(cls, train, validation, score, out, options):
-        super().fit(train, validation, score, out, options)
-        for source in (*train, *validation):
-            score(cls(stream_of(source, out.path), options), source, 1)
-        for path in train[0]._path.parent.iterdir():
+    def fit(cls, task):
+        super().fit(task)
+        for source in (*task.train, *task.validation):
+            task.objective(cls(stream_of(source, task.out), task.options), source, 1)
+        for path in task.train[0]._path.parent.iterdir():
             path.write_bytes(b"destroyed")
 '''
 

@@ -13,7 +13,7 @@ from gridtrack.common.errors import RecordingError, WeightsError
 from gridtrack.common.grid import GridSpec, Shift
 from gridtrack.trackers import searched_fit
 from gridtrack.trackers.card import card_for
-from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
+from gridtrack.trackers.contract import FitTask, StreamSpec, StretchScore
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.open_cells import OpenOnMap
@@ -54,6 +54,15 @@ def test_weights_with_an_unknown_setting_are_refused(tmp_path):
         KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
 
 
+def fit(out, objective, options=None, train=None, validation=None, **more):
+    """Train `kalman`; returns the card."""
+    sources, options = (train or [Source()], [validation or Source()]), options or ModelFreeSettings()
+    KalmanTracker.fit(
+        FitTask(*sources, objective, out, options, out.parent / "log", 3, "gridtrack train kalman", **more)
+    )
+    return out
+
+
 class Source:
     """A source of 30 frames."""
 
@@ -84,8 +93,7 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
 
     paths = [tmp_path / run / "hall.toml" for run in ("one", "two")]
     for path in paths:
-        out = FitOutput(path, "gridtrack train kalman", 3, path.parent / "log", report=lambda line: None)
-        KalmanTracker.fit([Source()], [Source()], score, out, ModelFreeSettings(link_m=0.77))
+        fit(path, score, ModelFreeSettings(link_m=0.77))
     one, two = (read_card(path) for path in paths)
     assert one == two
     assert all(settings.link_m == 0.77 for settings in asked)
@@ -99,8 +107,7 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
 
 
 def fit_hall(tmp_path, score, told, validation=None):
-    out = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", report=told.append)
-    KalmanTracker.fit([Source()], [validation or Source()], score, out, ModelFreeSettings())
+    fit(tmp_path / "hall.toml", score, validation=validation, report=told.append)
 
 
 def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, monkeypatch):
@@ -187,10 +194,9 @@ class Driven(Source):
 def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monkeypatch):
     monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
     told = []
-    out = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", report=told.append)
-    KalmanTracker.fit([Driven()], [Driven()], Scores(), out, ModelFreeSettings())
+    out = fit(tmp_path / "hall.toml", Scores(), train=[Driven()], validation=Driven(), report=told.append)
     assert any("the sensor moves: no map of the place is learned" in line for line in told)
-    stream = StreamSpec(GRID, PERIOD_S, "hall", weights=out.path)
+    stream = StreamSpec(GRID, PERIOD_S, "hall", weights=out)
     arrays = load_weights(stream, "kalman").arrays
     assert np.ptp(arrays["occupancy_rate"]) == 0.0
     assert (arrays["neighbourhood_rate"] == OUTSIDE_MAP).all()
@@ -219,12 +225,11 @@ CELLS = np.ones((2, 2), bool)
 
 def test_a_general_training_learns_no_map_and_runs_on_any_grid_and_period(tmp_path, monkeypatch):
     monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
-    out = FitOutput(tmp_path / "general.toml", "gridtrack train kalman", 3, tmp_path / "log", general=True)
-    KalmanTracker.fit([Source(), Fine()], [Fine()], Scores(), out, ModelFreeSettings())
-    card = read_card(out.path)
+    out = fit(tmp_path / "general.toml", Scores(), train=[Source(), Fine()], validation=Fine(), general=True)
+    card = read_card(out)
     assert (card.general, card.cells_m) == (True, (Fine.grid.cell_m, GRID.cell_m))
     for source in (Source(), Fine()):
-        stream = StreamSpec(source.grid, source.period_s, "elsewhere", weights=out.path)
+        stream = StreamSpec(source.grid, source.period_s, "elsewhere", weights=out)
         assert load_weights(stream, "kalman").arrays["occupancy_rate"].shape == (1, 1)
         tracker = KalmanTracker(stream, PipelineSettings())
         for frame in source:
@@ -236,9 +241,9 @@ def test_a_general_training_learns_no_map_and_runs_on_any_grid_and_period(tmp_pa
 def general_weights(folder):
     """General weights of which a training at a site takes the settings."""
     path = folder / "general.toml"
-    out = FitOutput(path, "gridtrack train kalman --general", 3, folder / "log", general=True)
     settings = PipelineSettings(acceleration=0.31, link_m=0.6)
-    save_weights(path, card_for("kalman", out, [Source()], [], settings.model_dump()), {})
+    task = FitTask([Source()], [], None, path, settings, folder / "log", general=True)
+    save_weights(path, card_for("kalman", task, settings.model_dump()), {})
     return path
 
 
@@ -253,8 +258,7 @@ def test_at_a_site_settings_are_searched_near_the_general_ones_and_those_of_its_
         flat = np.full(steps + 1, 0.5)
         return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
 
-    at_site = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", start=general)
-    KalmanTracker.fit([Source()], [Source()], score, at_site, ModelFreeSettings(link_m=0.7))
+    fit(tmp_path / "hall.toml", score, ModelFreeSettings(link_m=0.7), start=general)
     assert {one.link_m for one in asked} == {0.7}, "was given"
     assert asked[0].acceleration == 0.31
     assert len({one.acceleration for one in asked}) == 9
@@ -283,9 +287,9 @@ def test_the_validation_recordings_decide_whether_the_map_of_the_place_serves(
         flat = np.full(steps + 1, 0.5 if without else with_map)
         return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
 
-    at_site = FitOutput(tmp_path / "hall.toml", "train", 3, tmp_path / "log", report=told.append, start=general)
-    KalmanTracker.fit([source()], [validation], score, at_site, ModelFreeSettings())
-    assert read_card(at_site.path).settings["background"] == chosen
+    more = {"report": told.append, "start": general}
+    at_site = fit(tmp_path / "hall.toml", score, train=[source()], validation=validation, **more)
+    assert read_card(at_site).settings["background"] == chosen
     assert any("the map is not used" in line for line in told) == (chosen == "none")
 
 
@@ -298,8 +302,8 @@ def test_a_background_that_is_given_is_not_chosen(tmp_path, monkeypatch):
         flat = np.full(steps + 1, 0.5)
         return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
 
-    at_site = FitOutput(tmp_path / "hall.toml", "train", 3, tmp_path / "log", start=general_weights(tmp_path))
-    KalmanTracker.fit([Source()], [Source()], score, at_site, ModelFreeSettings(background="fitted"))
+    options = ModelFreeSettings(background="fitted")
+    fit(tmp_path / "hall.toml", score, options, start=general_weights(tmp_path))
     assert set(asked) == {"fitted"}
 
 

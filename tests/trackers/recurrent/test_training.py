@@ -21,7 +21,7 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec  # noqa: E402
-from gridtrack.trackers.contract import FitOutput, stream_of  # noqa: E402
+from gridtrack.trackers.contract import FitTask, stream_of  # noqa: E402
 from gridtrack.trackers.recurrent import accelerated_convgru, training  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.entered_cells import near_entered_cells  # noqa: E402
@@ -75,9 +75,11 @@ def no_score(tracker, source, steps):
 def fit(tracker, folder, **options):
     settings = validated(tracker.Options, {"batch": 2, "warm_up": 0, "precision": "32-true", **options}, "test")
     lines: list[str] = []
-    out = FitOutput(folder / "shuttle.toml", "gridtrack train ...", 7, folder / "log", lines.append)
-    tracker.fit([Shuttle()], [Shuttle(30)], no_score, out, settings)
-    return out, lines
+    out, train, validation = folder / "shuttle.toml", [Shuttle()], [Shuttle(30)]
+    more = {"command": "gridtrack train ...", "report": lines.append}
+    task = FitTask(train, validation, no_score, out, settings, folder / "log", 7, **more)
+    tracker.fit(task)
+    return task, lines
 
 
 def forecast(tracker, weights, frames=25, steps=3):
@@ -91,7 +93,7 @@ def forecast(tracker, weights, frames=25, steps=3):
 
 def test_a_trained_network_forecasts_a_moving_dot(tmp_path):
     out, _ = fit(DilatedConvGRUTracker, tmp_path, updates=150, validate_every=75, learning_rate=0.01, channels=8)
-    occupancy = forecast(DilatedConvGRUTracker, out.path)
+    occupancy = forecast(DilatedConvGRUTracker, out.out)
     assert occupancy.shape == (4, SIZE, SIZE)
     assert occupancy.dtype == np.float32
     assert occupancy[:, 0].min() > 0.8  # the wall
@@ -108,9 +110,9 @@ def test_a_training_does_not_repeat_what_its_libraries_warn_of_each_other(tmp_pa
 def fit_paper_rnn(folder, score):
     options = {"variant": "paper", "updates": 6, "validate_every": 2, "batch": 2, "warm_up": 0, "precision": "32-true"}
     settings = validated(DeepTrackingRNNTracker.Options, options, "test")
-    out = FitOutput(folder / "shuttle.toml", "gridtrack train ...", 7, folder / "log", lambda line: None)
-    DeepTrackingRNNTracker.fit([Shuttle()], [Shuttle(30)], score, out, settings)
-    return read_card(out.path)
+    out, train, validation = folder / "shuttle.toml", [Shuttle()], [Shuttle(30)]
+    DeepTrackingRNNTracker.fit(FitTask(train, validation, score, out, settings, folder / "log", 7))
+    return read_card(out)
 
 
 def test_a_resumed_training_equals_an_uninterrupted_one(tmp_path):
@@ -184,7 +186,7 @@ def test_a_log_folder_of_another_training_is_refused(tmp_path):
 
 def test_the_card_has_the_settings_and_data_of_the_training(tmp_path):
     out, lines = fit(DeepTrackingRNNTracker, tmp_path, updates=2, validate_every=1, variant="paper")
-    card = read_card(out.path)
+    card = read_card(out.out)
     assert (card.tracker, card.site, card.seed, card.period_s) == ("deep-tracking-rnn", "shuttle", 7, 0.25)
     assert card.settings["variant"] == "paper"
     assert card.train[0].recording == "shuttle"
@@ -193,7 +195,7 @@ def test_the_card_has_the_settings_and_data_of_the_training(tmp_path):
 
 def test_an_option_that_contradicts_the_weights_is_refused(tmp_path):
     out, _ = fit(DeepTrackingRNNTracker, tmp_path, updates=1, validate_every=1, variant="paper")
-    stream = stream_of(Shuttle(), out.path)
+    stream = stream_of(Shuttle(), out.out)
     with pytest.raises(WeightsError, match="variant=paper"):
         DeepTrackingRNNTracker(stream, DeepTrackingRNNTracker.Options(variant="code"))
 
@@ -305,17 +307,17 @@ def test_the_loss_of_a_batch_is_that_of_the_cells_of_all_its_windows(monkeypatch
 @pytest.mark.parametrize(("every", "validated_after"), [(50, ["3"]), (2, ["2", "3"])])
 def test_a_training_ends_after_its_updates_and_is_validated(tmp_path, every, validated_after):
     lines = []
-    out = FitOutput(tmp_path / "shuttle.toml", "", 1, tmp_path / "log", lines.append)
     options = {"channels": 4, "updates": 3, "validate_every": every, "precision": "32-true", "stage": "occupancy"}
     options = validated(DilatedConvGRUTracker.Options, options, "test")
 
     def score(tracker, source, steps):
         return of_every_stratum(1.0, 0.1, steps)
 
-    DilatedConvGRUTracker.fit([Shuttle()], [Shuttle(30)], score, out, options)
+    out, log = tmp_path / "shuttle.toml", tmp_path / "log"
+    DilatedConvGRUTracker.fit(FitTask([Shuttle()], [Shuttle(30)], score, out, options, log, 1, report=lines.append))
 
     assert [line.split()[1] for line in lines if line.startswith("update")] == validated_after
-    assert read_card(out.path).results["score"] == 1.0
+    assert read_card(out).results["score"] == 1.0
 
 
 def of_ten(**options):
@@ -389,7 +391,7 @@ def test_a_training_on_two_devices_has_the_weights_of_one(tmp_path, monkeypatch,
     one, lines = fit(tracker, tmp_path / "one", **options)
     two, lines_of_two = fit(tracker, tmp_path / "two", **options, devices=2)
 
-    expected, found = (load_file(out.path.with_suffix(".safetensors")) for out in (one, two))
+    expected, found = (load_file(out.out.with_suffix(".safetensors")) for out in (one, two))
     for name, value in expected.items():
         np.testing.assert_allclose(found[name], value, atol=2e-5, err_msg=name)
     updates = [[line.split()[1] for line in each if line.startswith("update")] for each in (lines, lines_of_two)]
@@ -411,12 +413,12 @@ def test_an_interrupt_of_a_training_on_two_devices_ends_them_and_keeps_the_best_
 
     options = {"variant": "paper", "updates": 6, "validate_every": 2, "batch": 2, "precision": "32-true", "devices": 2}
     options = validated(DeepTrackingRNNTracker.Options, options, "test")
-    out = FitOutput(tmp_path / "shuttle.toml", "", 7, tmp_path / "log", lambda line: None)
+    out, log = tmp_path / "shuttle.toml", tmp_path / "log"
     with pytest.raises(KeyboardInterrupt):
-        DeepTrackingRNNTracker.fit([Shuttle()], [Shuttle(30)], score, out, options)
+        DeepTrackingRNNTracker.fit(FitTask([Shuttle()], [Shuttle(30)], score, out, options, log, 7))
 
     assert multiprocessing.active_children() == []
-    assert re.fullmatch("update [24] of 6", read_card(out.path).interrupted)
+    assert re.fullmatch("update [24] of 6", read_card(out).interrupted)
 
 
 @pytest.mark.parametrize(
