@@ -92,8 +92,8 @@ def forecast(tracker, weights, frames=25, steps=3):
 
 
 def test_a_trained_network_forecasts_a_moving_dot(tmp_path):
-    out, _ = fit(DilatedConvGRUTracker, tmp_path, updates=150, validate_every=75, learning_rate=0.01, channels=8)
-    occupancy = forecast(DilatedConvGRUTracker, out.out)
+    task, _ = fit(DilatedConvGRUTracker, tmp_path, updates=150, validate_every=75, learning_rate=0.01, channels=8)
+    occupancy = forecast(DilatedConvGRUTracker, task.out)
     assert occupancy.shape == (4, SIZE, SIZE)
     assert occupancy.dtype == np.float32
     assert occupancy[:, 0].min() > 0.8  # the wall
@@ -174,8 +174,8 @@ def test_an_interrupt_keeps_the_best_weights_and_a_checkpoint_between_validation
     InterruptedDataset.end = 100
     resumed, _ = fit(DilatedConvGRUTracker, tmp_path / "parts", **options)
     assert drawn == list(range(2 * done, 12))
-    assert np.array_equal(forecast(DilatedConvGRUTracker, resumed.path), forecast(DilatedConvGRUTracker, whole.path))
-    assert read_card(resumed.path).interrupted == ""
+    assert np.array_equal(forecast(DilatedConvGRUTracker, resumed.out), forecast(DilatedConvGRUTracker, whole.out))
+    assert read_card(resumed.out).interrupted == ""
 
 
 def test_a_log_folder_of_another_training_is_refused(tmp_path):
@@ -185,8 +185,8 @@ def test_a_log_folder_of_another_training_is_refused(tmp_path):
 
 
 def test_the_card_has_the_settings_and_data_of_the_training(tmp_path):
-    out, lines = fit(DeepTrackingRNNTracker, tmp_path, updates=2, validate_every=1, variant="paper")
-    card = read_card(out.out)
+    task, lines = fit(DeepTrackingRNNTracker, tmp_path, updates=2, validate_every=1, variant="paper")
+    card = read_card(task.out)
     assert (card.tracker, card.site, card.seed, card.period_s) == ("deep-tracking-rnn", "shuttle", 7, 0.25)
     assert card.settings["variant"] == "paper"
     assert card.train[0].recording == "shuttle"
@@ -194,8 +194,8 @@ def test_the_card_has_the_settings_and_data_of_the_training(tmp_path):
 
 
 def test_an_option_that_contradicts_the_weights_is_refused(tmp_path):
-    out, _ = fit(DeepTrackingRNNTracker, tmp_path, updates=1, validate_every=1, variant="paper")
-    stream = stream_of(Shuttle(), out.out)
+    task, _ = fit(DeepTrackingRNNTracker, tmp_path, updates=1, validate_every=1, variant="paper")
+    stream = stream_of(Shuttle(), task.out)
     with pytest.raises(WeightsError, match="variant=paper"):
         DeepTrackingRNNTracker(stream, DeepTrackingRNNTracker.Options(variant="code"))
 
@@ -391,13 +391,13 @@ def test_a_training_on_two_devices_has_the_weights_of_one(tmp_path, monkeypatch,
     one, lines = fit(tracker, tmp_path / "one", **options)
     two, lines_of_two = fit(tracker, tmp_path / "two", **options, devices=2)
 
-    expected, found = (load_file(out.out.with_suffix(".safetensors")) for out in (one, two))
+    expected, found = (load_file(task.out.with_suffix(".safetensors")) for out in (one, two))
     for name, value in expected.items():
         np.testing.assert_allclose(found[name], value, atol=2e-5, err_msg=name)
     updates = [[line.split()[1] for line in each if line.startswith("update")] for each in (lines, lines_of_two)]
     assert updates == [["2", "4"], ["2", "4"]], "a device tells this process of its validations"
-    assert read_card(two.path).settings["devices"] == 2
-    assert read_card(two.path).results == pytest.approx(read_card(one.path).results, abs=1e-4)
+    assert read_card(two.out).settings["devices"] == 2
+    assert read_card(two.out).results == pytest.approx(read_card(one.out).results, abs=1e-4)
 
 
 def test_an_interrupt_of_a_training_on_two_devices_ends_them_and_keeps_the_best_weights(tmp_path, monkeypatch):
