@@ -391,7 +391,7 @@ def test_a_training_on_two_devices_has_the_weights_of_one(tmp_path, monkeypatch,
     one, lines = fit(tracker, tmp_path / "one", **options)
     two, lines_of_two = fit(tracker, tmp_path / "two", **options, devices=2)
 
-    expected, found = (load_file(task.out.with_suffix(".safetensors")) for out in (one, two))
+    expected, found = (load_file(task.out.with_suffix(".safetensors")) for task in (one, two))
     for name, value in expected.items():
         np.testing.assert_allclose(found[name], value, atol=2e-5, err_msg=name)
     updates = [[line.split()[1] for line in each if line.startswith("update")] for each in (lines, lines_of_two)]
