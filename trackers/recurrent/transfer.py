@@ -1,9 +1,8 @@
 """Inductive transfer, stage 2 of Ondruska et al. (2016): a class decoder on the latent state of a trained network.
 
-The network's weights are not changed. The decoder is a classifier of cells whose planes are the channels of the latent
-state, of the current frame and of forecast frames: what is hidden now has its label when it comes into view. It is
-tuned like the one-shot classifier. Beside it a classifier of single scans is trained on the same labelled scans
-(seen_cells.py).
+The network's weights are not changed. The decoder is a classifier of cells that reads the channels of the latent state,
+of the current frame and of forecast frames: an object that is hidden now has its label when it comes into view. It is
+tuned like the one-shot classifier. A classifier of single scans is trained on the same labelled scans (seen_cells.py).
 """
 
 from __future__ import annotations
@@ -34,17 +33,17 @@ from gridtrack.trackers.cell_training import (
 from gridtrack.trackers.contract import FitTask, FrameSource, StreamSpec, stream_of
 from gridtrack.trackers.label_settings import ClassifierSettings, LabelSettings
 from gridtrack.trackers.labelled_scans import VALIDATE_ON, LabelledScans, draw_labelled
-from gridtrack.trackers.recurrent.network import DecodedLayers, LatentState, class_planes
+from gridtrack.trackers.recurrent.inference import StreamNetwork
+from gridtrack.trackers.recurrent.network import DecodedLayers, State
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells
 from gridtrack.trackers.recurrent.settings import DECODER_SETTINGS, TransferSettings
-from gridtrack.trackers.recurrent.unseen import rolled_state
 from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
 from gridtrack.trackers.weights import load_weights, save_interrupted, save_weights
 
 LEADS = (4, 12)
-"""Steps of the forecasts that classes are learned from, beside the current frame; at most LEAD_IN less a warm-up."""
+"""Steps of the forecasts that classes are learned from, besides the current frame; at most LEAD_IN less a warm-up."""
 DECODER = "decode_semantics."
 
 
@@ -77,7 +76,7 @@ def fit_class_decoder(kind: type[RecurrentTracker], task: FitTask) -> None:
     weights = load_weights(tracker_for(task.train[0]).stream, registered_name(kind))
     settings = {
         **options.model_dump(include={*LabelSettings.model_fields, "class_layers", "decoded_layers"}),
-        **{name: getattr(best.settings, of) for of, name in DECODER_SETTINGS.items()},
+        **{name: getattr(best.settings, own) for own, name in DECODER_SETTINGS.items()},
         "labelled_scans": labelled.count,
     }
     results = _card_results(labelled, training_cells, best, task)
@@ -120,8 +119,8 @@ def latent_cells(
 ) -> TransferCells:
     """The latent states of every `every`-th frame with labels, and its forecasts from LEADS frames before.
 
-    `labelled`: pairs of sources and frames of them. `layers`: which layers of the state are decoded. States are stored
-    in half precision. For `general` weights the planes of scans contain the cell size.
+    `labelled`: pairs of a source and its frames. `layers` of the state that are decoded. States are stored in half
+    precision. For `general` weights the planes of scans contain the cell size.
     """
     now, ahead, scan = CellCollector(classes), CellCollector(classes), CellCollector(classes)
     for source, frames in labelled:
@@ -133,10 +132,11 @@ def latent_cells(
             if number % every or not item.cells.size:
                 continue
             scan.add(planes_of(item.frame, source.grid.cell_m if general else None), item, names)
-            now.add(class_planes(tracker.network.current(tracker.state), layers)[0].half(), item, names)
+            now.add(tracker.network.class_planes(tracker.state, layers)[0].half(), item, names)
             for lead in LEADS:
                 if (state := past.before(lead)) is not None:
-                    ahead.add(class_planes(_forecast(tracker.network, state, lead), layers)[0].half(), item, names)
+                    forecast = _forecast(tracker.network, state, lead)
+                    ahead.add(tracker.network.class_planes(forecast, layers)[0].half(), item, names)
     return TransferCells(now, ahead, scan)
 
 
@@ -145,7 +145,7 @@ class PastStates:
 
     def __init__(self, tracker: RecurrentTracker) -> None:
         self._tracker, self._updates = tracker, 0
-        self._states: deque[LatentState] = deque(maxlen=LEADS[-1] + 1)
+        self._states: deque[State] = deque(maxlen=LEADS[-1] + 1)
         self._world_T_grid: SE2 | None = None
 
     def update(self, frame: GridFrame) -> None:
@@ -155,7 +155,7 @@ class PastStates:
         self._states.append(self._tracker.state)
         self._updates += 1
 
-    def before(self, frames: int) -> LatentState | None:
+    def before(self, frames: int) -> State | None:
         """The state `frames` frames before the last one; None where there is none."""
         return self._states[-1 - frames] if frames < len(self._states) else None
 
@@ -165,18 +165,17 @@ class PastStates:
         self._world_T_grid = world_T_grid
         if shift:
             for k, state in enumerate(self._states):
-                self._states[k] = rolled_state(state, shift, self._tracker.network.unseen(first + k))
+                self._states[k] = self._tracker.network.rolled(state, shift, first + k)
 
 
-def _forecast(network: Any, state: LatentState, steps: int) -> LatentState:
+def _forecast(network: StreamNetwork, state: State, steps: int) -> State:
     for _ in range(steps):
         state = network.step(None, state)
-    forecast: LatentState = network.current(state)
-    return forecast
+    return state
 
 
 def fit_decoder(options: Any, training: LabelledCells, held_out: TransferCells, task: FitTask) -> TrainedClassifier:
-    """The decoder that is best on cells of the current frame and of forecasts alike, calibrated for forecasts."""
+    """The best decoder for cells of the current frame and of forecasts alike, calibrated for forecasts."""
     planes, classes = training.planes.shape[-1], held_out.now.classes
 
     def build(settings: ClassifierSettings) -> CellClassifier:
@@ -191,7 +190,7 @@ def fit_decoder(options: Any, training: LabelledCells, held_out: TransferCells, 
 def fit_seen_cells(
     decoder: TrainedClassifier, training: TransferCells, held_out: TransferCells, classes: int, task: FitTask
 ) -> tuple[SeenCells, dict[str, float]]:
-    """A classifier of scans with the default settings but class weights, and the powers; their validation log loss."""
+    """A classifier of scans, by the defaults but without class weights, and the powers; their log losses."""
     torch.manual_seed(task.seed)
     settings = ClassifierSettings(class_weights="none")
     cells = held_out.scan.cells()
@@ -208,7 +207,7 @@ def fit_seen_cells(
 def _card_results(
     labelled: LabelledScans, training_cells: LabelledCells, best: TrainedClassifier, task: FitTask
 ) -> dict[str, Any]:
-    """The card's results of this stage, with its command: the network may have been trained by another one."""
+    """The card's results of this stage, with its own command: another one may have trained the network."""
     count = torch.bincount(training_cells.targets, minlength=len(labelled.classes)).tolist()
     return {
         "command": task.command,

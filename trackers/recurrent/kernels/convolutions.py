@@ -1,4 +1,4 @@
-"""Dilated 3x3 convolutions for inference on a processor, with a quarter of the multiplications: Winograd's F(4x4, 3x3).
+"""Convolutions for inference on a processor, in float32 by Winograd's F(4x4, 3x3): a quarter of the multiplications.
 
     Y = A^T [ (G g G^T) o (B^T d B) ] A
 
@@ -19,10 +19,11 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.functional import conv2d
 
-from gridtrack.trackers.recurrent.fused import FLAGS, kernel
-from gridtrack.trackers.recurrent.network import Float32Array
+from gridtrack.trackers.recurrent.kernels.gates import FLAGS, kernel
+from gridtrack.trackers.recurrent.network import Float32Array, as_cells, as_tensor
 
 Kernel = Callable[[Float32Array, int, Float32Array], None]
 """Called with an input array, a dilation and the output array."""
@@ -216,3 +217,55 @@ def inverse_transform(outputs: int) -> Kernel:
 
     compiled: Kernel = inverse
     return compiled
+
+
+class BFloat16Convolution:
+    """The sums of WinogradConvolution, as direct convolutions in bfloat16 and one band."""
+
+    def __init__(self, weight: Tensor, channels: Sequence[int], size: int, dilation: int) -> None:
+        self._weight = weight.bfloat16().contiguous(memory_format=torch.channels_last)
+        self._dilation = dilation
+        self._image = torch.zeros(1, size, size, sum(channels), dtype=torch.bfloat16).permute(0, 3, 1, 2)
+        self._parts = torch.split(self._image, list(channels), dim=1)
+
+    def bands(self, images: Sequence[Float32Array]) -> Iterator[tuple[range, Float32Array]]:
+        """All rows, and their sums (M, M, N) as bits in uint16."""
+        for part, image in zip(self._parts, images, strict=True):
+            part.copy_(as_tensor(image))
+        sums = conv2d(self._image, self._weight, padding=self._dilation, dilation=self._dilation)
+        cells = as_cells(sums.view(torch.uint16))
+        yield range(len(cells)), cells
+
+
+class OneOutputConvolution:
+    """A convolution with one output: a matrix product for all its taps, then the sum of their shifted maps."""
+
+    def __init__(self, convolution: nn.Conv2d, size: int) -> None:
+        (weight,) = convolution.weight.detach()
+        self._taps = weight.flatten(1).T.contiguous()
+        self._bias = float(convolution.bias.detach())  # type: ignore[union-attr]
+        self._maps = torch.zeros(len(self._taps), size * size)
+        self._as_grid = self._maps.view(*weight.shape[1:], size, size).numpy()
+
+    def __call__(self, features: Tensor) -> Tensor:
+        """(1, C, M, M) -> (1, M, M)."""
+        torch.mm(self._taps, features[0].flatten(1), out=self._maps)
+        sums = torch.empty(features.shape[2:])
+        add_shifted(self._as_grid, self._bias, sums.numpy())
+        return sums[None]
+
+
+@kernel("void(float32[:,:,:,::1], float32, float32[:,::1])")
+def add_shifted(maps, bias, out):  # type: ignore[no-untyped-def]
+    """out[r, x] = bias + sum over i, j = 0..2k of maps[i, j, r + i - k, x + j - k], zero outside the grid."""
+    size, side = out.shape[0], maps.shape[0]
+    reach = side // 2
+    for r in range(size):
+        out[r] = bias
+        for i in range(max(0, reach - r), min(side, size + reach - r)):
+            for j in range(side):
+                seen = maps[i, j, r + i - reach]
+                if j < reach:
+                    out[r, reach - j :] += seen[: max(0, size - reach + j)]
+                else:
+                    out[r, : size - j + reach] += seen[j - reach :]
