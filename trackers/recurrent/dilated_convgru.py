@@ -21,10 +21,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.recurrent.network import DecodedLayers, LatentState, class_planes
 from gridtrack.trackers.recurrent.resolution_input import ResolutionShift
 from gridtrack.trackers.recurrent.settings import DilatedConvGRUSettings
+from gridtrack.trackers.training.cell_classifier import CellClassifier
 
 
 def convgru_gates(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], h: Tensor) -> Tensor:

@@ -20,7 +20,7 @@ from gridtrack.trackers.recurrent.settings import (
     ResolutionSettings,
     TrainingSettings,
 )
-from gridtrack.trackers.weights import Weights
+from gridtrack.trackers.training.weights import Weights
 
 NetworkOptions = TypeVar("NetworkOptions", bound=ResolutionSettings)
 

@@ -13,9 +13,7 @@ from torch import Tensor, nn
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Shift, shift_between
 from gridtrack.common.horizons import nearest_step
-from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitTask, Forecast, FrameSource, StreamSpec, Tracker, stream_of
-from gridtrack.trackers.excerpts import SELECTION_HORIZONS_S, VALIDATED_S, excerpts_of_places
 from gridtrack.trackers.recurrent.general_network import begin_from, general_options, settings_from_general
 from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState, as_cells, channels_last
 from gridtrack.trackers.recurrent.pacing import StepPace, paced
@@ -23,8 +21,10 @@ from gridtrack.trackers.recurrent.resolution_input import resolution_of, set_res
 from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.recurrent.unseen import rolled_state
 from gridtrack.trackers.registry import registered_name
-from gridtrack.trackers.trained_network import restore, trained_settings
-from gridtrack.trackers.weights import Weights, load_start, load_weights, save_interrupted, save_weights
+from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.excerpts import SELECTION_HORIZONS_S, VALIDATED_S, excerpts_of_places
+from gridtrack.trackers.training.networks import restore, trained_settings
+from gridtrack.trackers.training.weights import Weights, load_start, load_weights, save_interrupted, save_weights
 
 if TYPE_CHECKING:
     from gridtrack.trackers.recurrent.sequences import SequenceDataset

@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from gridtrack.trackers.resolution import cell_input, period_input
+from gridtrack.trackers.training.networks import cell_input, period_input
 
 
 def resolution_of(cell_m: float, period_s: float) -> Tensor:

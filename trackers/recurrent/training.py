@@ -29,14 +29,14 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import write_text
 from gridtrack.common.horizons import nearest_step
 from gridtrack.trackers.contract import FitTask, FrameSource, StretchScore
-from gridtrack.trackers.excerpts import SELECTION_STRATA, mean_of_defined
 from gridtrack.trackers.recurrent.devices import ONE_DEVICE, SEVERAL_DEVICES, called_here, check_devices, end_devices
 from gridtrack.trackers.recurrent.network import RecurrentNetwork
 from gridtrack.trackers.recurrent.precision import training_precision
 from gridtrack.trackers.recurrent.sequences import SequenceDataset
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 from gridtrack.trackers.recurrent.training_module import TrainingModule, Validate, scores_text
-from gridtrack.trackers.weights import Weights
+from gridtrack.trackers.training.excerpts import SELECTION_STRATA, mean_of_defined
+from gridtrack.trackers.training.weights import Weights
 
 BEST, LAST = "best", "last"
 """Names of the checkpoints with the best validation score, and of the last one."""
