@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
 from gridtrack.common.errors import printable
 from gridtrack.evaluation.results.trial_record import TrialRecord
-from gridtrack.trackers.progress import duration_text
+from gridtrack.trackers.training.progress import duration_text
 
 RUNNING_LINE_EVERY_S = 30.0
 """Without a terminal, time between two lines about a trial that is still running."""

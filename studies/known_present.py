@@ -30,7 +30,7 @@ from gridtrack.evaluation.scoring.splits import EvaluationSplit, Sampling, plan_
 from gridtrack.evaluation.scoring.thresholds import best_thresholds
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
+from gridtrack.trackers.baselines import PersistenceTracker
 from gridtrack.trackers.contract import Forecast, stream_of
 
 from studies.support.place_command import worlds_called

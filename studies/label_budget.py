@@ -30,17 +30,16 @@ from gridtrack.evaluation.scoring.semantics import VISIBILITIES, Matching, count
 from gridtrack.evaluation.scoring.target import Target
 from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow
 from gridtrack.recordings.stream import GridStream, open_stream
-from gridtrack.trackers.cell_training import best_classifier
 from gridtrack.trackers.contract import FitTask
-from gridtrack.trackers.label_settings import LabelSettings
-from gridtrack.trackers.labelled_scans import VALIDATE_ON, draw_labelled
-from gridtrack.trackers.one_shot.settings import OneShotSettings
+from gridtrack.trackers.one_shot import OneShotSettings
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
 from gridtrack.trackers.recurrent.network import class_planes
 from gridtrack.trackers.recurrent.settings import DilatedConvGRUOptions
 from gridtrack.trackers.recurrent.transfer import fit_decoder, fit_seen_cells, latent_cells
-from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.cell_classifier import planes_of, scan_classifier
+from gridtrack.trackers.training.cell_training import best_classifier
+from gridtrack.trackers.training.labelled_scans import VALIDATE_ON, LabelSettings, draw_labelled
+from gridtrack.trackers.training.weights import read_card
 
 from studies.support.label_table import BUDGETS, COLUMNS, DRAWINGS, append_row, budget_table, read_rows
 from studies.support.shipped import JUNCTION, STEPS, WEIGHTS, junction_tests, shipped_tracker

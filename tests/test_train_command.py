@@ -15,7 +15,7 @@ from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import GridStream
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 
 DEMO = str(packaged_recording("leg_tracker"))
 

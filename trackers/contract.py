@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
-from gridtrack.trackers.progress import Progress
+from gridtrack.trackers.training.progress import Progress
 
 API = 2
 """The version of this contract, in which `fit` takes one FitTask."""

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import re
+import sys
+from collections.abc import Iterator
 from functools import cache
 from importlib.metadata import Distribution, EntryPoint
+from pathlib import Path
 from typing import Any, get_args
 
 from gridtrack.common.config import Settings
 from gridtrack.common.entry_points import Registration, registrations
 from gridtrack.common.errors import PluginError, did_you_mean
+from gridtrack.common.files import sha256_of
 from gridtrack.trackers.contract import API, API_WITHOUT_FIT, ComparedPart, Role, Tracker
 
 TRACKER_GROUP = "gridtrack.trackers"
+INSTALLED = ("site-packages", "dist-packages")
+"""Names of folders of installed libraries."""
 
 
 def entries() -> dict[str, Registration]:
@@ -135,3 +142,33 @@ def _attribute_breach(found: type[Tracker]) -> str:
     if found.learns and not _has_fit(found):
         return "it learns, but has no fit"
     return ""
+
+
+def code_sha256(tracker: type[Tracker]) -> str:
+    """The hash of the code of a tracker, which shows whether it was edited between two runs.
+
+    It covers the loaded source files of its package, and those below the folder of its module except installed
+    libraries. "" for a class without a file, as in a notebook.
+    """
+    files = dict(sorted(_source_files(tracker.__module__.partition(".")[0])))
+    digest = hashlib.sha256()
+    for name, path in files.items():
+        digest.update(f"{name}:{sha256_of(path)}\n".encode())
+    return digest.hexdigest() if files else ""
+
+
+def _source_files(package: str) -> Iterator[tuple[str, Path]]:
+    """The name and the file of each loaded module that belongs to `package` or lies beside it."""
+    top = getattr(sys.modules.get(package), "__file__", None)
+    root = Path(top).parent if top else None
+    for name, module in list(sys.modules.items()):
+        path = Path(getattr(module, "__file__", None) or "")
+        if path.is_file() and (name.partition(".")[0] == package or (root is not None and _is_below(path, root))):
+            yield name, path
+
+
+def _is_below(path: Path, root: Path) -> bool:
+    """Whether a file lies below `root`, and not in a library that is installed there."""
+    if root.name in INSTALLED or not path.is_relative_to(root):
+        return False
+    return not set(INSTALLED) & set(path.relative_to(root).parts)

@@ -15,7 +15,6 @@ from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError, WeightsError, one_line
 from gridtrack.trackers import messages, registry
 from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
-from gridtrack.trackers.own_code import code_sha256
 from gridtrack.trackers.wire import MAX_HEADER, Message, WireError, encode, fill_from, receive, widen, write_to
 
 MAX_LINE = 500
@@ -89,7 +88,7 @@ class Server:
         self.stream = messages.stream_from(request)
         self.max_body = messages.update_limit(self.stream.grid)
         self.tracker = kind(self.stream, options)
-        fields = _description(kind, self.tracker.classes, options) | {"code_sha256": code_sha256(kind)}
+        fields = _description(kind, self.tracker.classes, options) | {"code_sha256": registry.code_sha256(kind)}
         return Message("started", request.number, fields)
 
     def _options(self, tracker: type[Tracker], values: Mapping[str, Any]) -> Settings:

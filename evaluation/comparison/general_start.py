@@ -10,7 +10,7 @@ from gridtrack.evaluation.comparison.learned import LearnedWeights, copy_weights
 from gridtrack.evaluation.comparison.recipe import Recipe
 from gridtrack.evaluation.scoring.splits import common_with
 from gridtrack.recordings.stream import GridStream
-from gridtrack.trackers.card import GENERAL
+from gridtrack.trackers.training.card import GENERAL
 
 
 def general_start(

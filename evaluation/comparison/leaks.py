@@ -10,7 +10,7 @@ from gridtrack.evaluation.comparison.learned import LearnedWeights
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, common_with
 from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.stream import GridStream
-from gridtrack.trackers.card import TrainingData
+from gridtrack.trackers.training.card import TrainingData
 
 
 def leaks_of(split: EvaluationSplit, weights: LearnedWeights | None) -> tuple[str, ...]:

@@ -14,9 +14,9 @@ from typing import Literal
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import sha256_of, user_data_folder
 from gridtrack.evaluation.results.run_record import WeightsUsed
-from gridtrack.trackers.card import GENERAL, Card
 from gridtrack.trackers.selection import CardKind
-from gridtrack.trackers.weights import ARRAYS_SUFFIX, arrays_content, read_card
+from gridtrack.trackers.training.card import GENERAL, Card
+from gridtrack.trackers.training.weights import ARRAYS_SUFFIX, arrays_content, read_card
 
 SITE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 READ_ATTEMPTS, READ_AGAIN_S = 3, 0.1

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from gridtrack.trackers.progress import Progress
+from gridtrack.trackers.training.progress import Progress
 
 LINE_EVERY_S = 9.0
 """A little less than the ten seconds within which a line is promised: the processor may be busy."""

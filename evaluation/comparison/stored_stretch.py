@@ -12,7 +12,7 @@ from gridtrack.recordings.cell_labels import check_labels, labelled_returns
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import messages
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.progress import Progress
+from gridtrack.trackers.training.progress import Progress
 from gridtrack.trackers.wire import Fill, Message, encode, receive
 
 

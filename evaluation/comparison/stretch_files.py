@@ -18,7 +18,7 @@ from gridtrack.evaluation.comparison.stored_stretch import store_stretch
 from gridtrack.recordings import Recording
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.survey_file import recall_survey, write_survey
-from gridtrack.trackers.progress import Progress
+from gridtrack.trackers.training.progress import Progress
 from gridtrack.trackers.wire import WireError
 
 STRETCHES_VERSION = 3

@@ -25,9 +25,9 @@ from gridtrack.recordings import Recording, open_recording, recordings_at
 from gridtrack.recordings.recording_info import Stretch, stretch_text
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
-from gridtrack.trackers.card import GENERAL, StartedFrom, TrainingData
-from gridtrack.trackers.progress import Progress
-from gridtrack.trackers.weights import add_thresholds, complete_card, read_card
+from gridtrack.trackers.training.card import GENERAL, StartedFrom, TrainingData
+from gridtrack.trackers.training.progress import Progress
+from gridtrack.trackers.training.weights import add_thresholds, complete_card, read_card
 
 NamedStretch = tuple[Path, Stretch | str | None]
 """A recording, and what is named of it: a stretch, its name, or nothing."""

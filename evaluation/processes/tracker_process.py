@@ -24,10 +24,9 @@ from gridtrack.evaluation.processes.shielding import shielded_environment
 from gridtrack.evaluation.processes.supervised import SupervisedProgram
 from gridtrack.trackers import messages
 from gridtrack.trackers.contract import ComparedPart, Forecast, Role, StreamSpec
-from gridtrack.trackers.own_code import program_sha256
 from gridtrack.trackers.registry import api_breach
 from gridtrack.trackers.selection import Launch
-from gridtrack.trackers.weights import ARRAYS_SUFFIX
+from gridtrack.trackers.training.weights import ARRAYS_SUFFIX
 from gridtrack.trackers.wire import Message, TooLargeError, WireError
 
 THREAD_VARIABLES = (
@@ -112,7 +111,7 @@ class TrackerProcess:
             if self._killed:
                 self._dialogue.process.kill()
             described = description_from(self._dialogue.ask(request, self.limits.start_s))
-            code = described.code_sha256 or program_sha256(self.launch.argv, self.launch.cwd)
+            code = described.code_sha256 or self.launch.code_sha256()
             self.description = replace(described, code_sha256=code)
         return self
 

@@ -20,7 +20,7 @@ from gridtrack.recordings import Recording, Stretch, open_recording
 from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
-from gridtrack.trackers.card import TrainingData
+from gridtrack.trackers.training.card import TrainingData
 
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
 """Names of stretches in a recording that have a use here."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from gridtrack.evaluation.results.summary import RunSummary
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 
 RECORDINGS = Path("data/junction")
 VALIDATION = RECORDINGS / "validation.tracks"

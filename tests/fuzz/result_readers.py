@@ -32,10 +32,10 @@ from gridtrack.evaluation.scoring.score_store import read_label_free, read_losse
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.statistics.frame_counts import read_frame_counts
 from gridtrack.reports.run import read_runs
-from gridtrack.trackers.card import Card, CardThresholds, TrainingData
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import read_trackers_toml
-from gridtrack.trackers.weights import load_weights, save_weights
+from gridtrack.trackers.training.card import Card, CardThresholds, TrainingData
+from gridtrack.trackers.training.weights import load_weights, save_weights
 
 from scenes.drawn_samples import write_samples
 from scenes.synthetic_run import description, identity, write_trial

@@ -14,9 +14,9 @@ import numpy as np
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitTask, Forecast, StreamSpec, Tracker
-from gridtrack.trackers.weights import save_weights
+from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.weights import save_weights
 
 MEMBERS = {"name", "sha256", "grid", "period_s", "site", "classes", "labelled"}
 

@@ -15,16 +15,19 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import WeightsError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame  # noqa: E402
-from gridtrack.trackers import cell_training  # noqa: E402
-from gridtrack.trackers.cell_classifier import CellClassifier  # noqa: E402
-from gridtrack.trackers.cell_training import CellCollector, LabelledCells, candidate_settings, train_classifier  # noqa: E402
 from gridtrack.trackers.contract import FitTask, stream_of  # noqa: E402
-from gridtrack.trackers.label_settings import ClassifierSettings  # noqa: E402
-from gridtrack.trackers.labelled_scans import class_indices, inverse_frequency  # noqa: E402
-from gridtrack.trackers.one_shot.tracker import OneShotTracker  # noqa: E402
+from gridtrack.trackers.one_shot import OneShotTracker  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.transfer import latent_cells  # noqa: E402
-from gridtrack.trackers.weights import load_weights, read_card, save_weights  # noqa: E402
+from gridtrack.trackers.training import cell_training  # noqa: E402
+from gridtrack.trackers.training.cell_classifier import CellClassifier  # noqa: E402
+from gridtrack.trackers.training.cell_training import CellCollector, LabelledCells, candidate_settings, train_classifier  # noqa: E402
+from gridtrack.trackers.training.labelled_scans import (  # noqa: E402
+    ClassifierSettings,
+    class_indices,
+    inverse_frequency,
+)
+from gridtrack.trackers.training.weights import load_weights, read_card, save_weights  # noqa: E402
 from tests.trackers.scores import of_every_stratum  # noqa: E402
 
 SIZE, ROUND = 16, 12

@@ -18,9 +18,9 @@ from gridtrack.common.files import sha256_of
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.comparison.learned import LearnedWeights
-from gridtrack.trackers.card import Card, CardThresholds, card_for
 from gridtrack.trackers.contract import FitTask, FrameSource, StreamSpec, StretchScore
-from gridtrack.trackers.weights import MAX_ARRAYS_BYTES, array, load_weights, read_card, save_weights
+from gridtrack.trackers.training.card import Card, CardThresholds, card_for
+from gridtrack.trackers.training.weights import MAX_ARRAYS_BYTES, array, load_weights, read_card, save_weights
 
 GRID = GridSpec(100, 0.1, (-2.0, -4.5))
 

@@ -11,22 +11,20 @@ from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.calibration import CalibratedTracker, Calibration
 from gridtrack.trackers.contract import FitTask, Forecast, StreamSpec, TrackedObject
 from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.background import BackgroundMap, without_map
 from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel, compile_densities
-from gridtrack.trackers.model_free.flow import compile_flow, flow_of
-from gridtrack.trackers.model_free.forecast import objects
-from gridtrack.trackers.model_free.motion.estimator import MotionEstimator
-from gridtrack.trackers.model_free.motion.parameters import MotionModel
+from gridtrack.trackers.model_free.estimators import MotionEstimator
+from gridtrack.trackers.model_free.forecast import compile_flow, flow_of, objects
+from gridtrack.trackers.model_free.motion import MotionModel
 from gridtrack.trackers.model_free.pipeline import Pipeline, compile_pipeline
 from gridtrack.trackers.model_free.residence import residence_of
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
-from gridtrack.trackers.model_free.tracks import Track
-from gridtrack.trackers.model_free.window import Window
+from gridtrack.trackers.model_free.tracks import Track, Window
 from gridtrack.trackers.registry import registered_name
-from gridtrack.trackers.weights import array, cell_probabilities, load_weights, tuned_settings
+from gridtrack.trackers.training.calibration import CalibratedTracker, Calibration
+from gridtrack.trackers.training.weights import array, cell_probabilities, load_weights, tuned_settings
 
 
 class ModelFreeTracker(CalibratedTracker):
@@ -145,8 +143,7 @@ class ModelFreeTracker(CalibratedTracker):
 
         If it has classes, then fit the features of the tracks of each class to a few labelled scans.
         """
-        from gridtrack.trackers.model_free.class_training import draw_scans, fit_classes
-        from gridtrack.trackers.model_free.tuning import fit_pipeline
+        from gridtrack.trackers.model_free.training import draw_scans, fit_classes, fit_pipeline
 
         labelled = draw_scans(task)
         if task.options.stage != "classes":

@@ -17,7 +17,7 @@ from gridtrack.trackers.recurrent.network import Recurrence
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells, seen_cells_of
 from gridtrack.trackers.recurrent.settings import GATES, DilatedConvGRUOptions
-from gridtrack.trackers.weights import Weights, read_card
+from gridtrack.trackers.training.weights import Weights, read_card
 
 
 class DilatedConvGRUTracker(RecurrentTracker):

@@ -21,9 +21,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import conv2d
 
-from gridtrack.trackers.cell_classifier import CellClassifier
 from gridtrack.trackers.recurrent.network import DecodedLayers, RecurrentNetwork, ResolutionShift
 from gridtrack.trackers.recurrent.settings import DilatedConvGRUSettings
+from gridtrack.trackers.training.cell_classifier import CellClassifier
 
 
 def convgru_gates(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], h: Tensor) -> Tensor:

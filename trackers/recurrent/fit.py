@@ -19,15 +19,7 @@ from torch import nn
 from gridtrack.common.config import validated
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.horizons import nearest_step
-from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitTask, FrameSource, StretchScore, stream_of
-from gridtrack.trackers.excerpts import (
-    SELECTION_HORIZONS_S,
-    SELECTION_STRATA,
-    VALIDATED_S,
-    excerpts_of_places,
-    mean_of_defined,
-)
 from gridtrack.trackers.recurrent.devices import Devices, training_precision
 from gridtrack.trackers.recurrent.network import RecurrentNetwork
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
@@ -35,7 +27,15 @@ from gridtrack.trackers.recurrent.sequences import SequenceDataset
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 from gridtrack.trackers.recurrent.training import train_network
 from gridtrack.trackers.registry import registered_name
-from gridtrack.trackers.weights import Weights, load_start, save_interrupted, save_weights
+from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.excerpts import (
+    SELECTION_HORIZONS_S,
+    SELECTION_STRATA,
+    VALIDATED_S,
+    excerpts_of_places,
+    mean_of_defined,
+)
+from gridtrack.trackers.training.weights import Weights, load_start, save_interrupted, save_weights
 
 FROM_GENERAL = {"updates": 600, "validate_every": 150, "warm_up": 50, "learning_rate": 1e-3}
 """Settings of a training that starts from general weights: minutes on a processor, and at this rate the network keeps

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from gridtrack.trackers.resolution import cell_input, period_input
+from gridtrack.trackers.training.networks import cell_input, period_input
 
 Float32Array = NDArray[np.float32]
 

@@ -24,8 +24,8 @@ from gridtrack.trackers.recurrent.network import (
 from gridtrack.trackers.recurrent.pacing import StepPace, paced
 from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.registry import registered_name
-from gridtrack.trackers.trained_network import restore, trained_settings
-from gridtrack.trackers.weights import Weights, load_weights
+from gridtrack.trackers.training.networks import restore, trained_settings
+from gridtrack.trackers.training.weights import Weights, load_weights
 
 MOST_MISSED = 20
 """Largest number of missed frames that are made up for at once: a network whose step takes longer than a period would

@@ -22,12 +22,11 @@ from torch.nn import functional
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.cell_classifier import CellClassifier
-from gridtrack.trackers.cell_training import LabelledCells, logits_of
-from gridtrack.trackers.label_settings import ClassifierSettings
 from gridtrack.trackers.recurrent.settings import EvidenceOption
-from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
-from gridtrack.trackers.weights import Weights, array
+from gridtrack.trackers.training.cell_classifier import CellClassifier, planes_of, scan_classifier
+from gridtrack.trackers.training.cell_training import LabelledCells, logits_of
+from gridtrack.trackers.training.labelled_scans import ClassifierSettings
+from gridtrack.trackers.training.weights import Weights, array
 
 PREFIX = "seen_cells."
 """Prefix of the names of the arrays in a weights file."""

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from gridtrack.common.config import Settings
-from gridtrack.trackers.label_settings import ClassWeights, LabelSettings
+from gridtrack.trackers.training.labelled_scans import ClassWeights, LabelSettings
 
 Gate = Literal["keep", "reset", "candidate"]
 Precision = Literal["32-true", "bf16-mixed"]

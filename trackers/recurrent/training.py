@@ -27,7 +27,7 @@ from gridtrack.trackers.recurrent.network import Recurrence, RecurrentNetwork
 from gridtrack.trackers.recurrent.sequences import SequenceDataset
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
 from gridtrack.trackers.recurrent.training_module import TrainingModule, Validate, scores_text
-from gridtrack.trackers.weights import Weights
+from gridtrack.trackers.training.weights import Weights
 
 BEST, LAST = "best", "last"
 """Names of the checkpoints with the best validation score, and of the last one."""

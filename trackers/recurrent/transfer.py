@@ -19,9 +19,16 @@ from gridtrack.common.config import validated
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, LabelledFrame, shift_between
-from gridtrack.trackers.card import with_classes
-from gridtrack.trackers.cell_classifier import CellClassifier
-from gridtrack.trackers.cell_training import (
+from gridtrack.trackers.contract import FitTask, FrameSource, StreamSpec, stream_of
+from gridtrack.trackers.recurrent.inference import StreamNetwork
+from gridtrack.trackers.recurrent.network import DecodedLayers, State
+from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
+from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells
+from gridtrack.trackers.recurrent.settings import DECODER_SETTINGS, TransferSettings
+from gridtrack.trackers.registry import registered_name
+from gridtrack.trackers.training.card import with_classes
+from gridtrack.trackers.training.cell_classifier import CellClassifier, planes_of, scan_classifier
+from gridtrack.trackers.training.cell_training import (
     CellCollector,
     LabelledCells,
     TrainedClassifier,
@@ -30,17 +37,14 @@ from gridtrack.trackers.cell_training import (
     logits_of,
     train_classifier,
 )
-from gridtrack.trackers.contract import FitTask, FrameSource, StreamSpec, stream_of
-from gridtrack.trackers.label_settings import ClassifierSettings, LabelSettings
-from gridtrack.trackers.labelled_scans import VALIDATE_ON, LabelledScans, draw_labelled
-from gridtrack.trackers.recurrent.inference import StreamNetwork
-from gridtrack.trackers.recurrent.network import DecodedLayers, State
-from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
-from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells
-from gridtrack.trackers.recurrent.settings import DECODER_SETTINGS, TransferSettings
-from gridtrack.trackers.registry import registered_name
-from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
-from gridtrack.trackers.weights import load_weights, save_interrupted, save_weights
+from gridtrack.trackers.training.labelled_scans import (
+    VALIDATE_ON,
+    ClassifierSettings,
+    LabelledScans,
+    LabelSettings,
+    draw_labelled,
+)
+from gridtrack.trackers.training.weights import load_weights, save_interrupted, save_weights
 
 LEADS = (4, 12)
 """Steps of the forecasts that classes are learned from, besides the current frame; at most LEAD_IN less a warm-up."""

@@ -13,9 +13,9 @@ from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.evaluation.scoring.regions import regions_of
 from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA
 from gridtrack.recordings.stream import open_stream
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
+from gridtrack.trackers.baselines import PersistenceTracker
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.excerpts import CachedSource
+from gridtrack.trackers.training.excerpts import CachedSource
 
 from scenes import drive, truth_scene
 

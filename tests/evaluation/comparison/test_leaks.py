@@ -167,9 +167,9 @@ def recorded_today(path, site):
 
 def test_a_tracker_that_names_no_training_data_on_its_card_cannot_hide_it(record, tmp_path, install):
     module = """
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
-from gridtrack.trackers.card import card_for
-from gridtrack.trackers.weights import save_weights
+from gridtrack.trackers.baselines import PersistenceTracker
+from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.weights import save_weights
 
 
 class Secretive(PersistenceTracker):

@@ -12,7 +12,7 @@ from gridtrack.evaluation.comparison.plan import resolve
 from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.comparison.shared_inputs import SharedInputs
 from gridtrack.evaluation.engines.engine import Interrupted
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 
 
 class Split:

@@ -16,13 +16,13 @@ from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.formats.native import NativeRecording
 from gridtrack.recordings.stream import GridStream, frame_digest, open_stream
-from gridtrack.trackers.progress import Progress
+from gridtrack.trackers.training.progress import Progress
 from gridtrack.trackers.wire import WireError
 
 from scenes import drive, truth_scene
 
 VANDAL = '''
-from gridtrack.trackers.baselines.static_map import StaticMapTracker
+from gridtrack.trackers.baselines import StaticMapTracker
 from gridtrack.trackers.contract import stream_of
 
 

@@ -16,7 +16,7 @@ from gridtrack.evaluation.comparison.shared_inputs import SharedInputs
 from gridtrack.evaluation.comparison.trial import unstarted
 from gridtrack.evaluation.comparison.works import TrialWork
 from gridtrack.evaluation.results.trial_record import read_trial_record
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 
 
 @pytest.fixture(autouse=True)

@@ -19,14 +19,14 @@ from gridtrack.evaluation.comparison.stored_stretch import StoredStretch, store_
 from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.recordings import RecordingInfo, write_native
 from gridtrack.recordings.stream import frame_digest, open_stream
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 from tests.conftest import PLUGINS
 from tests.evaluation.conftest import RATE_HZ, SECONDS, scan
 
 FITS = '''
 import os, time
 from gridtrack.common.errors import WeightsError
-from gridtrack.trackers.baselines.static_map import StaticMapOptions, StaticMapTracker
+from gridtrack.trackers.baselines import StaticMapOptions, StaticMapTracker
 
 
 class Options(StaticMapOptions):

@@ -25,7 +25,7 @@ from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow
 from gridtrack.evaluation.statistics.spatial_scores import median_size
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
+from gridtrack.trackers.baselines import PersistenceTracker
 from gridtrack.trackers.contract import stream_of
 
 from scenes import drive

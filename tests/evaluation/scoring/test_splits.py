@@ -12,8 +12,8 @@ from gridtrack.evaluation.comparison.train import train_tracker
 from gridtrack.evaluation.scoring.splits import Sampling, common_with, plan_split
 from gridtrack.evaluation.scoring.strata import CELL_KINDS
 from gridtrack.recordings import import_recording
-from gridtrack.trackers.card import Card, TrainingData
-from gridtrack.trackers.weights import save_weights
+from gridtrack.trackers.training.card import Card, TrainingData
+from gridtrack.trackers.training.weights import save_weights
 
 SECOND = Sampling(horizon_s=1.0, every_s=0.5)
 

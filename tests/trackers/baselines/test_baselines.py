@@ -16,10 +16,13 @@ from gridtrack.common.config import Settings
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.baselines.blank import BlankTracker
-from gridtrack.trackers.baselines.cell_rates import smoothed_rate
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
-from gridtrack.trackers.baselines.static_map import StaticMapOptions, StaticMapTracker
+from gridtrack.trackers.baselines import (
+    BlankTracker,
+    PersistenceTracker,
+    StaticMapOptions,
+    StaticMapTracker,
+    smoothed_rate,
+)
 from gridtrack.trackers.contract import FitTask, StreamSpec, StretchScore
 
 GRID = GridSpec(2, 1.0)

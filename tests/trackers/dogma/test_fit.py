@@ -9,16 +9,15 @@ pytest.importorskip("optuna")
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Shift
-from gridtrack.trackers import searched_fit
-from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitTask, StreamSpec, StretchScore
-from gridtrack.trackers.dogma import tuning
 from gridtrack.trackers.dogma.settings import DogmaSettings
-from gridtrack.trackers.dogma.tracker import DogmaTracker
-from gridtrack.trackers.excerpts import CachedSource
-from gridtrack.trackers.site_rate import count_frames
-from gridtrack.trackers.tuning import FINALISTS
-from gridtrack.trackers.weights import load_weights, read_card, save_weights
+from gridtrack.trackers.dogma.tracker import DogmaTracker, count_occupancy_rate
+from gridtrack.trackers.site_map import count_frames
+from gridtrack.trackers.training import searched_fit
+from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.excerpts import CachedSource
+from gridtrack.trackers.training.search import FINALISTS
+from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
 
 from scenes.scrolling import scrolled
 
@@ -51,7 +50,7 @@ class Source:
 
 
 def test_the_occupancy_rate_is_the_share_of_each_cell_shrunk_to_the_base_rate() -> None:
-    rate, moves = tuning.count_occupancy_rate([Source(), Source()])
+    rate, moves = count_occupancy_rate([Source(), Source()])
     assert not moves
     base_rate = (40 + 20) / (6 * 40)
     assert rate[WALL] == pytest.approx((80 + 20 * base_rate) / 100)
@@ -90,9 +89,7 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
     assert one.settings["acceleration"] == asked[int(np.argmin(losses))].acceleration
     assert len(set(losses)) == 11
     stream = StreamSpec(GRID, PERIOD_S, "yard", weights=paths[0])
-    assert np.array_equal(
-        load_weights(stream, "dogma").arrays["occupancy_rate"], tuning.count_occupancy_rate([Source()])[0]
-    )
+    assert np.array_equal(load_weights(stream, "dogma").arrays["occupancy_rate"], count_occupancy_rate([Source()])[0])
     tracker = DogmaTracker(stream, DogmaSettings(acceleration=0.2))
     assert tracker._settings == DogmaSettings(**one.settings | {"acceleration": 0.2})
 
@@ -133,7 +130,7 @@ def test_a_site_starts_from_general_settings_and_searches_near_them(
     assert found_s[0] <= settings["free_decay_s"] <= found_s[1]
     assert abs(np.log(settings["free_decay_s"] / best_s)) == min(abs(np.log(s.free_decay_s / best_s)) for s in asked)
     arrays = load_weights(StreamSpec(GRID, PERIOD_S, "yard", weights=out), "dogma").arrays
-    assert np.array_equal(arrays["occupancy_rate"], tuning.count_occupancy_rate([Source()])[0])
+    assert np.array_equal(arrays["occupancy_rate"], count_occupancy_rate([Source()])[0])
 
 
 def test_weights_of_another_site_are_no_start(general, tmp_path) -> None:

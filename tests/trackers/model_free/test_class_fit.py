@@ -14,15 +14,15 @@ pytest.importorskip("sklearn")
 
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
-from gridtrack.trackers import searched_fit
 from gridtrack.trackers.contract import FitTask, StretchScore, stream_of
-from gridtrack.trackers.labelled_scans import LabelledScans
-from gridtrack.trackers.model_free.class_training import count_cells
 from gridtrack.trackers.model_free.classes import ClassModel
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
-from gridtrack.trackers.weights import load_weights, read_card, save_weights
+from gridtrack.trackers.model_free.training import count_cells
+from gridtrack.trackers.training import searched_fit
+from gridtrack.trackers.training.labelled_scans import LabelledScans
+from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
 
 from scenes.street import GRID, Street, frame_of
 

@@ -11,17 +11,15 @@ import pytest
 pytest.importorskip("filterpy")
 from gridtrack.common.errors import RecordingError, WeightsError
 from gridtrack.common.grid import GridSpec, Shift
-from gridtrack.trackers import searched_fit
-from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitTask, StreamSpec, StretchScore
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP
 from gridtrack.trackers.model_free.kalman import KalmanTracker
-from gridtrack.trackers.model_free.open_cells import OpenOnMap
 from gridtrack.trackers.model_free.residence import fit_residence, resampled
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
-from gridtrack.trackers.site_map import SiteMap
-from gridtrack.trackers.tuning import FINALISTS
-from gridtrack.trackers.weights import load_weights, read_card, save_weights
+from gridtrack.trackers.training import searched_fit
+from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.search import FINALISTS
+from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
 
 from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
 from scenes.scrolling import scrolled
@@ -158,7 +156,7 @@ class Scores:
 
 
 def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_been(tmp_path, caplog, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 6)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 6)
     fit_hall(tmp_path / "whole", Scores(), [])
     with pytest.raises(KeyboardInterrupt):
         fit_hall(tmp_path, Scores(interrupt_after=4), [])
@@ -175,7 +173,7 @@ def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_bee
 
 
 def test_an_interrupted_search_keeps_the_weights_of_an_earlier_training(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 3)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 3)
     fit_hall(tmp_path, Scores(), [])
     earlier = (tmp_path / "hall.toml").read_bytes()
     with pytest.raises(KeyboardInterrupt):
@@ -192,7 +190,7 @@ class Driven(Source):
 
 
 def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 1)
     told = []
     out = fit(tmp_path / "hall.toml", Scores(), train=[Driven()], validation=Driven(), report=told.append)
     assert any("the sensor moves: no map of the place is learned" in line for line in told)
@@ -224,7 +222,7 @@ CELLS = np.ones((2, 2), bool)
 
 
 def test_a_general_training_learns_no_map_and_runs_on_any_grid_and_period(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 1)
     out = fit(tmp_path / "general.toml", Scores(), train=[Source(), Fine()], validation=Fine(), general=True)
     card = read_card(out)
     assert (card.general, card.cells_m) == (True, (Fine.grid.cell_m, GRID.cell_m))
@@ -249,7 +247,7 @@ def general_weights(folder):
 
 def test_at_a_site_settings_are_searched_near_the_general_ones_and_those_of_its_map_everywhere(tmp_path, monkeypatch):
     """The map of the place is what general weights do not know; classes are added to weights of the site."""
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 9)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 9)
     general = general_weights(tmp_path)
     asked = []
 
@@ -277,7 +275,7 @@ def test_the_validation_recordings_decide_whether_the_map_of_the_place_serves(
     tmp_path, monkeypatch, source, with_map, chosen
 ):
     """What stands for the whole of a short training is a wall on its map; what is hidden only a map knows."""
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 3)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 3)
     general, validation, told = general_weights(tmp_path), source(), []
     validation.name = "hall@3s-6s"
 
@@ -294,7 +292,7 @@ def test_the_validation_recordings_decide_whether_the_map_of_the_place_serves(
 
 
 def test_a_background_that_is_given_is_not_chosen(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 1)
     asked = []
 
     def score(tracker, source, steps):
@@ -317,7 +315,7 @@ def test_a_life_table_of_another_period_has_the_probabilities_of_its_times():
 
 
 def open_everywhere():
-    return OpenOnMap(SiteMap(np.ones(GRID.shape, bool), True, GRID.cell_m))
+    return lambda frame: np.ones(GRID.shape, bool)
 
 
 def test_residence_and_calibration_are_counted_in_the_world():

@@ -12,11 +12,8 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame  # noqa: E402
-from gridtrack.trackers import cell_training  # noqa: E402
 from gridtrack.trackers.contract import FitTask, StretchScore, stream_of  # noqa: E402
-from gridtrack.trackers.excerpts import VALIDATED_S, excerpts_of_places  # noqa: E402
-from gridtrack.trackers.label_settings import ClassifierSettings  # noqa: E402
-from gridtrack.trackers.one_shot.tracker import OneShotTracker  # noqa: E402
+from gridtrack.trackers.one_shot import OneShotTracker  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.network import channels_last  # noqa: E402
 from gridtrack.trackers.recurrent.resolution_input import resolution_of, set_resolution  # noqa: E402
@@ -24,7 +21,10 @@ from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # n
 from gridtrack.trackers.recurrent.sequences import SequenceDataset  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.training import validation_scores  # noqa: E402
-from gridtrack.trackers.weights import read_card  # noqa: E402
+from gridtrack.trackers.training import cell_training  # noqa: E402
+from gridtrack.trackers.training.excerpts import VALIDATED_S, excerpts_of_places  # noqa: E402
+from gridtrack.trackers.training.labelled_scans import ClassifierSettings  # noqa: E402
+from gridtrack.trackers.training.weights import read_card  # noqa: E402
 from tests.trackers.scores import of_every_stratum  # noqa: E402
 
 TRACKERS = [DilatedConvGRUTracker, DeepTrackingRNNTracker]

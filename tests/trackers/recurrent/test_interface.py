@@ -10,7 +10,7 @@ pytest.importorskip("lightning")
 
 from gridtrack.trackers.recurrent.network import map_state, tensors_of  # noqa: E402
 from gridtrack.trackers.registry import load  # noqa: E402
-from gridtrack.trackers.weights import read_card  # noqa: E402
+from gridtrack.trackers.training.weights import read_card  # noqa: E402
 from tests.trackers.recurrent.sources import (  # noqa: E402
     SMALL,
     Drive,

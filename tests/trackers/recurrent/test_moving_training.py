@@ -21,7 +21,7 @@ from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # n
 from gridtrack.trackers.recurrent.sequences import SequenceDataset  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.transfer import PastStates  # noqa: E402
-from gridtrack.trackers.weights import read_card  # noqa: E402
+from gridtrack.trackers.training.weights import read_card  # noqa: E402
 from tests.trackers.scores import of_every_stratum  # noqa: E402
 
 SIZE, CELL_M = 12, 0.5

@@ -17,7 +17,7 @@ from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  
 from gridtrack.trackers.recurrent.general_network import settings_from_general  # noqa: E402
 from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.registry import registered_name  # noqa: E402
-from gridtrack.trackers.weights import load_start, read_card  # noqa: E402
+from gridtrack.trackers.training.weights import load_start, read_card  # noqa: E402
 from tests.trackers.recurrent.test_general import HELD_OUT, SMALL, TRACKERS, LabelledWalk, Walk, fit  # noqa: E402
 from tests.trackers.scores import of_every_stratum  # noqa: E402
 
@@ -195,8 +195,8 @@ def test_checkpoints_of_a_start_from_other_weights_are_refused(general, tmp_path
 
 
 def test_without_labels_the_class_decoder_of_the_general_weights_is_left_out(tmp_path, monkeypatch):
-    from gridtrack.trackers import cell_training
-    from gridtrack.trackers.label_settings import ClassifierSettings
+    from gridtrack.trackers.training import cell_training
+    from gridtrack.trackers.training.labelled_scans import ClassifierSettings
 
     monkeypatch.setattr(
         cell_training, "candidate_settings", lambda given, seed: [ClassifierSettings(updates=2, **dict(given))]
