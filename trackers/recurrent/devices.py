@@ -1,6 +1,6 @@
 """The devices of a training: their kind and number, and the faster precision on them.
 
-Several devices share each batch by Lightning's DDP; each has a process of its own, forked from that of the training.
+Several devices share each batch by Lightning's DDP; each has its own process, forked from the training process.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from functools import partial
 from multiprocessing import Pipe, active_children
 from multiprocessing.connection import Connection
 from threading import Thread
-from typing import NamedTuple, Self, get_args
+from typing import Any, NamedTuple, Self, get_args
 
 import torch
 from torch import nn
@@ -62,11 +62,11 @@ class Devices(NamedTuple):
         return cls(kind, number)
 
     @property
-    def lightning(self) -> dict[str, object]:
+    def lightning(self) -> dict[str, Any]:
         """The options of Lightning's Trainer.
 
-        A process of `ddp` would start with the command line, but that of a training reads its data from standard input;
-        one of `ddp_spawn` could not call the function that scores on the validation stretch.
+        A process of `ddp` would run the command line again, but a training process reads its data from standard input;
+        a process of `ddp_spawn` could not call the function that scores on the validation stretch.
         """
         return {
             "accelerator": "cpu" if self.kind == "cpu" else "auto",
@@ -92,7 +92,7 @@ class Devices(NamedTuple):
 
     @contextmanager
     def called_here(self, *functions: Callable[[str], None]) -> Iterator[tuple[Callable[[str], None], ...]]:
-        """Functions of a text that call the given `functions` in this process, from that of the first device too."""
+        """Functions of a text that call the given `functions` in this process, also from the process of a device."""
         if self.number == 1:
             yield functions
             return
@@ -116,7 +116,7 @@ def _send(sender: Connection, number: int, text: str) -> None:
 
 
 def training_precision(settings: TrainingSettings, devices: Devices, task: FitTask) -> Precision:
-    """The precision of `settings`; for `auto` that of the training that `task.log_dir` resumes, or the faster one.
+    """The precision of `settings`; for `auto` the precision of the training that is resumed, or the faster one.
 
     bfloat16 is faster on accelerators and on most processors with instructions for it (AVX-512 BF16, AMX), slower on
     others. The instructions of a processor do not say which, so that one small convolution is timed.
@@ -137,7 +137,7 @@ def training_precision(settings: TrainingSettings, devices: Devices, task: FitTa
 
 
 def _precision_in(task: FitTask) -> Precision | None:
-    """The precision of the training whose checkpoints are in the log folder; None without one."""
+    """The precision of the training in the log folder; None without one."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         recorded = json.loads((task.log_dir / "settings.json").read_text())["precision"]
         return next((precision for precision in get_args(Precision) if precision == recorded), None)

@@ -122,7 +122,7 @@ class DilatedConvGRU(RecurrentNetwork):
     ) -> None:
         """`class_hidden`: channels of the class decoder's layers but the last; () is the paper's linear decoder.
 
-        `decoded_layers`: the layers whose states it reads.
+        `decoded_layers`: the layers that it reads.
         """
         super().__init__(size)
         self.channels = settings.channels

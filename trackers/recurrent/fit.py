@@ -14,7 +14,6 @@ from itertools import product
 from typing import Any
 
 import torch
-from torch import nn
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import WeightsError
@@ -38,11 +37,11 @@ from gridtrack.trackers.training.excerpts import (
 from gridtrack.trackers.training.weights import Weights, load_start, save_interrupted, save_weights
 
 FROM_GENERAL = {"updates": 600, "validate_every": 150, "warm_up": 50, "learning_rate": 1e-3}
-"""Settings of a training that starts from general weights: minutes on a processor, and at this rate the network keeps
-what it has learned."""
+"""Settings of a training that starts from general weights: minutes on a processor, at a learning rate at which the
+network does not forget."""
 AT_MOST = {"batch": 2, "burn_in": 20}
-"""Upper limits of the settings that it has from the general weights. These may come from an accelerator, whose batches
-take a processor too long; a longer burn-in takes twice as long and gains nothing at a site."""
+"""Upper limits of the settings that it takes from the general weights: batches for an accelerator are too slow on a
+processor, and a longer burn-in takes twice as long and gains nothing at a site."""
 FIRST_MOTION = frozenset({"shape_updates", "shape_share", "motion_weight"})
 """Settings for learning motion from nothing; a training from general weights does not have them."""
 FOR_ANY_PLACE = {"resolution_input": True, "step_s": 0.1}
@@ -68,7 +67,7 @@ def fit_network(kind: type[RecurrentTracker], task: FitTask) -> None:
         begin_from(network, start)
     held_out = excerpts_of_places(task.validation, VALIDATED_S) if task.general else task.validation
 
-    def validate(trained: nn.Module) -> dict[str, float]:
+    def validate(trained: RecurrentNetwork) -> dict[str, float]:
         def score_on(source: FrameSource) -> StretchScore:
             stream, steps = stream_of(source), nearest_step(max(SELECTION_HORIZONS_S), source.period_s)
             inference = kind.inference_for(deepcopy(trained).cpu(), stream, options)
@@ -139,8 +138,10 @@ def begin_from(network: RecurrentNetwork, weights: Weights) -> None:
         found = weights.arrays.get(name)
         shape = (value.shape[0], 1, 1) if name in maps else tuple(value.shape)
         if found is None or found.shape != shape:
-            what = "missing" if found is None else f"{found.shape}"
-            raise WeightsError(f"general weights of {weights.card.tracker}: array '{name}' is {what}, expected {shape}")
+            state = "missing" if found is None else f"{found.shape}"
+            raise WeightsError(
+                f"general weights of {weights.card.tracker}: array '{name}' is {state}, expected {shape}"
+            )
         value.copy_(torch.from_numpy(found))
 
 
@@ -149,8 +150,8 @@ def validation_scores(
 ) -> dict[str, float]:
     """F1 of SELECTION_STRATA at the horizons, mean over the stretches; `score` is the mean of those that are defined.
 
-    `log_loss` is that of the same cells, nats. If nothing moves in a stretch, it has no F1 of dynamic cells, and does
-    not count there.
+    `log_loss` is the mean over the same cells, nats. A stretch without motion has no F1 of dynamic cells, and does not
+    count there.
     """
     found: dict[str, list[float]] = {}
     losses: list[float] = []

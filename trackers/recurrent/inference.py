@@ -1,8 +1,8 @@
-"""A trained network on one stream, whose window may move.
+"""A trained network on one stream, in a window that may move.
 
-The network is trained in a window that stays. A cell that no beam has reached since the first frame has a state there
-too: that of a network whose input was empty all the time. A cell that comes into the window starts with the same state,
-as if the window had held it from the first frame on.
+The network is trained in a window that stays. There, a cell that no beam has reached since the first frame has the
+state of a network with empty input all the time. A cell that comes into a moving window starts with this state, as if
+the window had contained it from the first frame on.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ CONVERGED = 1e-6
 
 
 class StreamNetwork(Recurrence):
-    """A Recurrence for one stream, whose window may move; it computes with another `network`."""
+    """A Recurrence for one stream, in a window that may move; it computes with another `network`."""
 
     def __init__(self, network: Any) -> None:
         self.network = network
@@ -87,7 +87,7 @@ class InferenceNetwork(StreamNetwork):
         self._unseen = states_without_input(network)
 
     def unseen(self, frames: int) -> State:
-        """The state of an unseen cell: that of a network whose input was empty all the time."""
+        """The state of a network with empty input all the time."""
         return self._unseen[min(frames, len(self._unseen) - 1)]
 
     def rolled(self, state: State, shift: Shift, frames: int) -> State:

@@ -1,4 +1,4 @@
-"""The interface of a recurrent network: what a training, a tracker and a moving window need of it."""
+"""The interface of a recurrent network for training, tracking and a moving window."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gridtrack.trackers.training.networks import cell_input, period_input
 Float32Array = NDArray[np.float32]
 
 State = Any
-"""A latent state: tensors (B, C, M, M) in nested tuples, lists or dicts, whose structure only the network knows."""
+"""A latent state: tensors (B, C, M, M) in nested tuples, lists or dicts of any structure."""
 
 DecodedLayers = Literal["last", "all"]
 
@@ -48,7 +48,7 @@ class RecurrentNetwork(nn.Module, Recurrence):
     """Base of the networks: a Recurrence with parameters.
 
     `size`: cells a side of its grids; a network without maps takes grids of any size, once this is set. A subclass
-    defines the methods of Recurrence and `output_bias`; the rest has defaults, for what only some networks have.
+    defines the methods of Recurrence and `output_bias`; the other methods have defaults.
     """
 
     def __init__(self, size: int) -> None:
@@ -114,7 +114,7 @@ class ResolutionShift(nn.Module):
         self.resolution = torch.zeros(2)
 
     def forward(self, bias: Tensor) -> Tensor:
-        """The `bias` (C,) or (C, M, M) at `resolution`; (B, C, M, M) of (C, M, M) at those of a batch."""
+        """The `bias` (C,) or (C, M, M) at `resolution`; (B, C, M, M) if the windows of a batch differ."""
         shift = self.resolution.to(self.weight.device) @ self.weight.T
         return bias + shift.view(*shift.shape, *(1,) * (bias.ndim - 1))
 
@@ -125,7 +125,7 @@ def resolution_of(cell_m: float, period_s: float) -> Tensor:
 
 
 def set_resolution(network: nn.Module, resolution: Tensor) -> None:
-    """Set the resolution (2,) of the grids, or (B, 2) of those of a batch; no effect on a network for one site."""
+    """Set the resolution (2,) of the grids, or (B, 2) of a batch; no effect on a network for one site."""
     for module in network.modules():
         if isinstance(module, ResolutionShift):
             module.resolution = resolution
@@ -146,7 +146,7 @@ def as_cells(tensor: Tensor) -> Float32Array:
 def as_tensor(cells: Float32Array) -> Tensor:
     """(M, M, C) as (1, C, M, M) in channels-last memory, without copying.
 
-    The batch comes first: torch takes a tensor whose batch of one has another stride for one that is not channels-last,
-    and convolutions and `cat` then copy it.
+    The batch comes first: if a batch of one had another stride, the tensor would not be channels-last for torch, and
+    convolutions and `cat` would copy it.
     """
     return torch.from_numpy(cells)[None].permute(0, 3, 1, 2)

@@ -1,8 +1,9 @@
 """Steps of equal duration at every period of a stream: several steps a frame, or several states that alternate.
 
-What walks moves a third of a cell a frame at 20 scans a second, and four cells at 5. A network for any place has steps
-of about one duration instead. If the frames of a stream are slow, some steps have no input. If they are fast, there are
-several states: each takes every n-th frame, and the forecast of a frame comes from the state that would take it.
+A pedestrian moves a third of a cell a frame at 20 scans a second, and four cells at 5. A network for any place has
+steps of about one duration instead. If the frames of a stream are slow, some steps have no input. If they are fast,
+there are several states: each takes every n-th frame, and the forecast of a frame comes from the state that would take
+it.
 """
 
 from __future__ import annotations
@@ -98,8 +99,8 @@ class SubstepNetwork(StreamNetwork):
 class InterleavedNetwork(StreamNetwork):
     """Has `phases` states, each of which takes one frame in `phases`.
 
-    Its State is a tuple of them, that of the last frame at the end. A step without input forecasts the next frame from
-    the state that would take it, which is `phases` frames older.
+    Its State is a tuple of them; the last one has taken the last frame. A step without input forecasts the next frame
+    from the state that would take it, which is `phases` frames older.
     """
 
     def __init__(self, network: StreamNetwork, phases: int) -> None:

@@ -28,7 +28,7 @@ from gridtrack.trackers.training.networks import restore, trained_settings
 from gridtrack.trackers.training.weights import Weights, load_weights
 
 MOST_MISSED = 20
-"""Largest number of missed frames that are made up for at once: a network whose step takes longer than a period would
+"""Largest number of missed frames for which steps are made at once: a network with steps longer than a period would
 otherwise fall further behind with every frame."""
 
 
@@ -149,7 +149,7 @@ class RecurrentTracker(Tracker):
 
     @classmethod
     def inference_for(cls, network: RecurrentNetwork, stream: StreamSpec, options: Any) -> StreamNetwork:
-        """The trained `network` for the grids of `stream`, to whose size a network without maps adapts."""
+        """The trained `network` for the grids of `stream`; a network without maps adapts to their size."""
         network.size = stream.grid.size
         pace = StepPace.of(stream.period_s, options.step_s)
         set_resolution(network, resolution_of(stream.grid.cell_m, pace.step_s(stream.period_s)))

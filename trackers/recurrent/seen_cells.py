@@ -6,7 +6,7 @@ Memory and the current scan are different evidence. In the cells that are occupi
 
 a logarithmic opinion pool (Genest and Zidek, 1986) of two classifiers of the same labelled scans. The powers a and b
 have the least log loss on the validation stretch, so they calibrate the product as well. With b = 0 the power a
-calibrates the latent state in these cells, whose classes are more certain than those of other cells.
+calibrates the latent state in these cells, where it is more certain than in others.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PREFIX = "seen_cells."
 POWERS = tuple(round(0.1 * n, 1) for n in range(16))
 """Candidates of a power."""
 SMALLEST = 1e-12
-"""Smallest probability whose logarithm is taken."""
+"""Smaller probabilities count as this one in logarithms."""
 
 
 class SeenCells(nn.Module):

@@ -50,7 +50,7 @@ class Frames(NamedTuple):
 
 
 def load_frames(source: FrameSource, first_window: SE2 | None, step_s: float = 0.0) -> Frames:
-    """All frames of a stretch; their windows are relative to `first_window`, or to that of its first frame."""
+    """All frames of a stretch; their windows are relative to `first_window`, by default the first frame's."""
     planes, windows = [], []
     for frame in source:
         first_window = first_window or frame.world_T_grid
@@ -212,7 +212,7 @@ class EpochSampler(Sampler[int]):
     """
 
     def __init__(self, items: int, total: int, used: int = 0, *, rank: int = 0, devices: int = 1) -> None:
-        """`items` in an epoch, `total` in all epochs; the training that is resumed has `used` the first ones of all."""
+        """Numbers of `items`: in an epoch, in all epochs (`total`), and `used` by the training that is resumed."""
         self.items, self.total, self.used, self.epoch = items, total, used, 0
         self.rank, self.devices = rank, devices
 

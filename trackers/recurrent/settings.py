@@ -26,7 +26,7 @@ class ResolutionSettings(Settings):
 
 
 class DilatedConvGRUSettings(ResolutionSettings):
-    """The shape of the dilated ConvGRU; the defaults are those of Ondruska et al. (2016).
+    """The shape of the dilated ConvGRU; the defaults are from Ondruska et al. (2016).
 
     `static_gates`: the gates with a bias for each cell, the static memory; the others have one bias a channel.
     `dilated=false` makes all convolutions dense. `cell=plain` is h' = tanh(Wxh*x + Whh*h + bh), the candidate alone.
@@ -87,7 +87,7 @@ class TrainingSettings(Settings):
     """Updates over which the learning rate rises from zero; afterwards it falls to zero along a cosine."""
     unseen_weight: float = Field(0.0, ge=0)
     """Weight in the loss of a cell that no frame of the sequence sees, with the occupied rate of the recordings as its
-    target; that of a visible cell is 1. With 0 forecasts are arbitrary in cells that no beam ever reached."""
+    target; a visible cell has weight 1. With 0 forecasts are arbitrary in cells that no beam ever reached."""
     gradient_clip: float = Field(1.0, gt=0)
     weight_decay: float = Field(0.0, ge=0)
     validate_every: int = Field(250, ge=1)

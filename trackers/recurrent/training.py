@@ -63,7 +63,7 @@ def train_network(
     task: FitTask,
     start: Weights | None = None,
 ) -> TrainedNetwork:
-    """Train `network` in place to the weights with the best validation score; those of a `start` are a candidate.
+    """Train `network` in place to the weights with the best validation score; a `start` is a candidate too.
 
     The training computes with `in_training`, the same function of the same parameters. Logs (CSV, TensorBoard) and
     checkpoints are written to `task.log_dir`; checkpoints of the same training in it are resumed. An interrupt ends the
@@ -131,6 +131,7 @@ def _improves(scores: dict[str, float], before: dict[str, float]) -> bool:
 
 def _trainer(settings: TrainingSettings, devices: Devices, task: FitTask) -> lightning.Trainer:
     """A trainer with its checkpoints, BEST and LAST, and logs in `task.log_dir`."""
+    assert settings.precision != "auto"
     folder = task.log_dir / "checkpoints"
     best = ModelCheckpoint(folder, filename=BEST, monitor="score", mode="max", enable_version_counter=False)
     # after every epoch, whatever the score
@@ -170,9 +171,9 @@ def _description(
     dataset: SequenceDataset, settings: TrainingSettings, task: FitTask, start: Weights | None
 ) -> dict[str, Any]:
     """Everything that a training depends on: its data, seed and settings, and the weights that it starts from."""
-    begun = {} if start is None else {"start": start.card.arrays_sha256}
+    started = {} if start is None else {"start": start.card.arrays_sha256}
     used = settings.model_dump(exclude={*TransferSettings.model_fields, *InferenceSettings.model_fields})
-    return {**begun, "seed": task.seed, "train": dataset.sources, **used}
+    return {**started, "seed": task.seed, "train": dataset.sources, **used}
 
 
 def _resumable(task: FitTask, training: dict[str, Any]) -> Path | None:

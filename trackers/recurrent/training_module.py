@@ -1,7 +1,7 @@
 """One network in a training by Lightning: the loss of its windows, its optimiser and validation.
 
-The loss is that of Ondruska et al. (2016), section III: the binary cross-entropy of every frame on its visible cells,
-observed or predicted.
+The loss is from Ondruska et al. (2016), section III: the binary cross-entropy of every frame, observed or predicted, on
+its visible cells.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self
 
 import lightning
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 from torch.utils.data import DataLoader
 
@@ -22,7 +22,7 @@ from gridtrack.trackers.recurrent.network import Recurrence, RecurrentNetwork, c
 from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset
 from gridtrack.trackers.recurrent.settings import TrainingSettings
 
-Validate = Callable[[nn.Module], dict[str, float]]
+Validate = Callable[[RecurrentNetwork], dict[str, float]]
 """Scores the network as a tracker on the validation stretches; the network with the highest `score` is kept."""
 
 

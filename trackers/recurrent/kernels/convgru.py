@@ -1,7 +1,7 @@
 """The dilated ConvGRU for inference on a processor, and for training; its cells must have gates.
 
 Inference: convolutions and gates (gates.py) for one band of rows after the other, so that the sums stay in the cache.
-Only the new states are allocated. In bfloat16 the convolutions are the direct ones of oneDNN: they are faster on a
+Only the new states are allocated. In bfloat16 the convolutions are oneDNN's direct convolutions: they are faster on a
 processor with instructions for bfloat16, and Winograd's sums would lose too many digits.
 """
 
@@ -111,7 +111,7 @@ class InferenceLayer:
 def weight_of_both(layer: DilatedConvGRULayer) -> Tensor:
     """Filters (4C, C + I, 3, 3) of h and x: keep gate, reset gate, candidate from h, candidate from x.
 
-    The candidate has two outputs because the reset gate multiplies only that of h.
+    The candidate has two outputs because the reset gate multiplies only the one of h.
     """
     h, x = layer.state_weight.detach(), layer.input_weight.detach()
     channels = h.shape[1]

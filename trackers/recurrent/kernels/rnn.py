@@ -32,7 +32,8 @@ class InferenceRNN(InferenceNetwork):
         """h_t; an empty input is not convolved."""
         if x is None:
             return (torch.sigmoid(self._empty + conv2d(state[0], self._weight, padding="same")),)
-        return self.network.step(x, state)
+        new: OneState = self.network.step(x, state)
+        return new
 
     def occupancy(self, features: Tensor) -> Tensor:
         """Logits of P(occupied), (1, M, M)."""
