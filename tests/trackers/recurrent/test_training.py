@@ -17,7 +17,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
 from safetensors.numpy import load_file  # noqa: E402
-from torch.nn.functional import binary_cross_entropy_with_logits, softplus  # noqa: E402
+from torch.nn.functional import binary_cross_entropy_with_logits  # noqa: E402
 
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
@@ -41,7 +41,6 @@ from tests.trackers.recurrent.sources import (  # noqa: E402
     fit,
     forecast_of,
     log_loss_of,
-    rnn,
     task_for,
     trained,
 )
@@ -66,33 +65,28 @@ def settings_of(**options):
     return TrainingSettings(**BRIEF | options)
 
 
-def logits_of(network, frames, observed, carried=0):
-    """Logits (T, M, M) after each of `frames` (T, 2, M, M), of which `observed` are an input; no gradient before."""
-    state, logits = network.initial(1), []
-    for t, x in enumerate(frames):
-        if t == carried:
-            state = tuple(h.detach() for h in state)
-        state = network.step(x[None] if t < observed else None, state)
-        logits.append(network.occupancy(network.features(state))[0])
-    return torch.stack(logits[carried:])
-
-
-def test_cells_that_are_not_visible_have_no_loss():
-    network, windows = rnn(), torch.zeros(1, 3, 2, 12, 12)
-    windows[:, :, 0, 3, 4] = 1.0
-    loss = sequence_loss(network, windows, settings_of(observed_frames=2, blank_frames=1), 0.05).mean
-    torch.testing.assert_close(loss, softplus(logits_of(network, windows[0], 2)[:, 3, 4]).mean())
-
-
-def test_the_burn_in_updates_the_state_without_loss_or_gradient():
-    network = convgru().requires_grad_()
-    settings = settings_of(burn_in=5, observed_frames=2, blank_frames=2)
+@pytest.mark.parametrize("options", [{}, {"burn_in": 5}, {"motion_weight": 2.0}, {"unseen_weight": 0.5}])
+def test_the_loss_is_the_weighted_cross_entropy_of_the_visible_cells_in_every_frame_after_the_burn_in(options):
+    """By hand, with its gradient, which does not reach the burn-in; blank frames have empty input."""
+    network, settings = convgru().requires_grad_(), settings_of(observed_frames=8, blank_frames=6, **options)
     window = SequenceDataset(TRAIN, settings, seed=0)[0].window.float()
-    assert [settings.is_observed(frame) for frame in range(settings.length)] == [True] * 7 + [False] * 2
-    loss = sequence_loss(network, window[None], settings, 0.05).mean
-    seen, hit = window[5:].unbind(dim=1)
-    cells = binary_cross_entropy_with_logits(logits_of(network, window, 7, carried=5), hit, reduction="none")
-    by_hand = (cells * seen).sum() / seen.sum()
+    loss = sequence_loss(network, window[None], settings, 0.05, settings.motion_weight).mean
+
+    state, logits, start = network.initial(1), [], settings.burn_in
+    for t, x in enumerate(window):
+        if t == start:
+            state = tuple(h.detach() for h in state)
+        state = network.step(x[None] if t < start + 8 else None, state)
+        logits.append(network.occupancy(network.features(state))[0])
+    logits, (seen, hit) = torch.stack(logits[start:]), window[start:].unbind(dim=1)
+    near = near_entered_cells(window[None].bool())[0, start:]
+    assert 0 < near.float().mean() < 0.9
+    weight = seen * (1.0 + settings.motion_weight * near)
+    never = ~window[:, 0].bool().any(dim=0)
+    total = (weight * binary_cross_entropy_with_logits(logits, hit, reduction="none")).sum()
+    rate = torch.full_like(logits[:, never], 0.05)
+    total += settings.unseen_weight * binary_cross_entropy_with_logits(logits[:, never], rate, reduction="sum")
+    by_hand = total / weight.sum()
     gradients = [torch.autograd.grad(value, next(iter(network.parameters())))[0] for value in (loss, by_hand)]
     torch.testing.assert_close(loss, by_hand)
     torch.testing.assert_close(*gradients)
@@ -102,20 +96,9 @@ def module_of(network, in_training, data, settings):
     return TrainingModule(network, in_training, data, settings, Devices("cpu", 1), lambda trained: {})
 
 
-def test_cells_near_an_entered_one_have_more_weight_until_the_last_update(monkeypatch):
-    """By hand: the loss is the weighted mean over visible cells; the weight falls linearly to zero."""
-    network, settings = convgru(), settings_of(observed_frames=8, blank_frames=6, motion_weight=3.0, updates=4)
-    data = SequenceDataset(TRAIN, settings, seed=0)
-    window = data[0].window
-    near = near_entered_cells(window[None].bool())[0]
-    assert 0 < near.float().mean() < 0.9
-    weight = window[:, 0] * (1.0 + 2.0 * near)
-    logits = logits_of(network, window.float(), 8)
-    cells = binary_cross_entropy_with_logits(logits, window[:, 1].float(), reduction="none")
-    loss = sequence_loss(network, window[None].float(), settings, 0.05, motion_weight=2.0).mean
-    torch.testing.assert_close(loss, (cells * weight).sum() / weight.sum())
-
-    module, weights = module_of(network, network, data, settings), []
+def test_the_motion_weight_falls_to_zero_until_the_last_update(monkeypatch):
+    settings = settings_of(motion_weight=3.0, updates=4)
+    module, weights = module_of(convgru(), convgru(), SequenceDataset(TRAIN, settings, seed=0), settings), []
     for step in range(4):
         monkeypatch.setattr(TrainingModule, "global_step", step)
         weights.append(module.motion_weight)
