@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.results.summary import RunSummary
+from gridtrack.evaluation.runs.summary import RunSummary
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings

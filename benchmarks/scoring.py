@@ -25,12 +25,12 @@ from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
 from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.counting import count_forecast
 from gridtrack.evaluation.scoring.energy import energy_terms
-from gridtrack.evaluation.scoring.motion import parts_of
+from gridtrack.evaluation.referee.motion import parts_of
 from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
-from gridtrack.evaluation.scoring.returned_beams import returned_beams
+from gridtrack.evaluation.referee.targets import returned_beams
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
-from gridtrack.evaluation.scoring.strata import (
+from gridtrack.evaluation.referee.strata import (
     CELL_KINDS,
     RANGES,
     REGIONS,
@@ -40,7 +40,7 @@ from gridtrack.evaluation.scoring.strata import (
     RegionMaps,
     region_maps_of,
 )
-from gridtrack.evaluation.scoring.target import HIDDEN_FREE, NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED, Target
+from gridtrack.evaluation.referee.targets import HIDDEN_FREE, NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED, Target
 from gridtrack.evaluation.scoring.thresholds import half
 from gridtrack.recordings.observation import Observation
 from gridtrack.trackers.contract import MAX_FUTURES

@@ -20,8 +20,8 @@ from gridtrack.cli.options import default_report_folder, run_folder_at
 from gridtrack.cli.runs import INCOMPLETE
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, GridtrackError
 from gridtrack.common.remote_files import is_url
-from gridtrack.evaluation.results.run_record import RunRecord
-from gridtrack.evaluation.results.summary import RunSummary
+from gridtrack.evaluation.runs.run_record import RunRecord
+from gridtrack.evaluation.runs.summary import RunSummary
 from gridtrack.reports.page import render_report, render_tables
 from gridtrack.reports.run import read_results
 from gridtrack.reports.score_frames import difference_frame, score_frame

@@ -42,7 +42,7 @@ from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, printable
 from gridtrack.common.remote_files import is_url
 
 if TYPE_CHECKING:
-    from gridtrack.evaluation.results.summary import RunSummary
+    from gridtrack.evaluation.runs.summary import RunSummary
     from gridtrack.evaluation.runs.plan import ComparisonPlan
     from gridtrack.evaluation.runs.settings import CompareSettings
 
@@ -209,7 +209,7 @@ def _followed(settings: CompareSettings) -> _Compared:
 
 def _print_result(out: Path, compared: _Compared, as_json: bool) -> Path:
     """Write the report of the run in `out`, print the result, and return the path of the report."""
-    from gridtrack.evaluation.results.files import json_of
+    from gridtrack.evaluation.runs.result_files import json_of
     from gridtrack.reports.page import render_report
     from gridtrack.reports.terminal import print_result
 
@@ -255,7 +255,7 @@ def compare_helps() -> dict[str, str]:
 
 def _warn_of_missing(plan: ComparisonPlan) -> bool:
     """Print the requested measurements that a complete trial lacks; whether there are any."""
-    from gridtrack.evaluation.results.trial_record import read_trial_record
+    from gridtrack.evaluation.runs.trial_record import read_trial_record
     from gridtrack.evaluation.runs.measurements import missing_measurements
 
     records = [read_trial_record(plan.settings.out / trial.name) for trial in plan.trials]

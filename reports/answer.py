@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from gridtrack.evaluation.results.summary import TrackerSummary
-from gridtrack.evaluation.results.trial_summary import TrialSummary
+from gridtrack.evaluation.runs.summary import TrackerSummary
+from gridtrack.evaluation.runs.summary import TrialSummary
 from gridtrack.reports.main_result import lead_of
 from gridtrack.reports.notices import failures_of
 from gridtrack.reports.run import ReportedRun

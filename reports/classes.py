@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from gridtrack.evaluation.results.summary import ClassDifference
-from gridtrack.evaluation.results.trial_summary import ClassScores, TrialSummary
-from gridtrack.evaluation.results.values import Curve
+from gridtrack.evaluation.runs.summary import ClassDifference
+from gridtrack.evaluation.runs.summary import ClassScores, TrialSummary
+from gridtrack.evaluation.runs.result_files import Curve
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow, name_in

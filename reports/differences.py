@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from gridtrack.evaluation.results.summary import HeadlineTest, TrackerDifference
+from gridtrack.evaluation.runs.summary import HeadlineTest, TrackerDifference
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportedRun
 from gridtrack.reports.table import FORGIVING, FORGIVING_NAME, name_in

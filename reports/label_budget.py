@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from gridtrack.evaluation.results.trial_summary import ClassScores
+from gridtrack.evaluation.runs.summary import ClassScores
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow
 

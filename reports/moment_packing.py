@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.scoring.samples import Sample
+from gridtrack.evaluation.referee.samples import Sample
 from gridtrack.reports.pictures import SHADES, palette
 
 PACKED_LEVELS = 32

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from gridtrack.common.errors import MAX_LINE_CHARS
-from gridtrack.evaluation.results.trial_summary import TrialSummary
+from gridtrack.evaluation.runs.summary import TrialSummary
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow, joined_names, outcome_words
 

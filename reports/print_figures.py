@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from gridtrack.common.errors import ConfigurationError, printable
-from gridtrack.evaluation.results.trial_summary import StratumScores
+from gridtrack.evaluation.runs.summary import StratumScores
 from gridtrack.reports.chosen_scores import ExportedTable
 from gridtrack.reports.page import TEMPLATES
 from gridtrack.reports.recording_section import styles_of

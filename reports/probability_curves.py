@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.columns import CALIBRATION_BINS, PROBABILITY_EDGES
-from gridtrack.evaluation.results.summary import SUMMARY_FILE
+from gridtrack.evaluation.runs.summary import SUMMARY_FILE
 from gridtrack.evaluation.scoring.counting import for_calibration
 from gridtrack.evaluation.scoring.metrics import ratio
 from gridtrack.evaluation.scoring.score_store import ScoresError

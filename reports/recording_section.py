@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gridtrack.evaluation.results.run_record import RUN_FILE
+from gridtrack.evaluation.runs.run_record import RUN_FILE
 from gridtrack.reports.classes import ClassTables, class_tables
 from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.occluded_thresholds import OccludedThresholds, occluded_thresholds

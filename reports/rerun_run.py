@@ -10,7 +10,7 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, SamplesError, read_samples
+from gridtrack.evaluation.referee.samples import SAMPLES, Sample, SamplesError, read_samples
 from gridtrack.reports.chosen_recordings import chosen_runs
 from gridtrack.reports.chosen_scores import exported_tables
 from gridtrack.reports.rerun_scene import FREE_CELL, OCCUPIED_CELL, UNKNOWN_CELL, RerunScene, rerun_scene

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
 from gridtrack.common.errors import printable
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.trackers.progress import duration_text
 
 RUNNING_LINE_EVERY_S = 30.0

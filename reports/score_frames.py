@@ -7,8 +7,8 @@ from typing import Any
 
 import polars as pl
 
-from gridtrack.evaluation.results.summary import HeadlineTest, RunSummary
-from gridtrack.evaluation.results.trial_summary import StratumScores
+from gridtrack.evaluation.runs.summary import HeadlineTest, RunSummary
+from gridtrack.evaluation.runs.summary import StratumScores
 from gridtrack.reports.run import with_pooled
 
 SCORES = tuple(name for name in StratumScores.model_fields if name != "interval")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gridtrack.common.grid import GridSpec, Mask
-from gridtrack.evaluation.scoring.samples import Sample
+from gridtrack.evaluation.referee.samples import Sample
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.table import TableRow
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gridtrack.evaluation.results.summary import PairFamily
+from gridtrack.evaluation.runs.summary import PairFamily
 
 TOLD_APART = ("better", "worse")
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from gridtrack.evaluation.results.passes import CallTimes, Quantiles
-from gridtrack.evaluation.results.trial_summary import TrialSummary
+from gridtrack.evaluation.runs.passes import CallTimes, Quantiles
+from gridtrack.evaluation.runs.summary import TrialSummary
 
 
 def times_of(trial: TrialSummary, period_ms: float) -> dict[str, Any] | None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
-from gridtrack.evaluation.results.summary import TrackerTrainings, TrainingsScore
+from gridtrack.evaluation.runs.summary import TrackerTrainings, TrainingsScore
 from gridtrack.evaluation.statistics.score_intervals import HEADLINE_STRATA
 from gridtrack.reports.differences import interval_text, p_text
 from gridtrack.reports.run import UNDEFINED, ReportedRun

@@ -22,9 +22,9 @@ from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally
-from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
-from gridtrack.evaluation.scoring.splits import Sampling, plan_split
-from gridtrack.evaluation.scoring.target import SEEN_OCCUPIED
+from gridtrack.evaluation.referee.referee import Delivery, scored_forecasts
+from gridtrack.evaluation.referee.splits import Sampling, plan_split
+from gridtrack.evaluation.referee.targets import SEEN_OCCUPIED
 
 from studies.support.results_file import measured_table, write_table
 from studies.support.shipped import DEMO, JUNCTION, shipped_tracker

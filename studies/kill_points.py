@@ -28,7 +28,7 @@ import numpy as np
 import psutil
 
 from gridtrack.evaluation.hosting.orphans import adopt_orphans
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 from studies.support.results_file import ResultSection, measured_table, read_sections, write_section
 from studies.support.slurm_machine import slurm_machine

@@ -23,10 +23,10 @@ from gridtrack.common.horizons import nearest_step
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.evaluation.runs.oracle import Oracle, expected_grid
 from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.body_motions import FollowedBodies
+from gridtrack.evaluation.referee.motion import FollowedBodies
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.referee import Delivery, TrackerLike, scored_forecasts
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, Sampling, plan_splits
+from gridtrack.evaluation.referee.referee import Delivery, TrackerLike, scored_forecasts
+from gridtrack.evaluation.referee.splits import EvaluationSplit, Sampling, plan_splits
 from gridtrack.evaluation.scoring.thresholds import best_thresholds
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream

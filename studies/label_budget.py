@@ -23,11 +23,11 @@ from torch import Tensor
 
 from gridtrack.common.config import validated
 from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.scoring.referee import Delivery, Schedule
-from gridtrack.evaluation.scoring.regions import Regions
+from gridtrack.evaluation.referee.referee import Delivery, Schedule
+from gridtrack.evaluation.referee.kinds import Regions
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES, Matching, count_classes, match_classes
-from gridtrack.evaluation.scoring.target import Target
-from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow
+from gridtrack.evaluation.referee.targets import Target
+from gridtrack.evaluation.referee.kinds import KindsOfWindow
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.cell_training import best_classifier
 from gridtrack.trackers.contract import FitOutput

@@ -10,7 +10,7 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
-from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
+from gridtrack.evaluation.referee.samples import SAMPLES, Sample, read_samples
 from gridtrack.reports.figures import document
 from gridtrack.reports.pictures import frame_png, probability_png
 

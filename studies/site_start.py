@@ -13,7 +13,7 @@ import resource
 from collections.abc import Sequence
 from pathlib import Path
 
-from gridtrack.evaluation.results.summary import RunSummary, read_summary
+from gridtrack.evaluation.runs.summary import RunSummary, read_summary
 from gridtrack.trackers.card import GENERAL
 
 from studies.support.comparison import compare, train

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, cell_kinds_around
+from gridtrack.evaluation.referee.strata import CELL_KINDS, cell_kinds_around
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
 from gridtrack.recordings.truth import static_cells

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, logit
 
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import HALF, Tally
 from gridtrack.evaluation.scoring.histograms import read_tally

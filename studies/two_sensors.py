@@ -25,12 +25,12 @@ import torch
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.moments import moments
-from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.referee import Schedule
-from gridtrack.evaluation.scoring.regions import regions_of
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH, RegionMaps
-from gridtrack.evaluation.scoring.target import Target, target_of
+from gridtrack.evaluation.referee.referee import moments
+from gridtrack.evaluation.referee.motion import ObservedMotion
+from gridtrack.evaluation.referee.referee import Schedule
+from gridtrack.evaluation.referee.kinds import regions_of
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH, RegionMaps
+from gridtrack.evaluation.referee.targets import Target, target_of
 from gridtrack.evaluation.scoring.thresholds import best_thresholds
 from gridtrack.evaluation.statistics.jackknife import (
     PairedDifferences,

@@ -20,7 +20,7 @@ from nbclient import NotebookClient
 import gridtrack
 from gridtrack.cli.notebook import CompareOptions
 from gridtrack.cli.runs import compare_command
-from gridtrack.evaluation.results.run_record import read_run_record
+from gridtrack.evaluation.runs.run_record import read_run_record
 
 from scenes.report_page import data_of
 

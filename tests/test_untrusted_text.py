@@ -13,7 +13,7 @@ from rich.console import Console
 
 from gridtrack.common.errors import MAX_LINE_CHARS
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, read_trial_record
+from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, read_trial_record
 from gridtrack.recordings import RecordingInfo, open_recording, write_native
 from gridtrack.recordings.recording import MAX_LISTED_TOPICS, MAX_WARNINGS, NO_MORE_WARNINGS, Topics
 from gridtrack.reports.live_table import LiveTable

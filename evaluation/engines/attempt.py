@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import read_bounded, write_text
-from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, TrialRecord
+from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, TrialRecord
 
 MAX_ORDER_BYTES = MAX_REPLY_BYTES = 1 << 24
 MAX_PROGRESS_BYTES = 1 << 20

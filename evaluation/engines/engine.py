@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 
 WAKE_S = 0.2
 """Period at which the main thread checks for an interrupt: a library may have made its wait ignore signals."""

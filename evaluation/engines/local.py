@@ -11,7 +11,7 @@ from typing import Self
 
 from gridtrack.evaluation.engines.engine import Interrupted, RunObserver, Work
 from gridtrack.evaluation.engines.scratch import new_scratch, remove_scratch
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 
 
 class LocalEngine:

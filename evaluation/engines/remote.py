@@ -17,7 +17,7 @@ from gridtrack.evaluation.engines.attempt import INTERRUPTED, Attempt, AttemptPr
 from gridtrack.evaluation.engines.cluster import Task, TaskCluster, TaskEnd
 from gridtrack.evaluation.engines.engine import RunObserver, Work
 from gridtrack.evaluation.engines.scratch import new_scratch, remove_scratch
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 
 """The folder in the run's folder for what host and machines exchange; removed at the end of the run."""
 LOOK_S = 0.5

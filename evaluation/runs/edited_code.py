@@ -7,8 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from gridtrack.evaluation.hosting.outcome import TrialEnded
-from gridtrack.evaluation.results.trial_record import TrialRecord, code_differs
 from gridtrack.evaluation.runs.plan import ComparisonPlan, Trial
+from gridtrack.evaluation.runs.trial_record import TrialRecord, code_differs
 from gridtrack.trackers import registry
 
 Note = Callable[[str], None]

@@ -17,13 +17,19 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Mask
+from gridtrack.evaluation.referee.kinds import (
+    KindsOfPlaces,
+    KindsOfTimes,
+    KindsOfWindow,
+    Regions,
+    StaticTiles,
+    WorldCells,
+    kinds_of_outlines,
+    observed_kinds,
+)
+from gridtrack.evaluation.referee.motion import ObservedMotion
+from gridtrack.evaluation.runs.objective import score_in_process
 from gridtrack.evaluation.runs.stored_scans import ScansWriter, StoredScans
-from gridtrack.evaluation.scoring.in_process import score_in_process
-from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.observed_kinds import KindsOfTimes, StaticTiles, observed_kinds
-from gridtrack.evaluation.scoring.regions import Regions
-from gridtrack.evaluation.scoring.world_cells import WorldCells
-from gridtrack.evaluation.scoring.world_kinds import KindsOfPlaces, KindsOfWindow, kinds_of_outlines
 from gridtrack.recordings.observation import Observation, cells_in_window
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.contract import FrameSource, StretchScore, Tracker

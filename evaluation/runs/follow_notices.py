@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,9 @@ from tempfile import TemporaryDirectory
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.engines.engine import WAKE_S, Engine, Interrupted, RunObserver
-from gridtrack.evaluation.results.summary import RunSummary
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.referee.kinds import regions_of
+from gridtrack.evaluation.referee.referee import WARM_UP
+from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitRegions, split_of
 from gridtrack.evaluation.runs.arrivals import BEHIND_S, Arrival, Arrivals, FileWatch, Pace, Turns, Watch
 from gridtrack.evaluation.runs.engine_choice import engine_of
 from gridtrack.evaluation.runs.follow_notices import Ending, follow_notices
@@ -28,10 +29,9 @@ from gridtrack.evaluation.runs.run_lock import run_lock
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.runs.stages import Stages
+from gridtrack.evaluation.runs.summary import RunSummary
 from gridtrack.evaluation.runs.trial import error_with_location, failed
-from gridtrack.evaluation.scoring.referee import WARM_UP
-from gridtrack.evaluation.scoring.regions import regions_of
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions, split_of
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.growth import Growth
 from gridtrack.recordings.stream import frame_digest

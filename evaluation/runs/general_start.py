@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation.referee.splits import common_with
 from gridtrack.evaluation.runs.learned import LearnedWeights, copy_weights, find_weights
 from gridtrack.evaluation.runs.recipe import Recipe
-from gridtrack.evaluation.scoring.splits import common_with
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.card import GENERAL
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
+from gridtrack.evaluation.referee.referee import WARM_UP
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.settings import CompareSettings, check_together
-from gridtrack.evaluation.scoring.referee import WARM_UP
 from gridtrack.recordings import Recording, open_recording
 from gridtrack.recordings.growth import FileEnds, Growth
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 from itertools import chain
 
 from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation.referee.splits import EvaluationSplit, common_with
 from gridtrack.evaluation.runs.learned import LearnedWeights
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, common_with
 from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.card import TrainingData

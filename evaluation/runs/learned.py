@@ -13,7 +13,7 @@ from typing import Literal
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import sha256_of, user_data_folder
-from gridtrack.evaluation.results.run_record import WeightsUsed
+from gridtrack.evaluation.runs.run_record import WeightsUsed
 from gridtrack.trackers.card import GENERAL, Card
 from gridtrack.trackers.selection import CardKind
 from gridtrack.trackers.weights import ARRAYS_SUFFIX, arrays_content, read_card

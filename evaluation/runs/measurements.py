@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Protocol
 
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.recordings.degradation import Degradation
 
 

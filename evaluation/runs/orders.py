@@ -16,15 +16,14 @@ from gridtrack.common.config import Settings
 from gridtrack.common.grid import Points
 from gridtrack.evaluation.engines.attempt import EngineError
 from gridtrack.evaluation.hosting.limits import Limits
-from gridtrack.evaluation.results.recording import RecordingIdentity
-from gridtrack.evaluation.results.run_record import TrialIdentity
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.referee.splits import EvaluationSplit, plan_split
 from gridtrack.evaluation.runs.learned import read_weights
 from gridtrack.evaluation.runs.plan import Trial, sampling_of, segmented
 from gridtrack.evaluation.runs.provenance import versions
+from gridtrack.evaluation.runs.run_record import RecordingIdentity, TrialIdentity, identity_of
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.shared_inputs import SharedInputs
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, plan_split
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.recordings.stretches import parse_stretch
 from gridtrack.trackers.selection import CardKind, Launch, Selection, launch
 
@@ -117,7 +116,7 @@ class Order(Settings):
             kind=kind,
             settings=settings.model_copy(update=alone),
             name=split.name,
-            identity=split.identity(),
+            identity=identity_of(split),
             row=RowOrder.of(work) if isinstance(work, Trial) else None,
             record=record,
             thresholds=shared.folder,
@@ -140,7 +139,7 @@ class Order(Settings):
         settings = self.settings
         whole = plan_split(settings.recordings[0], settings.validation, sampling_of(settings))
         split = next((one for one in segmented(whole, settings) if one.name == self.name), whole)
-        _require_equal(f"{split.path}", split.identity(), self.identity)
+        _require_equal(f"{split.path}", identity_of(split), self.identity)
         return split
 
 

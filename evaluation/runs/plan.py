@@ -17,15 +17,15 @@ from gridtrack.common.names import check_utf8
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.sandbox import check_sandbox
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess, describe
-from gridtrack.evaluation.results.run_record import RunConfiguration, TrialIdentity
-from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE
+from gridtrack.evaluation.referee.splits import ORACLE, EvaluationSplit, Sampling, plan_splits, segments_of, with_points
+from gridtrack.evaluation.referee.strata import OCCLUDED, SCORING_RULES
 from gridtrack.evaluation.runs.leaks import leaks_of, refuse_leaks
 from gridtrack.evaluation.runs.learned import LearnedWeights, copy_weights, find_weights, weights_in
+from gridtrack.evaluation.runs.run_record import RunConfiguration, TrialIdentity, identity_of
 from gridtrack.evaluation.runs.settings import CompareSettings, check_together
+from gridtrack.evaluation.runs.summary import ALL_RECORDINGS
 from gridtrack.evaluation.runs.training_hints import stretches_to_train_on
-from gridtrack.evaluation.scoring.segments import segments_of
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, Sampling, plan_splits, with_points
-from gridtrack.evaluation.scoring.strata import OCCLUDED, SCORING_RULES
+from gridtrack.evaluation.scores.registry import scores
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
@@ -44,6 +44,8 @@ class Trial:
     limits: Limits
     others: tuple[EvaluationSplit, ...] = ()
     """The other splits of its recording: its tracker is not to be trained on these either."""
+    scores: tuple[str, ...] = ()
+    """Names of the scores of other packages by which it is scored."""
 
     @property
     def label(self) -> str:
@@ -148,7 +150,7 @@ class ComparisonPlan:
         """The resolved configuration; a resumed run must have the same."""
         return RunConfiguration(
             scoring_rules=SCORING_RULES,
-            recordings={split.name: split.identity() for split in self.splits},
+            recordings={split.name: identity_of(split) for split in self.splits},
             trials={trial.name: trial.identity() for trial in self.trials},
         )
 
@@ -182,6 +184,7 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
     """
     check_utf8(settings.out, ConfigurationError)
     check_together(settings)
+    scores(settings.scores)  # an unknown one is an error before anything runs
     if settings.limits.sandbox:
         check_sandbox()
     external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
@@ -209,6 +212,7 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
             settings.seed,
             settings.limits,
             others,
+            settings.scores,
         )
         for split, others in zip(splits, _others_of_recording(splits), strict=True)
         for selection in selections

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import psutil
 
-from gridtrack.evaluation.results.run_record import Machine
+from gridtrack.evaluation.runs.run_record import Machine
 
 DISTRIBUTIONS = (
     "gridtrack", "numpy", "numba", "pydantic", "polars", "pyarrow", "mcap", "safetensors",

@@ -10,15 +10,24 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
-from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.results.run_record import RUN_FILE, RunConfiguration, RunRecord, RunSettings, read_run_record
-from gridtrack.evaluation.results.summary import ORACLE, RunSummary, read_summary
-from gridtrack.evaluation.results.trial_record import TrialRecord, read_trial_record
+from gridtrack.evaluation.referee.splits import ORACLE
+from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.plan import ComparisonPlan
 from gridtrack.evaluation.runs.provenance import machine, versions
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.runs.result_files import RunError
+from gridtrack.evaluation.runs.run_record import (
+    RUN_FILE,
+    RunConfiguration,
+    RunRecord,
+    RunSettings,
+    description_of,
+    read_run_record,
+)
+from gridtrack.evaluation.runs.summarise import summarise
+from gridtrack.evaluation.runs.summary import RunSummary, read_summary
+from gridtrack.evaluation.runs.sums import SUMS_FILE
+from gridtrack.evaluation.runs.trial_record import TrialRecord, read_trial_record
+from gridtrack.evaluation.scores.registry import scores
 
 OF_OTHER_VERSIONS = "trials kept from a run with"
 """In the notice of a resumed run that says so, and that every further one keeps."""
@@ -79,9 +88,10 @@ class RunFolder:
         ]
         oracles = [name for split in plan.splits if (name := split.oracle_name) in records]
         trials += [FinishedTrial(records[name], self.path / name, ORACLE, {}, "centres") for name in oracles]
-        recordings = {split.name: split.description() for split in plan.splits}
+        recordings = {split.name: description_of(split) for split in plan.splits}
         told = [*plan.notices, *self._of_other_versions(records), *notices]
-        summary = summarise(recordings, trials, told, interrupted, plan.settings.reference)
+        settings = plan.settings
+        summary = summarise(recordings, trials, told, interrupted, settings.reference, scores(settings.scores))
         summary.write(self.path)
         status = "interrupted" if interrupted else "complete"
         self.record.model_copy(update={"status": status, "finished": _now()}).write(self.path)
@@ -137,7 +147,7 @@ def holds_a_run(path: Path | str) -> RunError:
 
 
 def _is_done(weights_sha256: str, record: TrialRecord, folder: Path) -> bool:
-    whole = all((folder / table.file).is_file() for table in (SCORES_TABLE, HISTOGRAM_TABLE))
+    whole = (folder / SUMS_FILE).is_file()
     same = record.weights_sha256 == weights_sha256 and record.changed_file(folder) is None
     return whole and record.outcome == "ok" and same
 

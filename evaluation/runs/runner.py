@@ -7,14 +7,14 @@ from contextlib import suppress
 from pathlib import Path
 
 from gridtrack.evaluation.engines.engine import Engine, RunObserver
-from gridtrack.evaluation.results.summary import RunSummary
-from gridtrack.evaluation.results.trial_record import OUTCOME_FILE
 from gridtrack.evaluation.runs.edited_code import without_edited
 from gridtrack.evaluation.runs.engine_choice import engine_of
 from gridtrack.evaluation.runs.plan import ComparisonPlan, with_copied_weights
 from gridtrack.evaluation.runs.run_folder import RunFolder, refuse_other_files
 from gridtrack.evaluation.runs.run_lock import run_lock
 from gridtrack.evaluation.runs.stages import Stages
+from gridtrack.evaluation.runs.summary import RunSummary
+from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE
 
 
 def run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver) -> RunSummary:

@@ -39,6 +39,8 @@ class CompareSettings(Settings):
     """Of segments after the first, at least."""
     grid: str | None = None
     rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
+    scores: tuple[str, ...] = ()
+    """Scores of other packages, by their names, beside the built-in ones."""
     seed: int = Field(0, ge=0, lt=2**31)
     weights: Path | None = None
     trackers_toml: Path | None = None

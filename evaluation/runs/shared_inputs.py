@@ -7,9 +7,9 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 
+from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitRegions
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
 
 
 class SharedInputs:

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from gridtrack.evaluation.engines.engine import WAKE_S, Engine, RunObserver
-from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.runs.deadline_pass import measure_deadline
 from gridtrack.evaluation.runs.latency_pass import measure_latency
 from gridtrack.evaluation.runs.plan import ComparisonPlan, Trial
 from gridtrack.evaluation.runs.prior_pass import trials_with_priors
 from gridtrack.evaluation.runs.shared_inputs import SharedInputs
 from gridtrack.evaluation.runs.trial import unstarted
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.evaluation.runs.works import (
     OracleWork,
     PriorWork,

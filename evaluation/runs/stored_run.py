@@ -11,9 +11,9 @@ from pathlib import Path
 from gridtrack.common.errors import StoreError
 from gridtrack.common.files import user_data_folder
 from gridtrack.common.remote_files import fetched_folder, folder_name, list_folder, upload_folder
-from gridtrack.evaluation.results.run_record import RUN_FILE
 from gridtrack.evaluation.runs.run_folder import holds_a_run
 from gridtrack.evaluation.runs.run_lock import run_lock
+from gridtrack.evaluation.runs.run_record import RUN_FILE
 
 BEGUN = ".begun"
 """The file beside the local folder with the version of the stored run that it began with."""

@@ -11,6 +11,8 @@ from gridtrack.common.cache import FileCache
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.remote_files import is_url
+from gridtrack.evaluation.referee.kinds import CellKinds
+from gridtrack.evaluation.referee.splits import TRAIN, VALIDATION, own_validation, shares_frames
 from gridtrack.evaluation.runs.card_thresholds import choose_card_thresholds
 from gridtrack.evaluation.runs.general_start import general_start
 from gridtrack.evaluation.runs.learned import LearnedWeights, user_weights_folder, weights_path
@@ -19,8 +21,6 @@ from gridtrack.evaluation.runs.recipe import Recipe, with_local_copies
 from gridtrack.evaluation.runs.stretch_files import StretchFiles, stretch_cache, surveyed
 from gridtrack.evaluation.runs.training_hints import in_two
 from gridtrack.evaluation.runs.training_process import TrainingProcess
-from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, own_validation, shares_frames
-from gridtrack.evaluation.scoring.world_kinds import CellKinds
 from gridtrack.recordings import Recording, open_recording, recordings_at
 from gridtrack.recordings.recording_info import Stretch, stretch_text
 from gridtrack.recordings.stream import GridStream

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from gridtrack.common.errors import RecordingError
-from gridtrack.evaluation.scoring.referee import WARM_UP
-from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, EvaluationSplit, like, shares_frames
+from gridtrack.evaluation.referee.referee import WARM_UP
+from gridtrack.evaluation.referee.splits import TRAIN, VALIDATION, EvaluationSplit, like, shares_frames
 from gridtrack.recordings.recording_info import Stretch, stretch_text
 from gridtrack.recordings.stream import GridStream
 

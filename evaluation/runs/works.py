@@ -9,17 +9,17 @@ from typing import Protocol
 from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.engines.engine import Monitor
 from gridtrack.evaluation.hosting.outcome import TrialEnded
-from gridtrack.evaluation.results.columns import PRIOR_TABLE
-from gridtrack.evaluation.results.trial_record import TrialRecord, hashes_of
+from gridtrack.evaluation.referee.splits import EvaluationSplit
 from gridtrack.evaluation.runs.oracle import ORACLE_REPLACES, oracle_validation, run_oracle
 from gridtrack.evaluation.runs.orders import Order, OrderKind
 from gridtrack.evaluation.runs.plan import Trial
-from gridtrack.evaluation.runs.prior_pass import PriorRun
+from gridtrack.evaluation.runs.prior_pass import PRIOR_FILE, PriorRun
 from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
 from gridtrack.evaluation.runs.shared_inputs import SharedInputs
 from gridtrack.evaluation.runs.shared_thresholds import oracle_key, trial_key
 from gridtrack.evaluation.runs.trial import REPLACED, TrialRun, error_with_location, failed
-from gridtrack.evaluation.scoring.splits import EvaluationSplit
+from gridtrack.evaluation.runs.trial_record import TrialRecord, hashes_of
+from gridtrack.evaluation.scores.registry import scores
 
 
 class _Interruptible(Protocol):
@@ -117,9 +117,8 @@ class OracleWork:
         split, thresholds = self.split, self._shared.thresholds
         validation = () if thresholds.known(self.thresholds_key) else self.validation or ()
         monitor.started(len(split.test) + len(validation))
-        return run_oracle(
-            split, self._shared.regions_of(split, monitor.check), self._folder, monitor.next_frame, thresholds
-        )
+        regions, by = self._shared.regions_of(split, monitor.check), scores(self._shared.settings.scores)
+        return run_oracle(split, regions, self._folder, monitor.next_frame, thresholds, by)
 
     def interrupt(self) -> None:
         """It waits for no other process, so the next frame ends it."""
@@ -163,7 +162,7 @@ class PriorWork(_MeasurementWork):
         run = PriorRun(self.trial, self._folder)
         self.begin(run)
         run.run(monitor.check)
-        files = {**self.record.files, **hashes_of(self._folder, (PRIOR_TABLE.file,))}
+        files = {**self.record.files, **hashes_of(self._folder, (PRIOR_FILE,))}
         return written(self._folder, self.record.model_copy(update={"files": files}))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
+from gridtrack.evaluation.referee.samples import SAMPLES, Sample, read_samples
 from gridtrack.reports.figures import document
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import ReportedRun

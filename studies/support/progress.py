@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 
 
 class NoProgress:

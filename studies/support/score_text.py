@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from gridtrack.evaluation.results.summary import PairTest
+from gridtrack.evaluation.runs.summary import PairTest
 from gridtrack.reports.tiers import TOLD_APART
 
 MAY_BE_CHANCE = "°"

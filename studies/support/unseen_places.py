@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from gridtrack.evaluation.results.recording import RecordingSummary
-from gridtrack.evaluation.results.summary import (
+from gridtrack.evaluation.runs.run_record import RecordingSummary
+from gridtrack.evaluation.runs.summary import (
     ORACLE,
     PairFamily,
     TrackerDifference,
     TrackerTrainings,
     read_summary,
 )
-from gridtrack.evaluation.results.trial_summary import StratumScores
+from gridtrack.evaluation.runs.summary import StratumScores
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.jackknife import COUNTS
 from gridtrack.evaluation.statistics.pair_statistics import PairStatistics

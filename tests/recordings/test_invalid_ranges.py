@@ -11,7 +11,7 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.scoring.splits import Sampling, plan_split
+from gridtrack.evaluation.referee.splits import Sampling, plan_split
 from gridtrack.recordings import import_recording, open_recording
 from gridtrack.recordings.stream import open_stream
 

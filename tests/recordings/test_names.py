@@ -10,7 +10,7 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError, GridtrackError, RecordingError
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.scoring.splits import Sampling, plan_split
+from gridtrack.evaluation.referee.splits import Sampling, plan_split
 from gridtrack.recordings import RecordingInfo, import_recording, open_recording, write_native
 from gridtrack.recordings.stream import open_stream
 from gridtrack.recordings.stretches import parse_named_stretch, parse_stretch

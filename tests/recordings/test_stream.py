@@ -16,7 +16,7 @@ from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.grid import GridFrame, GridSpec, shift_between
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.scoring.referee import refuse_moving
+from gridtrack.evaluation.referee.referee import refuse_moving
 from gridtrack.recordings import open_recording, packaged_recording
 from gridtrack.recordings.degradation import degrader, parse_degradation
 from gridtrack.recordings.stream import GridStream, frame_digest, open_stream

@@ -8,21 +8,21 @@ import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.results.passes import CallTimes, Latency, Quantiles
-from gridtrack.evaluation.results.recording import RecordingDescription
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.runs.passes import CallTimes, Latency, Quantiles
+from gridtrack.evaluation.runs.run_record import RecordingDescription
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.counting import count_forecast
-from gridtrack.evaluation.scoring.moments import moments
-from gridtrack.evaluation.scoring.motion import ObservedMotion
+from gridtrack.evaluation.referee.referee import moments
+from gridtrack.evaluation.referee.motion import ObservedMotion
 from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
-from gridtrack.evaluation.scoring.observed_kinds import observed_kinds
-from gridtrack.evaluation.scoring.referee import ScoredForecast
-from gridtrack.evaluation.scoring.regions import Regions
-from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter
+from gridtrack.evaluation.referee.kinds import observed_kinds
+from gridtrack.evaluation.referee.referee import ScoredForecast
+from gridtrack.evaluation.referee.kinds import Regions
+from gridtrack.evaluation.referee.samples import SAMPLES, SampleWriter
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.spatial_store import SpatialWriter
-from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.summary import summarise

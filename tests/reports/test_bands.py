@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
 from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.reports.page import render_report
 from gridtrack.reports.probability_curves import probability_curves

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gridtrack.evaluation.results.passes import Quantiles
+from gridtrack.evaluation.runs.passes import Quantiles
 from gridtrack.reports.figures import Axis
 from gridtrack.reports.times import keeps_up
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
 from gridtrack.reports.chosen_scores import ScoreChoice, parse_score_choices
 from gridtrack.reports.formats import FORMATS, render_as
 from gridtrack.reports.latex import latex_text

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gridtrack.evaluation.results.files import RunError
+from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.reports.classes import class_tables
 from gridtrack.reports.occluded_thresholds import occluded_thresholds
 from gridtrack.reports.page import render_report

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.scoring.samples import SAMPLES, read_samples
+from gridtrack.evaluation.referee.samples import SAMPLES, read_samples
 from gridtrack.reports.changes import changes_of
 from gridtrack.reports.page import render_report
 from gridtrack.reports.pictures import frame_png, probability_png

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gridtrack.evaluation.results.summary import read_summary
+from gridtrack.evaluation.runs.summary import read_summary
 from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.reports.page import render_report
 

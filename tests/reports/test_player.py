@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.scoring.sample_objects import KeptObject
-from gridtrack.evaluation.scoring.samples import SAMPLES, read_samples
+from gridtrack.evaluation.referee.samples import KeptObject
+from gridtrack.evaluation.referee.samples import SAMPLES, read_samples
 from gridtrack.reports import page as page_module
 from gridtrack.reports import player
 from gridtrack.reports.moment_packing import CALLED, IN_MOTION, PACKED_LEVELS, TrackerPlanes, level_colours, pack_moment

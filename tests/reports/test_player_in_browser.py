@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from gridtrack.evaluation.scoring.sample_objects import KeptObject
-from gridtrack.evaluation.scoring.samples import read_samples
+from gridtrack.evaluation.referee.samples import KeptObject
+from gridtrack.evaluation.referee.samples import read_samples
 from gridtrack.reports.page import render_report
 from gridtrack.reports.scripts import json_in_page
 

@@ -5,8 +5,8 @@ import shutil
 
 import pytest
 
-from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.results.summary import MAX_SUMMARY_BYTES
+from gridtrack.evaluation.runs.result_files import RunError
+from gridtrack.evaluation.runs.summary import MAX_SUMMARY_BYTES
 from gridtrack.reports.run import ReportError, read_runs
 
 

@@ -8,7 +8,7 @@ import threading
 
 from rich.console import Console
 
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.reports import run_progress
 from gridtrack.reports.run_progress import RunProgress
 

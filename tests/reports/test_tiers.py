@@ -5,7 +5,7 @@ from itertools import combinations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridtrack.evaluation.results.summary import PairFamily, PairTest
+from gridtrack.evaluation.runs.summary import PairFamily, PairTest
 from gridtrack.reports.tiers import tiers_of
 
 

@@ -6,7 +6,7 @@ import time
 
 import polars as pl
 
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 
 def counted(run):

@@ -6,8 +6,8 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, PARTS, STRATA, region_maps_of
-from gridtrack.evaluation.scoring.target import NOT_SCORED
+from gridtrack.evaluation.referee.strata import CELL_KINDS, PARTS, STRATA, region_maps_of
+from gridtrack.evaluation.referee.targets import NOT_SCORED
 
 STATIC_CELL, DYNAMIC_CELL = (CELL_KINDS.index(name) for name in ("static", "dynamic"))
 

@@ -6,7 +6,7 @@ import pytest
 
 from gridtrack.evaluation.runs.oracle import Oracle
 from gridtrack.evaluation.scoring.metrics import f1_score
-from gridtrack.evaluation.scoring.splits import Sampling, plan_split
+from gridtrack.evaluation.referee.splits import Sampling, plan_split
 
 from scenes import drive
 from studies.known_present import FORECASTERS, MOVES_ON, STANDS, confusion_of

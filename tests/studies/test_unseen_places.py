@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
 from gridtrack.evaluation.statistics.summary import summarise
 
 from scenes.synthetic_run import description, write_trial

@@ -14,8 +14,8 @@ from gridtrack.evaluation.engines.attempt import EngineError
 from gridtrack.evaluation.engines.cluster import TaskEnd
 from gridtrack.evaluation.engines.remote import RETRIES, RemoteEngine
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS
-from gridtrack.evaluation.results.run_record import read_run_record
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.runs.run_record import read_run_record
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs import orders, runner
 from gridtrack.evaluation.runs.engine_choice import engine_of
 from gridtrack.evaluation.runs.plan import resolve
@@ -25,7 +25,7 @@ from gridtrack.evaluation.runs.shared_inputs import SharedInputs
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.evaluation.runs.works import TrialWork
-from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation
 

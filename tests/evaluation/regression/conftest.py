@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from gridtrack.evaluation.regression.baseline import digest_of
-from gridtrack.evaluation.results.passes import AtStrength, CallTimes, Latency, Robustness
-from gridtrack.evaluation.results.run_record import RUN_SCHEMA
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.runs.passes import AtStrength, CallTimes, Latency, Robustness
+from gridtrack.evaluation.runs.run_record import RUN_SCHEMA
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.class_store import ClassWriter
 from gridtrack.evaluation.scoring.counting import HALF, Tally
 from gridtrack.evaluation.scoring.score_store import ScoreWriter

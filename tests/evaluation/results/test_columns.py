@@ -16,9 +16,9 @@ from gridtrack.evaluation.scoring.energy import ENERGY_STRATA, EnergyTerms
 from gridtrack.evaluation.scoring.energy_store import EnergyWriter
 from gridtrack.evaluation.scoring.flow_store import FlowWriter
 from gridtrack.evaluation.scoring.prior_store import write_prior
-from gridtrack.evaluation.scoring.referee import ScoredForecast
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH, region_maps_of
-from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.referee.referee import ScoredForecast
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH, region_maps_of
+from gridtrack.evaluation.referee.targets import Target
 from gridtrack.trackers.contract import Forecast
 
 from scenes import synthetic_run as synthetic

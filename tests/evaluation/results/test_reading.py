@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from gridtrack.evaluation.results.files import RunError, json_of
-from gridtrack.evaluation.results.passes import CallTimes, Quantiles
-from gridtrack.evaluation.results.run_record import MAX_RUN_BYTES, read_run_record
-from gridtrack.evaluation.results.summary import read_summary
-from gridtrack.evaluation.results.trial_record import MAX_OUTCOME_BYTES, read_trial_record
+from gridtrack.evaluation.runs.result_files import RunError, json_of
+from gridtrack.evaluation.runs.passes import CallTimes, Quantiles
+from gridtrack.evaluation.runs.run_record import MAX_RUN_BYTES, read_run_record
+from gridtrack.evaluation.runs.summary import read_summary
+from gridtrack.evaluation.runs.trial_record import MAX_OUTCOME_BYTES, read_trial_record
 from gridtrack.evaluation.statistics.summary import summarise
 
 from scenes import synthetic_run as synthetic

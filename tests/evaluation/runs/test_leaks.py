@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.results.summary import read_summary
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.runs.summary import read_summary
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs.recipe import Recipe
 from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.recordings import RecordingInfo, import_recording, write_native

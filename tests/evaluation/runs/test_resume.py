@@ -16,8 +16,8 @@ from gridtrack.common.errors import GridtrackError, WeightsError
 from gridtrack.evaluation.regression.measurement import Unmeasured
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
-from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.runs.result_files import RunError
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs import plan, run_folder, works
 from gridtrack.evaluation.runs.learned import find_weights
 from gridtrack.evaluation.runs.plan import resolve

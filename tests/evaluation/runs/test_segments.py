@@ -51,7 +51,7 @@ def test_a_segment_is_delivered_its_warm_up_which_is_not_scored(settings, long):
     assert first.test.stretch_s[0] == 0.0
     assert second.test.stretch_s == (7.0, 21.1)
     assert (first.warm_up, second.warm_up) == (20, 40)
-    assert [split.description().warm_up_frames for split in plan.splits] == [20, 40, 40, 40]
+    assert [description_of(split).warm_up_frames for split in plan.splits] == [20, 40, 40, 40]
     due = [index for index in range(len(second.test)) if second.schedule.due(index)]
     assert due == list(range(40, 131, 5))
 
@@ -78,7 +78,7 @@ def test_another_machine_finds_the_same_segment(settings, long, tmp_path):
     shared = SharedInputs(plan.settings, lambda text: None, tmp_path)
     for split in plan.splits:
         order = Order.read(Order.of("oracle", split, shared).model_dump_json(by_alias=True))
-        assert order.split().identity() == split.identity()
+        assert order.split().identity() == identity_of(split)
 
 
 def test_frames_at_periods_that_are_no_decimals_are_cut_without_a_gap(settings, long):

@@ -8,9 +8,9 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.results.columns import BEAM_ERROR_EDGES_M
 from gridtrack.evaluation.scoring.beam_errors import BEAM_STRATA, beam_errors, expected_ranges
-from gridtrack.evaluation.scoring.returned_beams import returned_beams
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, PARTS
-from gridtrack.evaluation.scoring.target import SEEN_OCCUPIED, Target, target_of
+from gridtrack.evaluation.referee.targets import returned_beams
+from gridtrack.evaluation.referee.strata import CELL_KINDS, PARTS
+from gridtrack.evaluation.referee.targets import SEEN_OCCUPIED, Target, target_of
 from gridtrack.recordings.observation import Observation
 
 from scenes.scored_cells import frame, region_maps

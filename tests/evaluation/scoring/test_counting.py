@@ -7,8 +7,8 @@ from sklearn.metrics import average_precision_score, brier_score_loss, f1_score,
 from gridtrack.evaluation.results.columns import CALIBRATION_EDGES, PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import HALF, Tally, count_forecast
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA, STRATA_WITH_TRUTH
-from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.referee.strata import CELL_KINDS, STRATA, STRATA_WITH_TRUTH
+from gridtrack.evaluation.referee.targets import Target
 from gridtrack.evaluation.scoring.thresholds import half
 
 from scenes.scored_cells import frame, members_of, random_forecast, region_maps

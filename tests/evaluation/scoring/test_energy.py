@@ -9,8 +9,8 @@ import pytest
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring.energy import ENERGY_STRATA, distance_and_spread, energy_terms
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH, region_maps_of
-from gridtrack.evaluation.scoring.target import HIDDEN_OCCUPIED, NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED, Target
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH, region_maps_of
+from gridtrack.evaluation.referee.targets import HIDDEN_OCCUPIED, NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED, Target
 
 GRID = GridSpec(6, 1.0, (0.0, 0.0))
 AGES = np.zeros(GRID.shape, np.uint8)

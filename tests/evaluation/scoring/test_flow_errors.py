@@ -10,11 +10,11 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene, SceneObject
-from gridtrack.evaluation.scoring.body_motions import FollowedBodies
+from gridtrack.evaluation.referee.motion import FollowedBodies
 from gridtrack.evaluation.scoring.flow_errors import FLOW_STRATA, flow_errors
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH, region_maps_of
-from gridtrack.evaluation.scoring.target import HIDDEN_OCCUPIED, SEEN_FREE, SEEN_OCCUPIED, Target, target_of
-from gridtrack.evaluation.scoring.true_flow import TrueFlow
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH, region_maps_of
+from gridtrack.evaluation.referee.targets import HIDDEN_OCCUPIED, SEEN_FREE, SEEN_OCCUPIED, Target, target_of
+from gridtrack.evaluation.referee.targets import TrueFlow
 from gridtrack.recordings.observation import Observation
 
 GRID = GridSpec(8, 1.0, (0.0, 0.0))

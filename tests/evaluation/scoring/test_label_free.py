@@ -8,7 +8,7 @@ from gridtrack.evaluation.results.columns import CALIBRATION_EDGES, PROBABILITY_
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import HALF, Tally
 from gridtrack.evaluation.scoring.label_free import LabelFreeThresholds
-from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import best_thresholds
 
 DYNAMIC = STRATA.index("dynamic")

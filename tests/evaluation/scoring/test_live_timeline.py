@@ -7,8 +7,8 @@ import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.scoring.deadline import Timeline
-from gridtrack.evaluation.scoring.live_timeline import Delivered, ForecastStore, LiveTimeline, StoredForecasts
+from gridtrack.evaluation.referee.deadline import Timeline
+from gridtrack.evaluation.referee.live_timeline import Delivered, ForecastStore, LiveTimeline, StoredForecasts
 from gridtrack.trackers.contract import Forecast
 
 

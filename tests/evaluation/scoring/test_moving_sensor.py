@@ -13,15 +13,15 @@ from gridtrack.evaluation.runs.oracle import Oracle
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.moments import Moment
-from gridtrack.evaluation.scoring.motion import OnceFree
-from gridtrack.evaluation.scoring.observed_kinds import observed_kinds
-from gridtrack.evaluation.scoring.referee import Delivery, Schedule, scored_forecasts
-from gridtrack.evaluation.scoring.regions import Regions, regions_of
-from gridtrack.evaluation.scoring.strata import AGES_S, CELL_KINDS, PARTS, STRATA, LastSeen
-from gridtrack.evaluation.scoring.target import NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED
+from gridtrack.evaluation.referee.referee import Moment
+from gridtrack.evaluation.referee.motion import OnceFree
+from gridtrack.evaluation.referee.kinds import observed_kinds
+from gridtrack.evaluation.referee.referee import Delivery, Schedule, scored_forecasts
+from gridtrack.evaluation.referee.kinds import Regions, regions_of
+from gridtrack.evaluation.referee.strata import AGES_S, CELL_KINDS, PARTS, STRATA, LastSeen
+from gridtrack.evaluation.referee.targets import NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED
 from gridtrack.evaluation.scoring.thresholds import half
-from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow
+from gridtrack.evaluation.referee.kinds import KindsOfWindow
 from gridtrack.evaluation.statistics.spatial_scores import median_size
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream

@@ -5,8 +5,8 @@ import pytest
 
 from gridtrack.evaluation.results.columns import SCALES
 from gridtrack.evaluation.scoring.neighbourhoods import NEIGHBOURHOOD_STRATA, sum_neighbourhoods
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, PARTS, STRATA, STRATA_WITH_TRUTH
-from gridtrack.evaluation.scoring.target import HIDDEN_FREE, NOT_SCORED, Target
+from gridtrack.evaluation.referee.strata import CELL_KINDS, PARTS, STRATA, STRATA_WITH_TRUTH
+from gridtrack.evaluation.referee.targets import HIDDEN_FREE, NOT_SCORED, Target
 
 from scenes.scored_cells import frame, members_of, random_forecast, region_maps
 

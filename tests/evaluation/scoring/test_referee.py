@@ -13,13 +13,13 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.in_process import score_in_process
-from gridtrack.evaluation.scoring.moments import moments
-from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery, Schedule, scored_forecasts
-from gridtrack.evaluation.scoring.regions import Regions
-from gridtrack.evaluation.scoring.strata import CELL_KINDS
+from gridtrack.evaluation.referee.referee import moments
+from gridtrack.evaluation.referee.motion import ObservedMotion
+from gridtrack.evaluation.referee.referee import WARM_UP, Delivery, Schedule, scored_forecasts
+from gridtrack.evaluation.referee.kinds import Regions
+from gridtrack.evaluation.referee.strata import CELL_KINDS
 from gridtrack.evaluation.scoring.thresholds import half
-from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow
+from gridtrack.evaluation.referee.kinds import KindsOfWindow
 from gridtrack.trackers.contract import Forecast
 
 GRID = GridSpec(8, 1.0)

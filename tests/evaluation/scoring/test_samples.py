@@ -10,10 +10,10 @@ from mcap_protobuf.decoder import DecoderFactory
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.scoring import samples as samples_module
-from gridtrack.evaluation.scoring.referee import Schedule, ScoredForecast
-from gridtrack.evaluation.scoring.samples import SAMPLES, SamplesError, SampleWriter, kept_forecasts, read_samples
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, region_maps_of
-from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.referee.referee import Schedule, ScoredForecast
+from gridtrack.evaluation.referee.samples import SAMPLES, SamplesError, SampleWriter, kept_forecasts, read_samples
+from gridtrack.evaluation.referee.strata import CELL_KINDS, region_maps_of
+from gridtrack.evaluation.referee.targets import Target
 from gridtrack.trackers.contract import Forecast, TrackedObject
 
 GRID = GridSpec(12, 0.25, (-1.0, 2.0))

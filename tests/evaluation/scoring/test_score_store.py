@@ -22,7 +22,7 @@ from gridtrack.evaluation.scoring.score_store import (
     read_label_free,
 )
 from gridtrack.evaluation.scoring.store_writer import ROW_GROUP
-from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds, half
 
 STEPS = 2

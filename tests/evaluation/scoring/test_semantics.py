@@ -7,13 +7,13 @@ from sklearn.metrics import balanced_accuracy_score, confusion_matrix, log_loss
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.results.columns import CLASSES_TABLE, SEMANTICS_TABLE
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.class_scores import class_scores
 from gridtrack.evaluation.scoring.class_store import ClassWriter, read_found, read_scan_losses, read_semantics
 from gridtrack.evaluation.scoring.score_store import ScoresError
 from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
-from gridtrack.evaluation.scoring.strata import CELL_KINDS
-from gridtrack.evaluation.scoring.target import HIDDEN_OCCUPIED, SEEN_OCCUPIED, Target
+from gridtrack.evaluation.referee.strata import CELL_KINDS
+from gridtrack.evaluation.referee.targets import HIDDEN_OCCUPIED, SEEN_OCCUPIED, Target
 from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
 
 NAMES = ("pedestrian", "cyclist", "car", "static")

@@ -9,8 +9,8 @@ from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.recipe import Recipe
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.train import train_tracker
-from gridtrack.evaluation.scoring.splits import Sampling, common_with, plan_split
-from gridtrack.evaluation.scoring.strata import CELL_KINDS
+from gridtrack.evaluation.referee.splits import Sampling, common_with, plan_split
+from gridtrack.evaluation.referee.strata import CELL_KINDS
 from gridtrack.recordings import import_recording
 from gridtrack.trackers.card import Card, TrainingData
 from gridtrack.trackers.weights import save_weights
@@ -22,7 +22,7 @@ def test_the_named_test_and_validation_stretches_are_the_default(record):
     split = plan_split(str(record()), None, SECOND)
     assert (split.name, split.test.name, split.validation.name) == ("room", "room.mcap@test", "room.mcap@validation")
     assert (split.steps, split.every) == (10, 5)
-    assert split.description().horizons_s == tuple(round(0.1 * n, 1) for n in range(11))
+    assert description_of(split).horizons_s == tuple(round(0.1 * n, 1) for n in range(11))
     assert split.notices == ()
 
 
@@ -128,7 +128,7 @@ def test_an_import_under_another_name_is_of_the_same_source_and_stretches_that_o
         with pytest.raises(ConfigurationError, match=r"@0s-10s and .*@8s-20s are of one source and have 2 s in common"):
             resolve(settings)
     settings = CompareSettings(recordings=(f"{path}@0s-10s", f"{again}@10s-20s"), **whole)
-    assert len({split.description().source_sha256 for split in resolve(settings).splits}) == 1
+    assert len({description_of(split).source_sha256 for split in resolve(settings).splits}) == 1
 
 
 def test_every_recording_is_run_by_every_tracker(record, tmp_path):

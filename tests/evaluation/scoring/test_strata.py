@@ -4,7 +4,7 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.scoring.strata import (
+from gridtrack.evaluation.referee.strata import (
     AGES_S,
     CELL_KINDS,
     STRATA,

@@ -10,7 +10,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene, SceneObject
-from gridtrack.evaluation.scoring.target import (
+from gridtrack.evaluation.referee.targets import (
     HIDDEN_FREE,
     HIDDEN_OCCUPIED,
     NOT_SCORED,

@@ -8,7 +8,7 @@ from sklearn.metrics import f1_score
 
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.scoring.counting import Tally
-from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import best_thresholds, half
 
 VISIBLE = STRATA.index("visible")

@@ -1,7 +1,7 @@
 """Shares of the way from floor to ceiling, by hand."""
 
-from gridtrack.evaluation.results.summary import TrackerSummary
-from gridtrack.evaluation.results.trial_summary import PooledSummary, StratumScores, TrialSummary
+from gridtrack.evaluation.runs.summary import TrackerSummary
+from gridtrack.evaluation.runs.summary import PooledSummary, StratumScores, TrialSummary
 from gridtrack.evaluation.statistics.ceiling import incomplete_floors, with_ceiling
 
 FLOORS = ("persistence", "static-map")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.results.trial_record import ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.runs.trial_record import ThresholdsUsed, TrialRecord
 from gridtrack.evaluation.scoring.counting import Tally
 from gridtrack.evaluation.scoring.histograms import read_called
 from gridtrack.evaluation.scoring.score_store import ScoresError, ScoreWriter
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
 from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.occluded_statistics import OccludedStatistics

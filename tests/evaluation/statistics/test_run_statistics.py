@@ -12,7 +12,7 @@ from pyarrow import parquet
 
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
 from gridtrack.evaluation.scoring.score_store import ScoresError
-from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.statistics import pr_auc, trial_files
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts, common_frames, read_frame_counts
 from gridtrack.evaluation.statistics.jackknife import COUNTS, interval

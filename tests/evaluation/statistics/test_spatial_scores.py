@@ -17,7 +17,7 @@ from gridtrack.evaluation.results.columns import (
     SCALES,
 )
 from gridtrack.evaluation.scoring.score_store import ScoresError
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
 from gridtrack.evaluation.statistics.spatial_scores import (
     beam_scores,
     median_size,

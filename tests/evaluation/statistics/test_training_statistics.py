@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.evaluation.statistics.training_differences import Trainings, training_differences
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gridtrack.evaluation.results.summary import TrackerSummary
-from gridtrack.evaluation.results.trial_summary import StratumScores, TrialSummary
+from gridtrack.evaluation.runs.summary import TrackerSummary
+from gridtrack.evaluation.runs.summary import StratumScores, TrialSummary
 from gridtrack.evaluation.statistics.turned_rankings import turned_rankings
 
 from scenes import synthetic_run as synthetic
