@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.runs.finished import FinishedTrial, RunTrials, common_strata
 from gridtrack.evaluation.runs.result_files import rounded_curve, rounded_p_curve
 from gridtrack.evaluation.runs.summary import Estimate, Estimates
-from gridtrack.evaluation.scores.definition import Floats, ScoreDefinition, Sums, value_of
+from gridtrack.evaluation.scores.definition import Floats, Scale, ScoreDefinition, Sums, value_of
 from gridtrack.evaluation.statistics import jackknife
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, Replicates, interval
 from gridtrack.evaluation.statistics.units import UnitRule
@@ -126,7 +126,7 @@ def estimates_of(found: Mapping[str, Estimated], scores: Sequence[ScoreDefinitio
     return strata
 
 
-def _add(strata: dict[str, Estimates], score: str, output: str, one: Estimated, scale: jackknife.Scale) -> None:
+def _add(strata: dict[str, Estimates], score: str, output: str, one: Estimated, scale: Scale) -> None:
     values, replicates = one.values[output], one.replicates.get(output)
     ends = interval(replicates, scale) if replicates is not None and scale else None
     for k, stratum in enumerate(one.strata):

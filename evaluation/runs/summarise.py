@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import permutations
+from typing import TypeVar
 
 import numpy as np
 
@@ -66,6 +67,9 @@ def summarise(
     return _Summary(RunTrials(recordings, list(trials), reference), scores or built_in()).made(notices, interrupted)
 
 
+_Scope = TypeVar("_Scope", bound=ScopeSummary)
+
+
 class _Summary:
     """Makes the summary of a run."""
 
@@ -118,9 +122,7 @@ class _Summary:
 
     def _trial(self, trial: FinishedTrial) -> TrialSummary:
         record = trial.record
-        scored = self._scored([trial], self._run.unit_rule([record.recording])) if record.frames_scored else {}
-        strata = scored.get("strata", {})
-        return TrialSummary(
+        summary = TrialSummary(
             outcome=record.outcome,
             reason=record.reason,
             card=record.card,
@@ -132,11 +134,13 @@ class _Summary:
             recoveries=record.recoveries,
             latency_ms=record.latency_ms,
             deadline=record.deadline,
-            robustness=_with_undegraded(record.robustness, strata) if record.robustness else None,
             times=record.times,
             peak_rss_mb=record.peak_rss_mb,
-            **scored,
         )
+        if record.frames_scored:
+            summary = self._scored(summary, [trial], self._run.unit_rule([record.recording]))
+        degraded = record.robustness and _with_undegraded(record.robustness, summary.strata)
+        return summary.model_copy(update={"robustness": degraded})
 
     def _pooled(self, label: str, trials: Sequence[FinishedTrial]) -> PooledSummary:
         """One tracker over all recordings together, of those that it completed.
@@ -147,8 +151,7 @@ class _Summary:
         complete = self._run.together(trial for trial in trials if trial.complete)
         chosen = {trial.record.thresholds.chosen_on for trial in complete}
         whole = len(complete) == len(names)
-        rule = self._run.unit_rule([trial.record.recording for trial in complete], names) if complete else None
-        return PooledSummary(
+        summary = PooledSummary(
             outcome="ok" if whole else "partial",
             reason="" if whole else _why_partial(trials, len(names)),
             recordings_complete=len(complete),
@@ -158,18 +161,20 @@ class _Summary:
             threshold_chosen_on=chosen.pop() if len(chosen) == 1 else "",
             card=", ".join(sorted({trial.record.card for trial in trials} - {""})),
             leak=next((trial.record.leak for trial in trials if trial.record.leak), ""),
-            **(self._scored(complete, rule) if rule else {}),
         )
+        if not complete:
+            return summary
+        return self._scored(summary, complete, self._run.unit_rule([t.record.recording for t in complete], names))
 
-    def _scored(self, trials: Sequence[FinishedTrial], rule: UnitRule) -> dict[str, Estimates | object]:
-        """The fields of a scope that its scores fill."""
+    def _scored(self, summary: _Scope, trials: Sequence[FinishedTrial], rule: UnitRule) -> _Scope:
+        """`summary` with the scores of `trials` together."""
         chosen = selected(self._run, trials, rule)
         found = {score.name: one for score in self._scores if (one := estimated(self._run, chosen, score)) is not None}
         if len(trials) == len(self._run.groups[0]):  # the comparisons of the row need them
             self._comparisons.keep(chosen, found)
         why = rule.too_short(chosen.number) if chosen.number < LEAST_UNITS else ""
         strata = estimates_of(found, self._scores)
-        return {"strata": strata, "thresholds": thresholds_of_scope(trials), "interval": why}
+        return summary.model_copy(update={"strata": strata, "thresholds": thresholds_of_scope(trials), "interval": why})
 
 
 def _role(trials: Sequence[FinishedTrial]) -> Role:
@@ -205,19 +210,21 @@ def _related(rows: Mapping[str, TrackerSummary], scores: Sequence[ScoreDefinitio
     for label, row in rows.items():
         ceiling = None if label == ORACLE else oracle
         trials = {
-            name: trial.model_copy(
-                update={"strata": _related_strata(trial, scores, ceiling and ceiling.recordings.get(name), others)}
-            )
+            name: trial.model_copy(update={"strata": _related_strata(trial, scores, _of(ceiling, name), others)})
             for name, trial in row.recordings.items()
             for others in [[floor.recordings.get(name) for floor in floors]]
         }
         pooled = row.pooled
         if pooled is not None:
             others = [floor.pooled for floor in floors]
-            strata = _related_strata(pooled, scores, ceiling and ceiling.pooled, others)
+            strata = _related_strata(pooled, scores, ceiling.pooled if ceiling else None, others)
             pooled = pooled.model_copy(update={"strata": strata})
         found[label] = row.model_copy(update={"recordings": trials, "pooled": pooled})
     return found
+
+
+def _of(row: TrackerSummary | None, recording: str) -> TrialSummary | None:
+    return row.recordings.get(recording) if row else None
 
 
 def _related_strata(

@@ -7,16 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.results.columns import BEAM_ERROR_BINS, PROBABILITY_BINS, SCALES
-from gridtrack.evaluation.runs.run_record import RecordingDescription, RecordingIdentity
-from gridtrack.evaluation.runs.run_record import RunConfiguration, RunRecord
+from gridtrack.evaluation.runs.run_record import RecordingDescription, RecordingIdentity, RunConfiguration, RunRecord
 from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.beam_errors import BEAM_STRATA, BeamErrors
 from gridtrack.evaluation.scoring.counting import Tally, for_calibration
 from gridtrack.evaluation.scoring.neighbourhoods import NeighbourhoodSums, neighbourhood_strata
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.spatial_store import SpatialWriter
-from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import half
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 

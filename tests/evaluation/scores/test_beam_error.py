@@ -6,14 +6,12 @@ import pytest
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.results.columns import BEAM_ERROR_EDGES_M
-from gridtrack.evaluation.scoring.beam_errors import BEAM_STRATA, beam_errors, expected_ranges
-from gridtrack.evaluation.referee.targets import returned_beams
-from gridtrack.evaluation.referee.strata import CELL_KINDS, PARTS
-from gridtrack.evaluation.referee.targets import SEEN_OCCUPIED, Target, target_of
+from gridtrack.evaluation.referee.strata import CELL_KINDS, PARTS, STRATA
+from gridtrack.evaluation.referee.targets import SEEN_OCCUPIED, Target, returned_beams, target_of
+from gridtrack.evaluation.scores.beam_error import BEAM_ERROR, EDGES_M, expected_ranges, median_size
 from gridtrack.recordings.observation import Observation
 
-from scenes.scored_cells import frame, region_maps
+from scenes.scored_cells import counted, frame, region_maps, scored
 
 SIZE = 40
 GRID = GridSpec(SIZE, 0.5, (-5.0, -10.0))
@@ -111,18 +109,26 @@ def test_errors_are_summed_by_the_stratum_of_the_cell_that_a_beam_ended_in():
     cell_kinds[24] = STATIC
     target = target_of(scans, GRID, (), np.where(cell_kinds == DYNAMIC, PARTS.index("in-motion"), 0).astype(np.uint8))
     forecast = row_of(1.0, 16) + np.roll(row_of(1.0, 20), 4, axis=0)
-    errors = beam_errors(forecast[None], [target], region_maps(cell_kinds), GRID.cell_m)
+    strata, errors = counted(BEAM_ERROR, scored(forecast[None], [target], region_maps(cell_kinds)), cell_m=GRID.cell_m)
+    assert strata == STRATA
     early = {"visible": 1.25, "dynamic": 1.25, "in-motion": 1.25}
     late = {"visible": 3.0, "static": 3.0}
-    assert errors.early[0] == pytest.approx([early.get(name, 0.0) for name in BEAM_STRATA])
-    assert errors.late[0] == pytest.approx([late.get(name, 0.0) for name in BEAM_STRATA])
-    assert errors.counts[0].sum(axis=-1).tolist() == [2, 1, 1, 1, 0]
-    low, high = (BEAM_ERROR_EDGES_M[np.nonzero(errors.counts[0, 0])[0] + end] for end in (0, 1))
+    assert errors["early"][0] == pytest.approx([early.get(name, 0.0) for name in STRATA])
+    assert errors["late"][0] == pytest.approx([late.get(name, 0.0) for name in STRATA])
+    assert errors.block("beams")[0].sum(axis=-1).tolist() == [2, 1, 1, 1, 0]
+    low, high = (EDGES_M[np.nonzero(errors.block("beams")[0, 0])[0] + end] for end in (0, 1))
     assert ((low <= [1.25, 3.0]) & (high > [1.25, 3.0])).all()
 
 
 def test_a_target_without_scans_has_no_beams():
     target = Target(EMPTY, np.full(GRID.shape, SEEN_OCCUPIED, np.uint8), np.zeros(GRID.shape, np.uint8))
-    errors = beam_errors(np.zeros((1, SIZE, SIZE), np.float32), [target], region_maps(np.zeros(GRID.shape)), 0.5)
-    assert not errors.counts.any()
-    assert not errors.late.any()
+    forecast = scored(np.zeros((1, SIZE, SIZE), np.float32), [target], region_maps(np.zeros(GRID.shape)))
+    assert not counted(BEAM_ERROR, forecast)[1].values.any()
+
+
+@pytest.mark.parametrize("number", [1, 501, 4000])
+def test_the_median_of_binned_errors_is_that_of_the_errors_within_a_part_of_a_bin(number):
+    errors = np.random.default_rng(number).lognormal(-1.0, 1.5, number)
+    counts = np.histogram(errors, EDGES_M)[0].astype(float)
+    assert median_size(counts) == pytest.approx(np.median(errors), rel=0.12)
+    assert np.isnan(median_size(np.zeros_like(counts)))

@@ -1,17 +1,27 @@
-"""Counts of one forecast, against hand-computed cases and scikit-learn."""
+"""Scores of cells: against hand-computed cases, scikit-learn and torchmetrics."""
 
 import numpy as np
 import pytest
 from sklearn.metrics import average_precision_score, brier_score_loss, f1_score, log_loss, precision_score, recall_score
 
-from gridtrack.evaluation.results.columns import CALIBRATION_EDGES, PROBABILITY_BINS, PROBABILITY_EDGES
-from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.counting import HALF, Tally, count_forecast
 from gridtrack.evaluation.referee.strata import CELL_KINDS, STRATA, STRATA_WITH_TRUTH
 from gridtrack.evaluation.referee.targets import Target
-from gridtrack.evaluation.scoring.thresholds import half
+from gridtrack.evaluation.scores.brier import BRIER
+from gridtrack.evaluation.scores.calibration import CALIBRATION, POSSIBLY_OCCUPIED
+from gridtrack.evaluation.scores.cells import (
+    CALIBRATION_EDGES,
+    HALF,
+    PROBABILITY_BINS,
+    PROBABILITY_EDGES,
+    Tally,
+    count_cells,
+)
+from gridtrack.evaluation.scores.f1 import F1, f1_of
+from gridtrack.evaluation.scores.log_loss import LOG_LOSS
+from gridtrack.evaluation.scores.pr_auc import PR_AUC
+from gridtrack.evaluation.scores.thresholds import Thresholds, half
 
-from scenes.scored_cells import frame, members_of, random_forecast, region_maps
+from scenes.scored_cells import counted, frame, members_of, random_forecast, region_maps, scored, values
 
 VISIBLE, DYNAMIC, STATIC = (STRATA.index(name) for name in ("visible", "dynamic", "static"))
 RING_CELL, STATIC_CELL, DYNAMIC_CELL = (CELL_KINDS.index(name) for name in ("ring", "static", "dynamic"))
@@ -23,7 +33,17 @@ def binned_by(edges, p):
 
 
 def count(occupancy, frames, cell_kinds):
-    return count_forecast(occupancy, [Target.of_frame(observed) for observed in frames], region_maps(cell_kinds))
+    return count_cells(occupancy, [Target.of_frame(observed) for observed in frames], region_maps(cell_kinds))
+
+
+def scores_of(occupancy, frames, cell_kinds):
+    """Every output of the scores of cells (S, K), by score and output."""
+    return all_scores(scored(occupancy, [Target.of_frame(one) for one in frames], region_maps(cell_kinds)))
+
+
+def all_scores(forecast, **known):
+    of_cells = (F1, PR_AUC, LOG_LOSS, BRIER, CALIBRATION)
+    return {one.name: values(one, counted(one, forecast, **known)[1]) for one in of_cells}
 
 
 def random_case(seed, size=30, steps=3):
@@ -71,31 +91,32 @@ def test_every_score_of_every_stratum_agrees_with_scikit_learn(seed):
         Target(frame(state < 2, state == 1), state, motion) for state, motion in zip(states, motions, strict=True)
     ]
     bins = rng.choice([5, 250, HALF + 15, PROBABILITY_BINS - 1], (steps + 1, len(STRATA_WITH_TRUTH)))
-    tally = count_forecast(occupancy, targets, region_maps(cell_kinds, STRATA_WITH_TRUTH), ages)
-    confusion = tally.confusion(bins)
+    forecast = scored(occupancy, targets, region_maps(cell_kinds, STRATA_WITH_TRUTH), ages)
+    found = all_scores(forecast, thresholds=Thresholds(bins, strata=STRATA_WITH_TRUTH))
     for step, state in enumerate(states):
         members = members_of(cell_kinds, state, motions[step], ages)
-        assert tuple(members) == tally.strata
-        for k, scored in enumerate(members.values()):
-            truth, p = state[scored] % 2 == 1, occupancy[step][scored]
-            binned = binned_by(PROBABILITY_EDGES, p)
-            called = binned >= bins[step, k]
-            assert metrics.f1_score(confusion)[step, k] == pytest.approx(f1_score(truth, called))
-            assert metrics.precision(confusion)[step, k] == pytest.approx(
-                precision_score(truth, called, zero_division=np.nan), nan_ok=True
-            )
-            assert metrics.recall(confusion)[step, k] == pytest.approx(recall_score(truth, called))
-            assert metrics.brier_score(tally)[step, k] == pytest.approx(brier_score_loss(truth, p), rel=1e-6)
-            assert metrics.log_loss(tally)[step, k] == pytest.approx(
-                log_loss(truth, np.clip(p.astype(float), 0.001, 0.999)), rel=1e-6
-            )
-            assert metrics.average_precision(tally)[step, k] == pytest.approx(average_precision_score(truth, binned))
-            coarse = binned_by(CALIBRATION_EDGES, p)
-            assert metrics.calibration_error(tally)[step, k] == calibration_error(truth, p, coarse)
-            thought = p >= np.float32(metrics.THOUGHT_OCCUPIED)
-            assert metrics.calibration_error(tally, metrics.THOUGHT_OCCUPIED)[step, k] == calibration_error(
-                truth[thought], p[thought], coarse[thought]
-            )
+        assert tuple(members) == STRATA_WITH_TRUTH
+        for k, chosen in enumerate(members.values()):
+            truth, p = state[chosen] % 2 == 1, occupancy[step][chosen]
+            binned, coarse = binned_by(PROBABILITY_EDGES, p), binned_by(CALIBRATION_EDGES, p)
+            called, possible = binned >= bins[step, k], p >= np.float32(POSSIBLY_OCCUPIED)
+            clipped = np.clip(p.astype(float), 0.001, 0.999)
+            expected = {
+                "f1.f1": f1_score(truth, called),
+                "f1.precision": precision_score(truth, called, zero_division=np.nan),
+                "f1.recall": recall_score(truth, called),
+                "f1.at_half": f1_score(truth, p >= 0.5),
+                "f1.at_visible": f1_score(truth, binned >= bins[step, VISIBLE]),
+                "brier.mean": pytest.approx(brier_score_loss(truth, p), rel=1e-6),
+                "log_loss.mean": pytest.approx(log_loss(truth, clipped), rel=1e-6),
+                "pr_auc.area": average_precision_score(truth, binned),
+                "calibration.error": calibration_error(truth, p, coarse),
+                "calibration.above_1_percent": calibration_error(truth[possible], p[possible], coarse[possible]),
+            }
+            for name, value in expected.items():
+                score, output = name.split(".")
+                wanted = value if hasattr(value, "expected") else pytest.approx(value, nan_ok=True)
+                assert found[score][output][step, k] == wanted, (name, step, k)
 
 
 def calibration_error(truth, p, binned):
@@ -114,8 +135,8 @@ def test_pr_auc_is_within_a_few_thousandths_of_that_of_the_probabilities_themsel
     p = rng.beta(*shape, (1, size, size)).astype(np.float32)
     observed = frame(np.ones((size, size)), rng.random((size, size)) < p[0] ** strength)
     exact = average_precision_score(observed.occupied.ravel(), p.ravel())
-    tally = count(p, [observed], np.full((size, size), DYNAMIC_CELL))
-    assert metrics.average_precision(tally)[0, VISIBLE] == pytest.approx(exact, abs=0.002)
+    found = scores_of(p, [observed], np.full((size, size), DYNAMIC_CELL))
+    assert found["pr_auc"]["area"][0, VISIBLE] == pytest.approx(exact, abs=0.002)
 
 
 @pytest.mark.parametrize("levels", [2, 5, 30])
@@ -125,15 +146,14 @@ def test_pr_auc_of_a_forecast_with_few_levels_is_exact(levels):
     values = PROBABILITY_EDGES[rng.choice(PROBABILITY_BINS, levels, replace=False)].astype(np.float32)
     p = rng.choice(values, (1, size, size))
     observed = frame(np.ones((size, size)), rng.random((size, size)) < p[0])
-    tally = count(p, [observed], np.full((size, size), DYNAMIC_CELL))
+    found = scores_of(p, [observed], np.full((size, size), DYNAMIC_CELL))
     exact = average_precision_score(observed.occupied.ravel(), p.ravel())
-    assert metrics.average_precision(tally)[0, VISIBLE] == pytest.approx(exact)
+    assert found["pr_auc"]["area"][0, VISIBLE] == pytest.approx(exact)
 
 
 def test_the_brier_decomposition_agrees_with_its_definition_and_adds_up():
     occupancy, frames, cell_kinds = random_case(4)
-    tally = count(occupancy, frames, cell_kinds)
-    parts = metrics.brier_decomposition(tally)
+    parts = scores_of(occupancy, frames, cell_kinds)["brier"]
     for step, observed in enumerate(frames):
         truth, p = observed.occupied[observed.visible].astype(float), occupancy[step][observed.visible].astype(float)
         binned = binned_by(CALIBRATION_EDGES, occupancy[step][observed.visible])
@@ -142,10 +162,10 @@ def test_the_brier_decomposition_agrees_with_its_definition_and_adds_up():
         murphys_resolution = sum(q.size * (t.mean() - truth.mean()) ** 2 for q, t in bins) / p.size
         variance = sum(((q - q.mean()) ** 2).sum() for q, _ in bins) / p.size
         covariance = 2 * sum(((q - q.mean()) * (t - t.mean())).sum() for q, t in bins) / p.size
-        assert parts.reliability[step, VISIBLE] == pytest.approx(reliability, abs=1e-9)
-        assert parts.uncertainty[step, VISIBLE] == pytest.approx(truth.var())
-        assert parts.resolution[step, VISIBLE] == pytest.approx(murphys_resolution - variance + covariance, abs=1e-7)
-        score = parts.reliability - parts.resolution + parts.uncertainty
+        assert parts["reliability"][step, VISIBLE] == pytest.approx(reliability, abs=1e-9)
+        assert parts["uncertainty"][step, VISIBLE] == pytest.approx(truth.var())
+        assert parts["resolution"][step, VISIBLE] == pytest.approx(murphys_resolution - variance + covariance, abs=1e-7)
+        score = parts["reliability"] - parts["resolution"] + parts["uncertainty"]
         assert score[step, VISIBLE] == pytest.approx(brier_score_loss(truth, p), rel=1e-6)
 
 
@@ -155,14 +175,12 @@ def test_f1_and_average_precision_agree_with_torchmetrics(seed):
     from torchmetrics.functional.classification import binary_average_precision, binary_f1_score
 
     occupancy, frames, cell_kinds = random_case(seed, steps=0)
-    tally = count(occupancy, frames, cell_kinds)
+    found = scores_of(occupancy, frames, cell_kinds)
     seen = frames[0].visible
     truth = torch.from_numpy(frames[0].occupied[seen].astype(np.int64))
     binned = torch.from_numpy(PROBABILITY_EDGES[binned_by(PROBABILITY_EDGES, occupancy[0][seen])])
-    assert metrics.f1_score(tally.confusion(half(0).bins))[0, VISIBLE] == pytest.approx(
-        float(binary_f1_score((binned >= 0.5).long(), truth))
-    )
-    assert metrics.average_precision(tally)[0, VISIBLE] == pytest.approx(
+    assert found["f1"]["at_half"][0, VISIBLE] == pytest.approx(float(binary_f1_score((binned >= 0.5).long(), truth)))
+    assert found["pr_auc"]["area"][0, VISIBLE] == pytest.approx(
         float(binary_average_precision(binned, truth)), rel=1e-5
     )
 
@@ -192,19 +210,17 @@ def test_edges_are_exact_and_the_bins_for_calibration_are_made_of_whole_bins():
     for edges in (PROBABILITY_EDGES, CALIBRATION_EDGES):
         assert (edges[0], edges[-1], 0.5 in edges) == (0.0, 1.0, True)
     assert set(CALIBRATION_EDGES) <= set(PROBABILITY_EDGES)
-    assert metrics.THOUGHT_OCCUPIED in CALIBRATION_EDGES
+    assert POSSIBLY_OCCUPIED in CALIBRATION_EDGES
 
 
-def test_scores_of_an_empty_tally_are_undefined():
-    tally = Tally.empty(2)
-    for score in (metrics.average_precision, metrics.brier_score, metrics.log_loss, metrics.calibration_error):
-        assert np.isnan(score(tally)).all()
-    assert np.isnan(metrics.f1_score(tally.confusion(half(2).bins))).all()
+def test_scores_without_a_scored_cell_are_undefined():
+    found = scores_of(np.ones((1, 5, 5), np.float32), [frame(np.zeros((5, 5)), np.zeros((5, 5)))], np.full((5, 5), 2))
+    assert all(np.isnan(value).all() for outputs in found.values() for value in outputs.values())
 
 
 def test_f1_is_zero_where_no_occupied_cell_is_found_and_undefined_without_occupied_cells():
-    assert metrics.f1_score(np.array([0, 0, 4, 6])) == 0.0
-    assert np.isnan(metrics.f1_score(np.array([0, 3, 0, 6])))
+    assert f1_of(np.array([0, 0, 4, 6])) == 0.0
+    assert np.isnan(f1_of(np.array([0, 3, 0, 6])))
 
 
 def test_tallies_add_up():

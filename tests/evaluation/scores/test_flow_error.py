@@ -11,17 +11,24 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.evaluation.referee.motion import FollowedBodies
-from gridtrack.evaluation.scoring.flow_errors import FLOW_STRATA, flow_errors
 from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH, region_maps_of
-from gridtrack.evaluation.referee.targets import HIDDEN_OCCUPIED, SEEN_FREE, SEEN_OCCUPIED, Target, target_of
-from gridtrack.evaluation.referee.targets import TrueFlow
+from gridtrack.evaluation.referee.targets import (
+    HIDDEN_OCCUPIED,
+    SEEN_FREE,
+    SEEN_OCCUPIED,
+    Target,
+    TrueFlow,
+    target_of,
+)
+from gridtrack.evaluation.scores.flow_error import FLOW_ERROR, FLOW_STRATA
 from gridtrack.recordings.observation import Observation
+
+from scenes.scored_cells import counted, facts_of, scored
 
 GRID = GridSpec(8, 1.0, (0.0, 0.0))
 NOTHING = np.zeros((0, 2), np.float32)
 POST = np.array([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)], np.float32)
 DYNAMIC = np.full(GRID.shape, 2, np.uint8)
-AGES = np.zeros(GRID.shape, np.uint8)
 
 
 def scene(*bodies):
@@ -31,6 +38,14 @@ def scene(*bodies):
 def motions(*scenes, period_ns=500_000_000):
     followed = FollowedBodies()
     return [followed.motions(i * period_ns, one) for i, one in enumerate(scenes)][-1]
+
+
+def flow_sums(velocity, targets):
+    """Cells, cells with a velocity, errors and true speeds (S, K)."""
+    occupancy = np.zeros((len(targets), *GRID.shape), np.float32)
+    strata, sums = counted(FLOW_ERROR, scored(occupancy, targets, maps(), velocity=velocity), has_truth=True)
+    assert strata == FLOW_STRATA
+    return tuple(sums[name] for name in ("cells", "given", "error", "speed"))
 
 
 def maps():
@@ -86,20 +101,31 @@ def test_errors_by_hand():
     velocity = np.full((1, 2, *GRID.shape), np.nan, np.float32)
     velocity[0, :, 1, 2] = 1.0, 1.0
     velocity[0, :, 3, 7] = 50.0, 0.0
-    found = flow_errors(velocity, [observed_target()], maps(), AGES)
+    cells, given, error, speed = flow_sums(velocity, [observed_target()])
     assert FLOW_STRATA == ("dynamic", "in-motion", "occluded")
-    assert found.cells.tolist() == [[1, 1, 1]]
-    assert found.given.tolist() == [[1, 1, 0]]
-    assert found.error == pytest.approx(np.array([[math.sqrt(2), math.sqrt(2), 0.0]]))
-    assert found.speed == pytest.approx(np.array([[2.0, 2.0, 0.0]]))
+    assert cells.tolist() == [[1, 1, 1]]
+    assert given.tolist() == [[1, 1, 0]]
+    assert error == pytest.approx(np.array([[math.sqrt(2), math.sqrt(2), 0.0]]))
+    assert speed == pytest.approx(np.array([[2.0, 2.0, 0.0]]))
 
 
 def test_velocities_of_step_0_alone_say_nothing_of_later_steps():
     targets = [observed_target()] * 3
-    found = flow_errors(np.zeros((2, *GRID.shape), np.float32), targets, maps(), AGES)
-    assert found.cells[:, 0].tolist() == [1, 1, 1]
-    assert found.given[:, 0].tolist() == [1, 0, 0]
-    assert flow_errors(None, targets, maps(), AGES).given.sum() == 0
+    cells, given, _, _ = flow_sums(np.zeros((2, *GRID.shape), np.float32), targets)
+    assert cells[:, 0].tolist() == [1, 1, 1]
+    assert given[:, 0].tolist() == [1, 0, 0]
+
+
+def test_cells_count_from_the_first_forecast_with_velocities_on():
+    targets, occupancy = [observed_target()] * 2, np.zeros((2, *GRID.shape), np.float32)
+    without, with_ = (
+        scored(occupancy, targets, maps(), velocity=one) for one in (None, np.zeros((2, *GRID.shape), np.float32))
+    )
+    facts = facts_of(without, has_truth=True)
+    memory = FLOW_ERROR.new_memory(facts)
+    counts = [FLOW_ERROR.count(one, facts, memory) for one in (without, with_, without)]
+    assert counts[0] is None
+    assert [one[0, 0, :2].tolist() for one in counts[1:]] == [[1, 1], [1, 0]]
 
 
 def test_without_ground_truth_no_cell_has_a_velocity():
@@ -131,8 +157,8 @@ def test_random_flows_agree_with_a_loop_over_every_cell():
             for k, name in enumerate(FLOW_STRATA):
                 if {"dynamic": not hidden, "in-motion": not hidden and not standing, "occluded": hidden}[name]:
                     expected[:, n, k] += 1, given, error, given * math.hypot(vx, vy)
-    found = flow_errors(velocity, targets, maps(), AGES)
-    assert np.array_equal(found.cells, expected[0])
-    assert np.array_equal(found.given, expected[1])
-    assert found.error == pytest.approx(expected[2])
-    assert found.speed == pytest.approx(expected[3])
+    cells, given, error, speed = flow_sums(velocity, targets)
+    assert np.array_equal(cells, expected[0])
+    assert np.array_equal(given, expected[1])
+    assert error == pytest.approx(expected[2])
+    assert speed == pytest.approx(expected[3])

@@ -8,12 +8,13 @@ import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.scoring.energy import ENERGY_STRATA, distance_and_spread, energy_terms
 from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH, region_maps_of
 from gridtrack.evaluation.referee.targets import HIDDEN_OCCUPIED, NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED, Target
+from gridtrack.evaluation.scores.energy import ENERGY, ENERGY_STRATA, distance_and_spread
+
+from scenes.scored_cells import counted, scored
 
 GRID = GridSpec(6, 1.0, (0.0, 0.0))
-AGES = np.zeros(GRID.shape, np.uint8)
 NOTHING = np.zeros((0, 2), np.float32)
 
 
@@ -24,6 +25,14 @@ def target(state, part):
 
 def maps(kinds):
     return region_maps_of(kinds, GRID, np.zeros((1, 2), np.float32), STRATA_WITH_TRUTH)
+
+
+def energy_sums(futures, targets, kinds):
+    """Forecasts, distance and spread (S, K, 3)."""
+    occupancy = np.zeros((len(targets), *GRID.shape), np.float32)
+    strata, sums = counted(ENERGY, scored(occupancy, targets, maps(kinds), futures=futures))
+    assert strata == ENERGY_STRATA
+    return sums.values
 
 
 def terms_of(futures, came):
@@ -58,21 +67,20 @@ def test_terms_agree_with_the_definition_in_loops(dtype):
     for _ in range(3):
         state = rng.choice([SEEN_FREE, SEEN_OCCUPIED, HIDDEN_OCCUPIED, NOT_SCORED], GRID.shape).astype(np.uint8)
         targets.append(target(state, np.where(kinds == 2, rng.integers(0, 3, GRID.shape), 0).astype(np.uint8)))
-    found = energy_terms(futures, targets, maps(kinds), AGES)
+    found = energy_sums(futures, targets, kinds)
     for n, one in enumerate(targets):
         visible, dynamic = one.state <= SEEN_OCCUPIED, kinds == 2
         strata = {"visible": visible, "dynamic": visible & dynamic, "in-motion": visible & dynamic & (one.motion != 1)}
         for k, name in enumerate(ENERGY_STRATA):
             own = futures[:, n, strata[name]].astype(float)
             expected = in_loops(own, (one.state[strata[name]] == SEEN_OCCUPIED).astype(float))
-            assert found.forecasts[n, k] == 1
-            assert (found.distance[n, k], found.spread[n, k]) == pytest.approx(expected)
+            assert found[n, k].tolist() == pytest.approx([1, *expected])
 
 
 def test_a_stratum_without_cells_has_no_score():
     unseen = target(np.full(GRID.shape, NOT_SCORED, np.uint8), np.zeros(GRID.shape, np.uint8))
-    found = energy_terms(np.zeros((2, 1, *GRID.shape), bool), [unseen], maps(np.full(GRID.shape, 2, np.uint8)), AGES)
-    assert found.forecasts.sum() == found.distance.sum() == 0
+    futures = np.zeros((2, 1, *GRID.shape), bool)
+    assert not energy_sums(futures, [unseen], np.full(GRID.shape, 2, np.uint8)).any()
 
 
 def mean_score(draw, came, count=8, times=4000):
