@@ -55,7 +55,7 @@ def read_baseline(path: Path) -> Baseline:
     if schema != BASELINE_SCHEMA:
         raise BaselineError(
             f"{path}: schema {str(schema)[:20]!r} of a baseline; this gridtrack reads schema {BASELINE_SCHEMA}:"
-            " read it with the version that wrote it, or make it again with --update"
+            " read it with gridtrack 0.2, which wrote it, or make it again with --update"
         )
     if digest_of(content.get("runs")) != content.get("digest"):
         raise Unmeasured(

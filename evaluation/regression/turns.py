@@ -26,7 +26,8 @@ from gridtrack.evaluation.regression.rerun import plan_again, why_edited
 from gridtrack.evaluation.regression.speed import CALLS, CallKind, TurnsRow
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.trial_record import read_trial_record
-from gridtrack.evaluation.statistics.jackknife import LEVEL, Floats
+from gridtrack.evaluation.scores.definition import Floats
+from gridtrack.evaluation.statistics.jackknife import LEVEL
 from gridtrack.trackers.selection import Launch
 
 TURN_ROUNDS, ROUND_FRAMES = 8, 40

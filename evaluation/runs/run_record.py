@@ -13,7 +13,7 @@ from gridtrack.evaluation.referee.splits import EvaluationSplit
 from gridtrack.evaluation.runs.result_files import ResultModel, read_model, write_model
 from gridtrack.recordings.degradation import Degradation
 
-RUN_SCHEMA: Final = 2
+RUN_SCHEMA: Final = 3
 RUN_FILE = "run.json"
 MAX_RUN_BYTES = 1 << 24
 
@@ -176,7 +176,7 @@ class Machine(ResultModel):
 class RunRecord(ResultModel):
     """A run: what was requested, with which inputs and versions, and how far it is."""
 
-    schema_version: Literal[2] = Field(default=RUN_SCHEMA, alias="schema")
+    schema_version: Literal[3] = Field(default=RUN_SCHEMA, alias="schema")
     command: tuple[str, ...]
     """The command line."""
     settings: RunSettings = RunSettings()

@@ -15,7 +15,7 @@ from gridtrack.evaluation.runs.result_files import Line, ResultModel, RunError, 
 from gridtrack.evaluation.scores.thresholds import Thresholds
 from gridtrack.trackers.contract import ComparedPart, Role
 
-TRIAL_SCHEMA: Final = 2
+TRIAL_SCHEMA: Final = 3
 OUTCOME_FILE = "outcome.json"
 MAX_OUTCOME_BYTES = 1 << 24
 
@@ -58,7 +58,7 @@ class Times(ResultModel):
 class TrialRecord(ResultModel):
     """One trial: its outcome, the number of frames, the thresholds, and what was measured."""
 
-    schema_version: Literal[2] = Field(default=TRIAL_SCHEMA, alias="schema")
+    schema_version: Literal[3] = Field(default=TRIAL_SCHEMA, alias="schema")
     label: str
     recording: str
     outcome: TrialEnding

@@ -26,6 +26,7 @@ from gridtrack.evaluation.statistics.jackknife import (
     Estimate,
     Replicates,
     degrees_of_freedom,
+    difference,
     difference_of,
 )
 
@@ -134,8 +135,32 @@ def training_differences(own: Trainings, reference: Trainings, level: float = LE
     without = mine.without - theirs.without
     over_units = (units - 1) / units * ((without - without.mean(axis=0)) ** 2).sum(axis=0)
     parts = [(over_units, degrees_of_freedom(mine.size, theirs.size)), own.variance(), reference.variance()]
+    variance, freedom = _satterthwaite(parts)
+    return difference_of(value, np.sqrt(variance), freedom, level)
+
+
+def one_more(own: Replicates, trainings: Sequence[Replicates], level: float = LEVEL) -> Estimate:
+    """The score of one more training less the mean of `trainings` (...), of the same units.
+
+    With several trainings the variance includes the spread between them; with one it is not known, and the difference
+    is that of two trackers.
+    """
+    mean = Trainings(tuple(trainings), learned=True).mean
+    if len(trainings) == 1:
+        return difference(own, mean, level)
+    units = own.units
+    without = np.nan_to_num(own.without - mean.without)
+    over_units = (units - 1) / units * ((without - without.mean(axis=0)) ** 2).sum(axis=0)
+    spread = spread_between(trainings)
+    parts = [(over_units, degrees_of_freedom(own.size, mean.size)), (spread.error**2, spread.freedom)]
+    variance, freedom = _satterthwaite(parts)
+    return difference_of(own.value - mean.value, np.sqrt(variance), freedom, level)
+
+
+def _satterthwaite(parts: Sequence[tuple[Floats, Floats | float]]) -> tuple[Floats, Floats]:
+    """The sum (...) of variances, and its degrees of freedom (Satterthwaite 1946)."""
     variance = np.sum([part for part, _ in parts], axis=0)
     squared = np.sum([part**2 / freedom for part, freedom in parts], axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = np.where(variance > 0, variance**2 / squared, 1.0)
-    return difference_of(value, np.sqrt(variance), freedom, level)
+    return variance, freedom

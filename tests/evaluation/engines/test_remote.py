@@ -13,19 +13,19 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.engines.attempt import EngineError
 from gridtrack.evaluation.engines.cluster import TaskEnd
 from gridtrack.evaluation.engines.remote import RETRIES, RemoteEngine
+from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS
-from gridtrack.evaluation.runs.run_record import read_run_record
-from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs import orders, runner
 from gridtrack.evaluation.runs.engine_choice import engine_of
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.run_record import read_run_record
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.shared_inputs import SharedInputs
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs.works import TrialWork
-from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation
 

@@ -14,10 +14,10 @@ from gridtrack.evaluation.engines.attempt import Attempt, EngineError
 from gridtrack.evaluation.engines.remote import RemoteEngine
 from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmTask
 from gridtrack.evaluation.engines.slurm_settings import SlurmSettings, parse_slurm
-from gridtrack.evaluation.runs.summary import read_summary
-from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.summary import read_summary
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs.worker import carry_out
 
 from scenes.agreement import assert_agree, counted, wait_until

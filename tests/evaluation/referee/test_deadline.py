@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.evaluation.referee.deadline import Costs, DeadlineTracker, Timeline, spare_steps, timeline
+from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
 from gridtrack.evaluation.referee.referee import Delivery, Schedule, scored_forecasts
-from gridtrack.evaluation.referee.kinds import Regions
-from gridtrack.evaluation.referee.kinds import KindsOfWindow
 from gridtrack.trackers.contract import Forecast
 
 PERIOD_MS = 100.0

@@ -9,11 +9,10 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene, SceneObject
-from gridtrack.evaluation.referee.referee import moments
+from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
 from gridtrack.evaluation.referee.motion import ObservedMotion, parts_of
-from gridtrack.evaluation.referee.kinds import Regions
+from gridtrack.evaluation.referee.referee import moments
 from gridtrack.evaluation.referee.strata import CELL_KINDS, PARTS
-from gridtrack.evaluation.referee.kinds import KindsOfWindow
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
 

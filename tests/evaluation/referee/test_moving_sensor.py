@@ -8,20 +8,17 @@ import pytest
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
+from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions, observed_kinds, regions_of
+from gridtrack.evaluation.referee.motion import OnceFree
+from gridtrack.evaluation.referee.referee import Delivery, Moment, Schedule, scored_forecasts
+from gridtrack.evaluation.referee.strata import AGES_S, CELL_KINDS, PARTS, STRATA, LastSeen
+from gridtrack.evaluation.referee.targets import NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED
 from gridtrack.evaluation.results.columns import BEAM_ERROR_BINS
 from gridtrack.evaluation.runs.oracle import Oracle
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.referee.referee import Moment
-from gridtrack.evaluation.referee.motion import OnceFree
-from gridtrack.evaluation.referee.kinds import observed_kinds
-from gridtrack.evaluation.referee.referee import Delivery, Schedule, scored_forecasts
-from gridtrack.evaluation.referee.kinds import Regions, regions_of
-from gridtrack.evaluation.referee.strata import AGES_S, CELL_KINDS, PARTS, STRATA, LastSeen
-from gridtrack.evaluation.referee.targets import NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED
 from gridtrack.evaluation.scoring.thresholds import half
-from gridtrack.evaluation.referee.kinds import KindsOfWindow
 from gridtrack.evaluation.statistics.spatial_scores import median_size
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream

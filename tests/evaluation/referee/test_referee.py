@@ -10,16 +10,14 @@ from hypothesis import strategies as st
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
+from gridtrack.evaluation.referee.motion import ObservedMotion
+from gridtrack.evaluation.referee.referee import WARM_UP, Delivery, Schedule, moments, scored_forecasts
+from gridtrack.evaluation.referee.strata import CELL_KINDS
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.scoring.in_process import score_in_process
-from gridtrack.evaluation.referee.referee import moments
-from gridtrack.evaluation.referee.motion import ObservedMotion
-from gridtrack.evaluation.referee.referee import WARM_UP, Delivery, Schedule, scored_forecasts
-from gridtrack.evaluation.referee.kinds import Regions
-from gridtrack.evaluation.referee.strata import CELL_KINDS
 from gridtrack.evaluation.scoring.thresholds import half
-from gridtrack.evaluation.referee.kinds import KindsOfWindow
 from gridtrack.trackers.contract import Forecast
 
 GRID = GridSpec(8, 1.0)

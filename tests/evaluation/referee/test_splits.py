@@ -4,13 +4,13 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError, PluginError, RecordingError, WeightsError
 from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.referee.splits import Sampling, common_with, plan_split
+from gridtrack.evaluation.referee.strata import CELL_KINDS
 from gridtrack.evaluation.runs.learned import find_weights, user_weights_folder, weights_in, weights_path
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.recipe import Recipe
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.train import train_tracker
-from gridtrack.evaluation.referee.splits import Sampling, common_with, plan_split
-from gridtrack.evaluation.referee.strata import CELL_KINDS
 from gridtrack.recordings import import_recording
 from gridtrack.trackers.card import Card, TrainingData
 from gridtrack.trackers.weights import save_weights

@@ -15,16 +15,16 @@ from mcap.reader import make_reader
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.grid import Shift
-from gridtrack.evaluation.results.columns import SCORES_TABLE
-from gridtrack.evaluation.runs.result_files import RunError
-from gridtrack.evaluation.runs.trial_record import read_trial_record
-from gridtrack.evaluation.runs.following import Following, following
-from gridtrack.evaluation.runs.plan import resolve
-from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.referee.deadline import read_later
 from gridtrack.evaluation.referee.live_timeline import LiveTimeline
 from gridtrack.evaluation.referee.samples import SAMPLES, TRACKS_TOPIC
+from gridtrack.evaluation.results.columns import SCORES_TABLE
+from gridtrack.evaluation.runs.following import Following, following
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.result_files import RunError
+from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.settings import CompareSettings
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.recordings.formats import native_writer
 from gridtrack.trackers.contract import Forecast, TrackedObject
 

@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.runs.summary import read_summary
-from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.summary import read_summary
 from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.recordings import RecordingInfo, import_recording, write_native
 from gridtrack.recordings.recorded_time import WALL_CLOCK_FROM_NS
 from tests.evaluation.conftest import RATE_HZ, SECONDS, scan

@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError, RecordingError
-from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.shared_inputs import SharedInputs
 from gridtrack.evaluation.runs.trial import unstarted
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs.works import TrialWork
 from gridtrack.trackers.weights import read_card
 
