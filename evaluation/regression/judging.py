@@ -71,6 +71,7 @@ class VerdictRow:
     criterion: Criterion
     verdict: RowVerdict
     relative: bool = False
+    higher_is_better: bool = True
     default_margin: float = MARGIN
 
     @property
@@ -163,6 +164,7 @@ def _over(row: PairedRow, members: NDArray[np.bool_], recording: str, margin: fl
         criterion="",
         verdict=verdict,
         relative=row.output.relative_margin,
+        higher_is_better=row.output.direction > 0,
         default_margin=row.output.margin or MARGIN,
     )
 

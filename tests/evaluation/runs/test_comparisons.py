@@ -129,7 +129,7 @@ def test_of_nineteen_recordings_nothing_is_tested(tmp_path):
 
 
 def test_a_long_recording_is_cut_into_blocks_longer_than_the_cycle(tmp_path):
-    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, ["long"], frames=1250, every_s=2)
+    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, ["long"], frames=625, every_s=4)
     found = {cycle: difference(summary_of(trials, ["long"], cycle_s=cycle), "good") for cycle in (None, 125.0, 127.0)}
     assert found[None].units == 25
     assert found[125.0].units == 20

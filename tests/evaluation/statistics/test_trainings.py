@@ -69,7 +69,7 @@ def test_a_difference_there_is_not_is_found_as_seldom_as_it_should_be_where_unit
     rng = np.random.default_rng(1)
     sizes = np.where(np.arange(20) < 3, 3000.0, 100.0)[None, :, None]
     drawn = [0.01 * rng.standard_normal((1, 20, 4000)) + 0.002 * rng.standard_normal((3, 20, 4000)) for _ in "ab"]
-    p = training_differences(*(trainings_of(0.6 + own, sizes, True) for own in drawn)).p
+    p = training_differences(*(trainings_of(0.6 + own, True, sizes) for own in drawn)).p
     assert 0.03 <= np.mean(p < 0.05) <= 0.08, "with 19 degrees of freedom 0.13"
 
 
