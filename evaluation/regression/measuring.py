@@ -17,7 +17,7 @@ from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.results.recording import RecordingIdentity
 from gridtrack.evaluation.results.run_record import RUN_FILE, RunRecord, RunSettings, TrialIdentity, read_run_record
 from gridtrack.evaluation.results.trial_record import TrialRecord, read_trial_record
-from gridtrack.evaluation.runs.measurements import missing_measurements
+from gridtrack.evaluation.runs.settings import missing_measurements
 from gridtrack.evaluation.statistics.score_intervals import Scope
 from gridtrack.evaluation.statistics.units import UnitRule, enough_sources
 

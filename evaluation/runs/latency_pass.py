@@ -5,8 +5,7 @@ from __future__ import annotations
 from itertools import islice
 from pathlib import Path
 
-from gridtrack.evaluation.hosting.call_times import Timings
-from gridtrack.evaluation.hosting.latency import Latencies
+from gridtrack.evaluation.hosting.timing import Latencies, Timings
 from gridtrack.evaluation.results.passes import CallTimes, Latency, Quantiles
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.scoring.referee import WARM_UP

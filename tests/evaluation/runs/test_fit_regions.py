@@ -8,7 +8,7 @@ import pytest
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.evaluation.runs.fit_regions import FitScores, StretchRegions, cell_kinds_for, store_regions
-from gridtrack.evaluation.runs.stored_stretch import StoredStretch, store_stretch
+from gridtrack.evaluation.runs.stretch_files import StoredStretch, store_stretch
 from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.evaluation.scoring.regions import regions_of
 from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA
