@@ -129,7 +129,7 @@ def complete_degradation(incomplete: str) -> Iterator[str]:
 
 def complete_slurm(incomplete: str) -> Iterator[str]:
     """What a trial can ask of Slurm, as KEY=."""
-    from gridtrack.evaluation.engines.slurm_settings import SlurmSettings
+    from gridtrack.evaluation.engines.slurm_cluster import SlurmSettings
 
     return _complete_keys(incomplete, SlurmSettings)
 

@@ -42,9 +42,9 @@ from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, printable
 from gridtrack.common.remote_files import is_url
 
 if TYPE_CHECKING:
-    from gridtrack.evaluation.runs.summary import RunSummary
     from gridtrack.evaluation.runs.plan import ComparisonPlan
     from gridtrack.evaluation.runs.settings import CompareSettings
+    from gridtrack.evaluation.runs.summary import RunSummary
 
 INCOMPLETE = 3
 
@@ -149,7 +149,7 @@ def _seconds(text: str | None) -> float | None:
 def _settings(given: dict[str, Any], limits: dict[str, Any], degrade: str | None, slurm: str | None) -> CompareSettings:
     """The settings with the values that the user gave; None is an option that was not given."""
     from gridtrack.common.config import validated
-    from gridtrack.evaluation.engines.slurm_settings import parse_slurm
+    from gridtrack.evaluation.engines.slurm_cluster import parse_slurm
     from gridtrack.evaluation.hosting.limits import Limits
     from gridtrack.evaluation.runs.settings import CompareSettings
     from gridtrack.recordings.degradation import parse_degradation
@@ -255,8 +255,8 @@ def compare_helps() -> dict[str, str]:
 
 def _warn_of_missing(plan: ComparisonPlan) -> bool:
     """Print the requested measurements that a complete trial lacks; whether there are any."""
+    from gridtrack.evaluation.runs.settings import missing_measurements
     from gridtrack.evaluation.runs.trial_record import read_trial_record
-    from gridtrack.evaluation.runs.measurements import missing_measurements
 
     records = [read_trial_record(plan.settings.out / trial.name) for trial in plan.trials]
     complete = [record for record in records if record and record.outcome == "ok"]

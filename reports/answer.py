@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from gridtrack.evaluation.runs.summary import TrackerSummary
-from gridtrack.evaluation.runs.summary import TrialSummary
+from gridtrack.evaluation.runs.summary import TrackerSummary, TrialSummary
 from gridtrack.reports.main_result import lead_of
 from gridtrack.reports.notices import failures_of
 from gridtrack.reports.run import ReportedRun

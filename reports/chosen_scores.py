@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.common.horizons import nearest_step
-from gridtrack.evaluation.runs.summary import TrialSummary, better_direction
 from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.runs.summary import TrialSummary, better_direction
 from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.main_result import lead_of
 from gridtrack.reports.patterns import names_matching

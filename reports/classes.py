@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from gridtrack.evaluation.runs.summary import ClassDifference
-from gridtrack.evaluation.runs.summary import ClassScores, TrialSummary
 from gridtrack.evaluation.runs.result_files import Curve
+from gridtrack.evaluation.runs.summary import ClassDifference, ClassScores, TrialSummary
 from gridtrack.evaluation.scoring.semantics import VISIBILITIES
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow, name_in

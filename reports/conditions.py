@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from gridtrack.evaluation.runs.summary import TrialSummary
 from gridtrack.evaluation.runs.result_files import Curves
+from gridtrack.evaluation.runs.summary import TrialSummary
 from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableColumn
 
 CONDITION_STRATA = (MAIN_STRATUM, "dynamic", "visible")

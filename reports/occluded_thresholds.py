@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gridtrack.evaluation.runs.summary import OccludedDifference
 from gridtrack.evaluation.referee.strata import OCCLUDED
+from gridtrack.evaluation.runs.summary import OccludedDifference
 from gridtrack.reports.differences import p_text
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow, name_in

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.runs.summary import StratumScores, TrialSummary, better_direction
 from gridtrack.evaluation.runs.result_files import Curve
+from gridtrack.evaluation.runs.summary import StratumScores, TrialSummary, better_direction
 from gridtrack.reports.conditions import condition_texts, conditions_of
 from gridtrack.reports.label_budget import label_budget_of
 from gridtrack.reports.moment_packing import level_colours

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gridtrack.evaluation.referee.samples import SAMPLES, Sample, SamplesError, read_samples
 from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.runs.run_record import RecordingIdentity
-from gridtrack.evaluation.referee.samples import SAMPLES, Sample, SamplesError, read_samples
 from gridtrack.reports.moment_choice import ChosenMoment, FrameScore, frame_scores, moments_in_order
 from gridtrack.reports.moment_packing import TrackerPlanes, pack_moment
 from gridtrack.reports.run import ReportError

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.results.columns import CALIBRATION_BINS, PROBABILITY_EDGES
+from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.summary import SUMMARY_FILE
-from gridtrack.evaluation.scoring.counting import for_calibration
+from gridtrack.evaluation.scores.cells import for_calibration
 from gridtrack.evaluation.scoring.metrics import ratio
 from gridtrack.evaluation.scoring.score_store import ScoresError
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.jackknife import proportion_interval
 from gridtrack.evaluation.statistics.pr_auc import summed_histograms
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics

@@ -8,12 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from gridtrack.common.errors import GridtrackError
+from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.runs.run_record import RUN_FILE, RunRecord, read_run_record
-from gridtrack.evaluation.runs.summary import ALL_RECORDINGS, SUMMARY_FILE, RunSummary, read_summary
+from gridtrack.evaluation.runs.summary import (
+    ALL_RECORDINGS,
+    SUMMARY_FILE,
+    PooledSummary,
+    RunSummary,
+    ScopeSummary,
+    TrialSummary,
+    read_summary,
+)
 from gridtrack.evaluation.runs.trial_record import read_trial_record
-from gridtrack.evaluation.runs.summary import PooledSummary, ScopeSummary, TrialSummary
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 
 UNDEFINED = "–"
 """Shown where a score is undefined."""

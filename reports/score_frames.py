@@ -7,8 +7,7 @@ from typing import Any
 
 import polars as pl
 
-from gridtrack.evaluation.runs.summary import HeadlineTest, RunSummary
-from gridtrack.evaluation.runs.summary import StratumScores
+from gridtrack.evaluation.runs.summary import HeadlineTest, RunSummary, StratumScores
 from gridtrack.reports.run import with_pooled
 
 SCORES = tuple(name for name in StratumScores.model_fields if name != "interval")

@@ -8,8 +8,7 @@ from itertools import groupby
 from typing import Literal
 
 from gridtrack.common.horizons import nearest_step
-from gridtrack.evaluation.runs.summary import TrackerSummary
-from gridtrack.evaluation.runs.summary import TrialSummary
+from gridtrack.evaluation.runs.summary import TrackerSummary, TrialSummary
 from gridtrack.evaluation.statistics.score_intervals import HEADLINE_HORIZONS_S, HEADLINE_STRATA
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError

@@ -122,7 +122,8 @@ def _change_text(row: AnyRow) -> str:
     significance = "" if row.p is None else f", p {row.p:.4f}"
     spread = "" if row.spread is None else f", spread between trainings {row.spread:.4f}"
     return (
-        f"{name_of_score(row)} {score_text(row.baseline)} to {score_text(row.run)}, {_fall_text(row)}{significance}{spread}"
+        f"{name_of_score(row)} {score_text(row.baseline)} to {score_text(row.run)}, "
+        f"{_fall_text(row)}{significance}{spread}"
         f"{REASONS[row.criterion]}"
     )
 

@@ -15,11 +15,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
 from gridtrack.evaluation.referee.referee import Delivery, Schedule
-from gridtrack.evaluation.referee.kinds import Regions
-from gridtrack.evaluation.scoring.semantics import VISIBILITIES, count_classes, match_classes
 from gridtrack.evaluation.referee.targets import Target
-from gridtrack.evaluation.referee.kinds import KindsOfWindow
+from gridtrack.evaluation.scoring.semantics import VISIBILITIES, count_classes, match_classes
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Tracker

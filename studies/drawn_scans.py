@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.common.raycast import cast_scan
-from gridtrack.evaluation.runs.oracle import expected_grid, range_errors
-from gridtrack.evaluation.scoring.counting import CLIP
 from gridtrack.evaluation.referee.strata import CELL_KINDS, cell_kinds_around
+from gridtrack.evaluation.runs.oracle import expected_grid, range_errors
+from gridtrack.evaluation.scores.cells import CLIP
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.recordings.truth import static_cells

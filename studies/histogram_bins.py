@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from sklearn.metrics import average_precision_score
 
 from gridtrack.common.horizons import nearest_step
-from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
-from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.counting import Tally
 from gridtrack.evaluation.referee.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.referee.splits import Sampling, plan_split
 from gridtrack.evaluation.referee.targets import SEEN_OCCUPIED
+from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
+from gridtrack.evaluation.scores.cells import Tally
+from gridtrack.evaluation.scoring import metrics
 
 from studies.support.results_file import measured_table, write_table
 from studies.support.shipped import DEMO, JUNCTION, shipped_tracker

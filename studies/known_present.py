@@ -21,13 +21,13 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.common.horizons import nearest_step
 from gridtrack.common.scene import Scene, SceneObject
-from gridtrack.evaluation.runs.oracle import Oracle, expected_grid
-from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.referee.motion import FollowedBodies
-from gridtrack.evaluation.scoring.counting import Tally, count_forecast
 from gridtrack.evaluation.referee.referee import Delivery, TrackerLike, scored_forecasts
 from gridtrack.evaluation.referee.splits import EvaluationSplit, Sampling, plan_splits
-from gridtrack.evaluation.scoring.thresholds import best_thresholds
+from gridtrack.evaluation.runs.oracle import Oracle, expected_grid
+from gridtrack.evaluation.scores.cells import Tally, count_cells
+from gridtrack.evaluation.scores.thresholds import best_thresholds
+from gridtrack.evaluation.scoring import metrics
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.baselines.persistence import PersistenceTracker
@@ -121,7 +121,7 @@ def confusion_of(forecaster: Forecaster, split: EvaluationSplit) -> NDArray[np.i
     tally = Tally.empty(split.steps, split.strata)
     delivery = Delivery(split.test, lambda: None, split.regions().test)
     for scored in scored_forecasts(forecaster(split.test, steps), delivery, split.schedule, seed=0):
-        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, scored.region_maps))
+        tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps))
     ours = tally.of(tuple(STRATA)).at(steps)
     return ours.confusion(best_thresholds(tally, split.name).bins[steps][:, [split.strata.index(k) for k in STRATA]])
 

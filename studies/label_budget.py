@@ -23,11 +23,10 @@ from torch import Tensor
 
 from gridtrack.common.config import validated
 from gridtrack.common.grid import GridFrame
+from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
 from gridtrack.evaluation.referee.referee import Delivery, Schedule
-from gridtrack.evaluation.referee.kinds import Regions
-from gridtrack.evaluation.scoring.semantics import VISIBILITIES, Matching, count_classes, match_classes
 from gridtrack.evaluation.referee.targets import Target
-from gridtrack.evaluation.referee.kinds import KindsOfWindow
+from gridtrack.evaluation.scoring.semantics import VISIBILITIES, Matching, count_classes, match_classes
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.cell_training import best_classifier
 from gridtrack.trackers.contract import FitOutput

@@ -13,10 +13,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 
+from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.run_record import RecordingSummary
-from gridtrack.evaluation.runs.summary import SUMMARY_FILE, read_summary
-from gridtrack.evaluation.runs.summary import StratumScores
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.evaluation.runs.summary import SUMMARY_FILE, StratumScores, read_summary
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 
 from studies.support.comparison import compare, finished_trials, train

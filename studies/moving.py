@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.referee.splits import ORACLE
+from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.summary import RunSummary, read_summary
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts
 from gridtrack.evaluation.statistics.jackknife import PairedDifferences, differences, jackknifed, pooled
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics

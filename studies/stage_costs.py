@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.common.scene import SceneObject
-from gridtrack.evaluation.scoring.in_process import score_in_process
 from gridtrack.evaluation.referee.kinds import regions_of
 from gridtrack.evaluation.referee.strata import STRATA
+from gridtrack.evaluation.runs.objective import score_in_process
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.contract import Forecast

@@ -18,10 +18,10 @@ from scipy.special import expit, logit
 
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.runs.trial_record import read_trial_record
+from gridtrack.evaluation.scores.cells import HALF, Tally
+from gridtrack.evaluation.scores.thresholds import best_thresholds
 from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.counting import HALF, Tally
 from gridtrack.evaluation.scoring.histograms import read_tally
-from gridtrack.evaluation.scoring.thresholds import best_thresholds
 
 from studies.support.results_file import measured_table, write_table
 

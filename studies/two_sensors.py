@@ -24,14 +24,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.referee.referee import moments
-from gridtrack.evaluation.referee.motion import ObservedMotion
-from gridtrack.evaluation.referee.referee import Schedule
 from gridtrack.evaluation.referee.kinds import regions_of
+from gridtrack.evaluation.referee.motion import ObservedMotion
+from gridtrack.evaluation.referee.referee import Schedule, moments
 from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH, RegionMaps
 from gridtrack.evaluation.referee.targets import Target, target_of
-from gridtrack.evaluation.scoring.thresholds import best_thresholds
+from gridtrack.evaluation.scores.cells import Tally, count_cells
+from gridtrack.evaluation.scores.thresholds import best_thresholds
 from gridtrack.evaluation.statistics.jackknife import (
     PairedDifferences,
     differences,
@@ -115,7 +114,7 @@ def counted(tracker: Tracker, stream: GridStream, scored: Sequence[Cells]) -> li
             occupancy = tracker.predict(STEPS).occupancy[ahead]
             for tally, cells in zip(tallies, scored, strict=True):
                 targets = [cells.target(index + step) for step in ahead]
-                tally.add(count_forecast(occupancy, targets, cells.region_maps))
+                tally.add(count_cells(occupancy, targets, cells.region_maps))
     return [tally.of(STRATA) for tally in tallies]
 
 

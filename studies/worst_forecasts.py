@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from gridtrack.common.horizons import nearest_step
-from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.referee.samples import SAMPLES, Sample, read_samples
+from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.reports.moment_choice import FrameScore, frame_scores
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import ReportedRun, read_runs

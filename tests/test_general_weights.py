@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import sha256_of
-from gridtrack.evaluation.runs.general_start import general_start
 from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.train import general_start
 from gridtrack.recordings import packaged_recording
 from gridtrack.trackers.weights import read_card
 

@@ -9,10 +9,9 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.runs.general_start import general_start
-from gridtrack.evaluation.runs.progress_lines import ProgressLines
 from gridtrack.evaluation.runs.recipe import Recipe
-from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.evaluation.runs.train import general_start, train_tracker
+from gridtrack.evaluation.runs.training_process import ProgressLines
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.weights import read_card
@@ -83,7 +82,7 @@ def test_a_folder_of_general_weights_and_from_scratch_contradict_each_other(tmp_
 
 
 def test_a_training_from_scratch_looks_for_no_general_weights(monkeypatch, tmp_path):
-    monkeypatch.setattr("gridtrack.evaluation.runs.general_start.find_weights", None)
+    monkeypatch.setattr("gridtrack.evaluation.runs.train.find_weights", None)
     told = []
     assert general_start(Recipe(tracker="dogma", from_scratch=True), [], tmp_path, told.append, can_start=True) is None
     assert told == ["from scratch, not from general weights"]

@@ -16,7 +16,6 @@ from pydantic import ValidationError
 from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.regression.measurement import BANDS, Measurement, Speed, SplitKey, UnitSums, Unmeasured
 from gridtrack.evaluation.runs.finished import FinishedTrial, RunTrials
-from gridtrack.evaluation.runs.measurements import missing_measurements
 from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.runs.run_record import (
     RUN_FILE,
@@ -26,6 +25,7 @@ from gridtrack.evaluation.runs.run_record import (
     TrialIdentity,
     read_run_record,
 )
+from gridtrack.evaluation.runs.settings import missing_measurements
 from gridtrack.evaluation.runs.sums import ScoredFrames, TrialSums
 from gridtrack.evaluation.runs.trial_record import TrialRecord, read_trial_record
 from gridtrack.evaluation.scores.definition import ScoreDefinition

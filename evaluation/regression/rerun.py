@@ -8,13 +8,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from gridtrack.common.config import validated
-from gridtrack.evaluation.engines.engine import RunObserver
 from gridtrack.evaluation.regression.measurement import Measurement, Unmeasured
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.runs.plan import ComparisonPlan, resolve
-from gridtrack.evaluation.runs.provenance import versions
+from gridtrack.evaluation.runs.run_folder import versions
 from gridtrack.evaluation.runs.run_record import RunRecord, read_run_record
-from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.runner import RunObserver, run
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.trial_record import code_differs, read_trial_record
 

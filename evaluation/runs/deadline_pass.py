@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.hosting.call_times import Call, Timings
-from gridtrack.evaluation.hosting.clock import Clock
-from gridtrack.evaluation.hosting.latency import TWENTIETHS
+from gridtrack.evaluation.hosting.timing import TWENTIETHS, Call, Clock, Timings
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.evaluation.referee.deadline import RATES, Costs, DeadlineTracker, Timeline, spare_steps, timeline
 from gridtrack.evaluation.referee.referee import WARM_UP, Delivery

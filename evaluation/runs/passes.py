@@ -7,8 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from gridtrack.evaluation.hosting.clock import Clock
-from gridtrack.evaluation.hosting.latency import TWENTIETHS
+from gridtrack.evaluation.hosting.timing import TWENTIETHS, Clock
 from gridtrack.evaluation.runs.result_files import Curves, ResultModel
 from gridtrack.recordings.degradation import Degradation
 

@@ -19,8 +19,14 @@ from gridtrack.evaluation.hosting.sandbox import check_sandbox
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess, describe
 from gridtrack.evaluation.referee.splits import ORACLE, EvaluationSplit, Sampling, plan_splits, segments_of, with_points
 from gridtrack.evaluation.referee.strata import OCCLUDED, SCORING_RULES
-from gridtrack.evaluation.runs.leaks import leaks_of, refuse_leaks
-from gridtrack.evaluation.runs.learned import LearnedWeights, copy_weights, find_weights, weights_in
+from gridtrack.evaluation.runs.learned import (
+    LearnedWeights,
+    copy_weights,
+    find_weights,
+    leaks_of,
+    refuse_leaks,
+    weights_in,
+)
 from gridtrack.evaluation.runs.run_record import RunConfiguration, TrialIdentity, identity_of
 from gridtrack.evaluation.runs.settings import CompareSettings, check_together
 from gridtrack.evaluation.runs.summary import ALL_RECORDINGS
@@ -43,7 +49,7 @@ class Trial:
     seed: int
     limits: Limits
     others: tuple[EvaluationSplit, ...] = ()
-    """The other splits of its recording: its tracker is not to be trained on these either."""
+    """The other splits of its recording, on which its tracker must not be trained either."""
     scores: tuple[str, ...] = ()
     """Names of the scores of other packages by which it is scored."""
 
@@ -70,20 +76,19 @@ class Trial:
 
     @property
     def beyond_training(self) -> str:
-        """A notice where its general weights were trained on other cells or periods than those of the stream, or ""."""
+        """A notice if its general weights were trained on other cell sizes or periods than the stream's, or ""."""
         beyond = self.weights and self.weights.card.beyond_training(self.test.grid.cell_m, self.test.period_s)
         return f"{self.label}, {self.split.name}: its general weights were trained on {beyond}" if beyond else ""
 
     @property
     def leaks(self) -> tuple[str, ...]:
-        """What its weights learned from the frames that it is scored on, or that its thresholds are chosen on."""
+        """Frames that its weights learned from and that it is scored on, or its thresholds are chosen on."""
         return leaks_of(self.split, self.weights)
 
     def tracker_process(self, log: Path, *, scored: bool = False) -> TrackerProcess:
         """The tracker, not started yet, on the test stretch's grid and period; its stderr goes to `log`.
 
-        `scored`: whether its forecasts get the scores of a trial: classes among them where the recording has some,
-        velocities with ground truth.
+        `scored`: whether its forecasts get all scores of a trial, such as those of classes and velocities.
         """
         stream = replace(stream_of(self.test), velocity_scored=scored and OCCLUDED in self.split.strata)
         if self.weights:
@@ -100,7 +105,7 @@ class Trial:
         )
 
     def with_original_paths(self, reason: str) -> str:
-        """`reason` with the folder of the weights where it names that of their copy."""
+        """`reason` with the original folder of the weights in place of the folder of their copy."""
         return reason.replace(str(self.weights.path.parent), str(self.weights.original)) if self.weights else reason
 
     @property
@@ -119,14 +124,14 @@ class Trial:
         return f"{missing}; run `{command}`, then compare {then}"
 
     def _sampling_options(self) -> list[str]:
-        """The grid and rate of this comparison as command-line options, where they differ from the recording's own."""
+        """The grid and rate of this comparison as command-line options, if they differ from the recording's own."""
         test = self.split.test
         own = GridStream(test.recording)
         grid = [] if test.grid == own.grid else ["--grid", str(test.grid)]
         return grid if test.period_ns == own.period_ns else [*grid, "--rate", f"{1 / test.period_s:g}"]
 
     def identity(self) -> TrialIdentity:
-        """What the trial's scores depend on, learned weights apart; a resumed run keeps scores of the same identity."""
+        """All that the scores depend on, except learned weights; a resumed run keeps scores of the same identity."""
         return TrialIdentity(
             tracker=self.selection.name,
             options=dict(self.selection.options),
@@ -173,12 +178,12 @@ def sampling_of(settings: CompareSettings) -> Sampling:
 
 
 def segmented(whole: EvaluationSplit, settings: CompareSettings) -> Iterable[EvaluationSplit]:
-    """The segments of a split that `settings` ask for; the split itself where they ask for none."""
+    """The segments of a split that `settings` request, or the split itself."""
     return (whole,) if settings.segment_s is None else segments_of(whole, settings.segment_s, settings.warm_up_s)
 
 
 def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | None = None) -> ComparisonPlan:
-    """Look up everything that `settings` names, before any trial runs; `splits` of its recordings where they are known.
+    """Look up everything that `settings` names, before any trial runs; `splits` of its recordings if they are known.
 
     Raises a GridtrackError for a recording, stretch, tracker, option or weights file that cannot be used.
     """
@@ -239,7 +244,7 @@ def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
 
 
 def _check_options(selection: Selection, start: Launch, limits: Limits) -> None:
-    """Let the tracker validate its options; defaults need no check, and starting a process costs time."""
+    """Let the tracker validate its options; defaults need no check, which would start a process."""
     if not selection.options:
         return
     # a tracker that cannot be loaded ends as `unavailable` in its own trial, and stops no other
@@ -277,7 +282,7 @@ def _refuse_equal_names(splits: tuple[EvaluationSplit, ...]) -> None:
 
 
 def _refuse_overlaps(splits: tuple[EvaluationSplit, ...]) -> None:
-    """A frame is scored once: a repeated one looks like more evidence than there is."""
+    """Refuse stretches that overlap: a repeated frame would look like more evidence."""
     for one, other in combinations(splits, 2):
         times = one.test.recorded, other.test.recorded
         if times[0].source_sha256 == times[1].source_sha256 and times[0].overlaps(times[1]):
@@ -297,7 +302,7 @@ def _others_of_recording(splits: Sequence[EvaluationSplit]) -> Iterator[tuple[Ev
 
 
 def _refuse_thresholds_of_another_site(trial: Trial) -> None:
-    """The map and the calibration of a site do not hold at another one, nor do thresholds that are chosen there."""
+    """The map, the calibration and the thresholds of one site do not hold at another one."""
     site, validation = trial.split.test.site, trial.split.validation
     if trial.weights is None or trial.weights.card.general or validation is None or validation.site == site:
         return
@@ -309,7 +314,7 @@ def _refuse_thresholds_of_another_site(trial: Trial) -> None:
 
 
 def _weights_of(selection: Selection, site: str, override: Path | None) -> LearnedWeights | None:
-    """The weights of a row. Raises WeightsError where its own folder has none."""
+    """The weights of a row. Raises WeightsError if the row's own folder has none."""
     if selection.weights is None:
         return find_weights(selection.name, site, override, selection.card)
     return weights_in(selection.weights, selection.name, site, selection.card)

@@ -26,9 +26,10 @@ class Recipe(Settings):
     """One training of one tracker. Paths are relative to the working directory, as on the command line; recordings and
     weights may be named by URLs.
 
-    `recordings` and `validation` as RECORDING[@range], or a folder for all recordings in it; without `validation` it is
-    the recordings' own validation stretch. `grid` as CELLSxMETRES[@X,Y]; without `grid` and `rate_hz` they are the
-    recordings'. `out` is the folder of weights. A recipe file may leave `tracker` and `recordings` to the command line.
+    `recordings` and `validation` as RECORDING[@range], or a folder for all recordings in it; without `validation` the
+    recordings' own validation stretches are used. `grid` as CELLSxMETRES[@X,Y]; without `grid` and `rate_hz` those of
+    the recordings are used. `out` is the folder of weights. A recipe file may leave `tracker` and `recordings` to the
+    command line.
     """
 
     tracker: str = ""
@@ -43,14 +44,14 @@ class Recipe(Settings):
     """Learn for any place, from recordings of many places."""
     weights: str | None = None
     """Folder in which general weights to start from are searched first, as by `compare`. A general training starts from
-    general weights only where it names one."""
+    general weights only if it names one."""
     from_scratch: bool = False
     """Do not start from general weights."""
 
     @model_validator(mode="after")
     def _one_start(self) -> Recipe:
         if self.weights and self.from_scratch:
-            raise ValueError("weights (of which folder to start) and from_scratch (from none): leave one of them out")
+            raise ValueError("weights (the folder to start from) and from_scratch: leave one of them out")
         return self
 
     @property
@@ -71,9 +72,9 @@ class Recipe(Settings):
 
 
 def with_local_copies(recipe: Recipe, note: Callable[[str], None]) -> Recipe:
-    """The recipe with the local copies of what it names by URLs. Raises StoreError.
+    """The recipe with local copies of the files that it names by URLs. Raises StoreError.
 
-    Its `command` is for this machine only: that of `recipe` repeats the training anywhere.
+    Its `command` is for this machine only: the command of `recipe` repeats the training anywhere.
     """
     return recipe.model_copy(
         update={
@@ -105,7 +106,7 @@ def read_recipe(path: Path) -> Recipe:
 def recipe_like(path: Path) -> Recipe:
     """Tracker, settings, seed and start of the training that wrote the card at `path`. Raises WeightsError.
 
-    A card names recordings without their folders, and its grid belongs to its site: the user names both.
+    The user names recordings and grid: a card has no folders, and its grid belongs to its site.
     """
     card = read_card(path)
     from_scratch = card.started_from is None
@@ -113,9 +114,9 @@ def recipe_like(path: Path) -> Recipe:
 
 
 def complete_recipe(base: Recipe, overrides: Mapping[str, Any]) -> Recipe:
-    """`base` with the fields in `overrides` replaced, and of its options those that `overrides` name.
+    """`base` with the fields in `overrides` replaced; `options` are replaced one by one.
 
-    Raises ConfigurationError where a field is invalid, or no tracker or recording is named.
+    Raises ConfigurationError if a field is invalid, or no tracker or recording is named.
     """
     fields = base.model_dump(exclude_unset=True) | dict(overrides)
     fields["options"] = {**base.options, **overrides.get("options", {})}

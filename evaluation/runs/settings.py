@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.engines.slurm_settings import SLURM_OPTION, SlurmSettings
+from gridtrack.evaluation.engines.slurm_cluster import SLURM_OPTION, SlurmSettings
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.recordings.degradation import Degradation
 
+if TYPE_CHECKING:
+    from gridtrack.evaluation.runs.trial_record import TrialRecord
+
 EngineName = Literal["local", "ray", "slurm"]
-"""What carries out the trials: threads of this process, or the nodes of a Ray or a Slurm cluster."""
+"""Trials run in threads of this process, or on the nodes of a Ray or a Slurm cluster."""
 
 
 class CompareSettings(Settings):
     """A requested comparison.
 
     `recordings` as RECORDING[@range], `trackers` as [LABEL=]NAME[:key=value,...] (none: every registered one);
-    `reference` the label of the row that the others are compared with (none: `persistence`, else the first);
+    `reference` is the label of the row with which the others are compared (none: `persistence`, else the first);
     `validation` a RECORDING[@range] to choose thresholds on, instead of each recording's own validation stretch. With
-    `segment_s` longer test stretches are cut into trials of their own, each after `warm_up_s` that are not scored. With
+    `segment_s` longer test stretches are cut into separate trials, each after `warm_up_s` that are not scored. With
     `follow` the recording is still being written, and it ends when nothing was written for `idle_timeout_s`.
     """
 
@@ -36,7 +40,7 @@ class CompareSettings(Settings):
     every_s: float = Field(1.0, gt=0.0, le=3600.0)
     segment_s: float | None = Field(None, ge=10.0, le=86_400.0)
     warm_up_s: float = Field(60.0, ge=0.0, le=3600.0)
-    """Of segments after the first, at least."""
+    """Shortest warm-up of segments after the first."""
     grid: str | None = None
     rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
     scores: tuple[str, ...] = ()
@@ -48,7 +52,7 @@ class CompareSettings(Settings):
     jobs: int | None = Field(None, ge=1)
     engine: EngineName = "local"
     address: str | None = None
-    """Of the Ray cluster; None: the one that this machine belongs to."""
+    """The address of a Ray cluster; None: the cluster of this machine."""
     slurm: SlurmSettings | None = None
     allow_leak: bool = False
     resume: bool = False
@@ -60,30 +64,61 @@ class CompareSettings(Settings):
 
 
 def check_together(settings: CompareSettings) -> None:
-    """Raise ConfigurationError for settings that are not possible together."""
+    """Raise ConfigurationError for settings that cannot be combined."""
     if settings.follow and settings.segment_s is not None:
         raise ConfigurationError("--segment cuts a finished recording: leave it out with --follow")
     _check_engine(settings)
 
 
 def _check_engine(settings: CompareSettings) -> None:
-    """Raise ConfigurationError for settings that the engine does not have."""
+    """Raise ConfigurationError for settings that the engine does not support."""
     engine = settings.engine
     if settings.address is not None and engine != "ray":
-        raise ConfigurationError("--address is of a Ray cluster: leave it out, or choose --engine ray")
+        raise ConfigurationError("--address names a Ray cluster: leave it out, or choose --engine ray")
     if settings.slurm is not None and engine != "slurm":
-        raise ConfigurationError(f"{SLURM_OPTION} is of a Slurm cluster: leave it out, or choose --engine slurm")
+        raise ConfigurationError(f"{SLURM_OPTION} is for a Slurm cluster: leave it out, or choose --engine slurm")
     if engine == "local":
         return
     for name in ("latency", "deadline"):
         if getattr(settings, name):
             raise ConfigurationError(
-                f"--{name} times each tracker alone on a machine, which --engine {engine} does not give: leave it out,"
-                f" then measure on one machine with --engine local --resume --{name}"
+                f"--{name} times each tracker alone on a machine, which --engine {engine} cannot guarantee: leave it"
+                f" out, then measure on one machine with --engine local --resume --{name}"
             )
     if settings.follow:
         raise ConfigurationError(f"--follow runs on this machine: leave --engine {engine} out")
     if settings.jobs is not None:
         raise ConfigurationError(
-            f"--jobs is of --engine local: with --engine {engine} as many trials run as the cluster has room for"
+            f"--jobs is for --engine local: with --engine {engine} as many trials run as the cluster has room for"
+        )
+
+
+class RequestedMeasurements(Protocol):
+    """The options `--latency`, `--deadline` and `--degrade` of `compare`."""
+
+    @property
+    def latency(self) -> bool:
+        """Whether to time each tracker alone."""
+
+    @property
+    def deadline(self) -> bool:
+        """Whether to score each tracker on a simulated clock."""
+
+    @property
+    def degrade(self) -> Degradation | None:
+        """The degradation of a second, degraded input; None: no such input."""
+
+
+def missing_measurements(requested: RequestedMeasurements, record: TrialRecord) -> Iterator[str]:
+    """A line for each requested measurement that is missing in the record of a complete trial."""
+    missing = {
+        "--latency": requested.latency and record.latency_ms is None,
+        "--deadline": requested.deadline and record.deadline is None,
+        "--degrade": requested.degrade is not None
+        and (record.robustness is None or record.robustness.degradation != requested.degrade),
+    }
+    for option in (option for option, is_missing in missing.items() if is_missing):
+        yield (
+            f"{record.label}@{record.recording}: {option} was requested and failed (reason: `notices` in summary.json):"
+            " compare again with --resume"
         )

@@ -8,9 +8,9 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.summary import RunSummary
 from gridtrack.evaluation.runs.trial_record import read_trial_record
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.trackers.weights import read_card
 
 RECORDINGS = Path("data/junction")

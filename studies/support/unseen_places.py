@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
+from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.run_record import RecordingSummary
 from gridtrack.evaluation.runs.summary import (
     ORACLE,
     PairFamily,
+    StratumScores,
     TrackerDifference,
     TrackerTrainings,
     read_summary,
 )
-from gridtrack.evaluation.runs.summary import StratumScores
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
 from gridtrack.evaluation.statistics.jackknife import COUNTS
 from gridtrack.evaluation.statistics.pair_statistics import PairStatistics
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics

@@ -12,7 +12,7 @@ from gridtrack.evaluation.runs.passes import CallTimes, Latency, Quantiles
 from gridtrack.evaluation.runs.run_record import RecordingDescription
 from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.beam_errors import beam_errors
-from gridtrack.evaluation.scoring.counting import count_forecast
+from gridtrack.evaluation.scores.cells import count_cells
 from gridtrack.evaluation.referee.referee import moments
 from gridtrack.evaluation.referee.motion import ObservedMotion
 from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
@@ -23,9 +23,9 @@ from gridtrack.evaluation.referee.samples import SAMPLES, SampleWriter
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
 from gridtrack.evaluation.scoring.spatial_store import SpatialWriter
 from gridtrack.evaluation.referee.strata import STRATA
-from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.scores.thresholds import Thresholds, bins_of
+from gridtrack.evaluation.runs.finished import FinishedTrial
+from gridtrack.evaluation.runs.summarise import summarise
 from gridtrack.recordings.observation import Observation
 from gridtrack.reports.page import render_report
 from gridtrack.trackers.contract import Forecast
@@ -121,7 +121,7 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
         for t in list(range(WARM_UP, FRAMES - STEPS, EVERY))[:scored]:
             targets = tuple(moment.target for moment in MOMENTS[t : t + STEPS + 1])
             one = ScoredForecast(Forecast(forecast(t)), targets, MOMENTS[t].region_maps, JUST_SEEN)
-            counted = count_forecast(one.forecast.occupancy, targets, one.region_maps)
+            counted = count_cells(one.forecast.occupancy, targets, one.region_maps)
             scores.add(one.stamp_ns, f"{t:032x}", counted, one.frames[-1].stamp_ns)
             sums = sum_neighbourhoods(one.forecast.occupancy, targets, one.region_maps, JUST_SEEN)
             spatial.add(one.stamp_ns, sums, beam_errors(one.forecast.occupancy, targets, one.region_maps, GRID.cell_m))

@@ -10,7 +10,7 @@ import pytest
 
 from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
 from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.runs.summarise import summarise
 from gridtrack.reports.page import render_report
 from gridtrack.reports.probability_curves import probability_curves
 from gridtrack.reports.run import read_runs

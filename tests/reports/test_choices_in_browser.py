@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import pytest
 
 from gridtrack.evaluation.runs.summary import better_direction
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.runs.summarise import summarise
 from gridtrack.reports.page import render_report
 from gridtrack.reports.page_data import PAGE_SCORES
 

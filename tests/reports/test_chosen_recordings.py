@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.runs.summarise import summarise
 from gridtrack.reports import chosen_recordings
 from gridtrack.reports.chosen_recordings import chosen_runs
 from gridtrack.reports.formats import render_as

@@ -11,7 +11,7 @@ import pytest
 
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.runs.result_files import RunError
-from gridtrack.evaluation.scoring.counting import for_calibration
+from gridtrack.evaluation.scores.cells import for_calibration
 from gridtrack.evaluation.scoring.histograms import UnitHistograms
 from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.statistics.score_intervals import HEADLINE_STRATA

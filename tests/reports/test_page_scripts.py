@@ -3,7 +3,7 @@
 import pytest
 
 from gridtrack.evaluation.runs.summary import read_summary
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.runs.summarise import summarise
 from gridtrack.reports.page import render_report
 
 from scenes import synthetic_run as synthetic

@@ -10,7 +10,7 @@ import shutil
 import pytest
 from rich.console import Console
 
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.runs.summarise import summarise
 from gridtrack.reports import terminal
 from gridtrack.reports.answer import answer_of
 from gridtrack.reports.chosen_scores import exported_tables

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.runs.summarise import summarise
 
 from scenes.synthetic_run import description, write_trial
 from studies.moving import Comparison, difference_section, pair_section, score_tables, view_section

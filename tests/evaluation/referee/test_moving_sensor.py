@@ -17,8 +17,8 @@ from gridtrack.evaluation.results.columns import BEAM_ERROR_BINS
 from gridtrack.evaluation.runs.oracle import Oracle
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.beam_errors import beam_errors
-from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.thresholds import half
+from gridtrack.evaluation.scores.cells import Tally, count_cells
+from gridtrack.evaluation.scores.thresholds import half
 from gridtrack.evaluation.statistics.spatial_scores import median_size
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
@@ -66,7 +66,7 @@ def test_a_wall_that_stays_while_the_window_moves_by_a_cell_is_where_it_was_fore
     assert states(now.target_in(now.window, now.region_maps)) == ["....#", "....#", "....#", "...##", "    #"]
     target = then.target_in(now.window, now.region_maps)
     assert states(target) == [" ...#", " ...#", " ...#", " ..##", "    #"]
-    tally = count_forecast(BEFORE.occupied[None].astype(np.float32), [target], now.region_maps)
+    tally = count_cells(BEFORE.occupied[None].astype(np.float32), [target], now.region_maps)
     assert tally.confusion(half(0).bins)[0, 0].tolist() == [6, 0, 0, 11], "every cell of the wall is a hit"
 
 
@@ -124,7 +124,7 @@ def scores(stream, tracker, regions=None, strata=("visible", "static", "dynamic"
     tally = Tally.empty(STEPS, regions.strata)
     schedule = Schedule(len(stream), STEPS, EVERY)
     for scored in scored_forecasts(tracker, Delivery(stream, lambda: None, regions), schedule, 0):
-        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
+        tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
     f1 = metrics.f1_score(tally.confusion(half(STEPS, regions.strata).bins))
     return {name: f1[:, k] for k, name in enumerate(regions.strata)}, tally
 

@@ -15,9 +15,9 @@ from gridtrack.evaluation.referee.motion import ObservedMotion
 from gridtrack.evaluation.referee.referee import WARM_UP, Delivery, Schedule, moments, scored_forecasts
 from gridtrack.evaluation.referee.strata import CELL_KINDS
 from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.in_process import score_in_process
-from gridtrack.evaluation.scoring.thresholds import half
+from gridtrack.evaluation.scores.cells import Tally, count_cells
+from gridtrack.evaluation.runs.objective import score_in_process
+from gridtrack.evaluation.scores.thresholds import half
 from gridtrack.trackers.contract import Forecast
 
 GRID = GridSpec(8, 1.0)
@@ -79,7 +79,7 @@ def delivery(stream):
 def f1_per_step(stream, tracker, every=3):
     tally = Tally.empty(STEPS)
     for scored in scored_forecasts(tracker, delivery(stream), Schedule(len(stream), STEPS, every), seed=7):
-        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
+        tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
     return metrics.f1_score(tally.confusion(half(STEPS).bins))[:, 0]
 
 

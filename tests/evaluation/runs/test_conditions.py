@@ -187,7 +187,7 @@ def test_a_resumed_run_degrades_again_only_for_other_strengths(compare, monkeypa
 
 def test_an_unexpected_error_ends_its_trial_and_no_other(compare, progress, monkeypatch):
     """After a full disk or a defect in the scorer the other trials are scored and the summary is written."""
-    original = scorekeeper.count_forecast
+    original = scorekeeper.count_cells
 
     class FullDisk(OSError):
         pass
@@ -197,7 +197,7 @@ def test_an_unexpected_error_ends_its_trial_and_no_other(compare, progress, monk
             raise FullDisk(28, "No space left on device")
         return original(occupancy, *more)
 
-    monkeypatch.setattr(scorekeeper, "count_forecast", counting)
+    monkeypatch.setattr(scorekeeper, "count_cells", counting)
     summary = compare("blank", "persistence")
     failed = trial_of(summary, "blank")
     assert failed.outcome == "failed"

@@ -8,10 +8,9 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.results.columns import SCORES_TABLE
-from gridtrack.evaluation.runs.orders import Order
+from gridtrack.evaluation.runs.jobs import JobOrder, SharedInputs
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.shared_inputs import SharedInputs
 
 COUNTED = ("tp", "fp", "fn", "tn")
 
@@ -77,8 +76,8 @@ def test_another_machine_finds_the_same_segment(settings, long, tmp_path):
     plan = resolve(settings("persistence", **long, segment_s=10.0))
     shared = SharedInputs(plan.settings, lambda text: None, tmp_path)
     for split in plan.splits:
-        order = Order.read(Order.of("oracle", split, shared).model_dump_json(by_alias=True))
-        assert order.split().identity() == identity_of(split)
+        order = JobOrder.read(JobOrder.of("oracle", split, shared).model_dump_json(by_alias=True))
+        assert order.split().identity() == split.identity()
 
 
 def test_frames_at_periods_that_are_no_decimals_are_cut_without_a_gap(settings, long):

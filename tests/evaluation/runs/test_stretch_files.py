@@ -10,8 +10,13 @@ import pytest
 from gridtrack.evaluation.runs import stretch_files
 from gridtrack.evaluation.runs.fit_regions import StretchRegions, cell_kinds_for
 from gridtrack.evaluation.runs.recipe import Recipe
-from gridtrack.evaluation.runs.stored_stretch import StoredStretch
-from gridtrack.evaluation.runs.stretch_files import STRETCHES_VERSION, StretchFiles, stretch_cache, surveyed
+from gridtrack.evaluation.runs.stretch_files import (
+    STRETCHES_VERSION,
+    StoredStretch,
+    StretchFiles,
+    stretch_cache,
+    surveyed,
+)
 from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.formats.native import NativeRecording

@@ -15,7 +15,7 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError, PluginError, WeightsError
 from gridtrack.evaluation.runs.recipe import Recipe
-from gridtrack.evaluation.runs.stored_stretch import StoredStretch, store_stretch
+from gridtrack.evaluation.runs.stretch_files import StoredStretch, store_stretch
 from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.recordings import RecordingInfo, write_native
 from gridtrack.recordings.stream import frame_digest, open_stream
