@@ -76,7 +76,7 @@ class _MainResult:
             return self._why_none()
         value, of_floor = (self._text(rows) if rows else "" for rows in (self._top, self._floor))
         if self._column.better > 0 and not float(value) and not float(of_floor or 0):
-            return f"Every tracker has {self._column.title} {value} on {self._place}."
+            return f"Every tracker has {self._column.title_with_article} of {value} on {self._place}."
         chance = f" {self._may_be_chance()}" if self._compared else ""
         if of_floor and self._column.better * (float(value) - float(of_floor)) <= 0:
             ends = {"different": "; they differ significantly.", "alike": "; they do not differ significantly."}
@@ -97,7 +97,7 @@ class _MainResult:
     def _best_score(self, value: str) -> str:
         """The trackers with the best score; of a single tracker its score."""
         if len(self.table.rows_in("ranked")) == 1:
-            return f"{self._top[0].name} has {self._column.title} {value} on {self._place}"
+            return f"{self._top[0].name} has {self._column.title_with_article} of {value} on {self._place}"
         verb, each = ("have", " each") if len(self._top) > 1 else ("has", "")
         return f"{_names(self._top)} {verb} the {self._best_word} {self._column.title} on {self._place}, {value}{each}"
 
@@ -109,7 +109,7 @@ class _MainResult:
         """That the floor has the best score."""
         alone = len(self.table.rows_in("ranked")) == 1
         best = _names(self._top) if alone else f"the {self._best_word} of the trackers, {_names(self._top)},"
-        floor = f"{_names(self._floor)} has {self._column.title} {self._text(self._floor)}"
+        floor = f"{_names(self._floor)} has {self._column.title_with_article} of {self._text(self._floor)}"
         return f"No tracker beats the floor on {self._place}: {floor}, {best} {self._text(self._top)}"
 
     def _standings_of(self, others: Sequence[TableRow]) -> dict[str, Standing]:

@@ -9,7 +9,16 @@ from gridtrack.evaluation.referee.strata import OCCLUDED
 from gridtrack.evaluation.runs.summary import TrackerDifference
 from gridtrack.reports.differences import DifferenceCell
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableCell, TableColumn, TableRow, grouped, horizon_text, name_in
+from gridtrack.reports.table import (
+    MAIN_STRATUM,
+    HeadlineTable,
+    TableCell,
+    TableColumn,
+    TableRow,
+    grouped,
+    horizon_text,
+    name_in,
+)
 
 
 @dataclass(frozen=True)

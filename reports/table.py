@@ -67,6 +67,12 @@ class TableColumn:
         title = self.output.title
         return title[:1].lower() + title[1:] if title[1:2].islower() else title
 
+    @property
+    def title_with_article(self) -> str:
+        """`a log loss`, `an F1`: of an abbreviation by the sound of its first letter."""
+        vowels = "aeiou" if self.title[1:2].islower() else "AEFHILMNORSX"
+        return f"{'an' if self.title[:1] in vowels else 'a'} {self.title}"
+
     def cell(self, trial: TrialSummary) -> TableCell:
         """The cell of one trial."""
         return TableCell(trial.at(self.stratum, *self.key, self.step), self.output.decimals)

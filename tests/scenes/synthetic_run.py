@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from gridtrack.evaluation.results.columns import BEAM_ERROR_BINS, PROBABILITY_BINS, SCALES
-from gridtrack.evaluation.runs.run_record import RecordingDescription, RecordingIdentity
-from gridtrack.evaluation.runs.run_record import RunConfiguration, RunRecord
-from gridtrack.evaluation.runs.trial_record import TrialRecord
-from gridtrack.evaluation.scoring.beam_errors import BEAM_STRATA, BeamErrors
-from gridtrack.evaluation.scoring.counting import Tally, for_calibration
-from gridtrack.evaluation.scoring.neighbourhoods import NeighbourhoodSums, neighbourhood_strata
-from gridtrack.evaluation.scoring.score_store import ScoreWriter
-from gridtrack.evaluation.scoring.spatial_store import SpatialWriter
 from gridtrack.evaluation.referee.strata import STRATA
-from gridtrack.evaluation.scoring.thresholds import half
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.evaluation.runs.finished import FinishedTrial
+from gridtrack.evaluation.runs.run_record import RecordingDescription, RecordingIdentity, RunConfiguration, RunRecord
+from gridtrack.evaluation.runs.scorekeeper import Counter
+from gridtrack.evaluation.runs.sums import SumsWriter
+from gridtrack.evaluation.runs.trial_record import ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.scores.beam_error import BEAM_ERROR, BINS
+from gridtrack.evaluation.scores.cells import PROBABILITY_BINS, Tally, cells_of, for_calibration
+from gridtrack.evaluation.scores.definition import ScoreDefinition, TrialFacts
+from gridtrack.evaluation.scores.neighbourhoods import (
+    SCALES,
+    NeighbourhoodSums,
+    neighbourhood_strata,
+    neighbourhoods_of,
+)
+from gridtrack.evaluation.scores.registry import built_in
+from gridtrack.evaluation.scores.thresholds import half
 
 STEPS, PERIOD_S = 20, 0.125
 DESCRIBED = {
@@ -82,19 +88,60 @@ def tally(rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRA
     return counted
 
 
-def spatial_sums(
+def neighbourhoods(
     rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRATA, steps: int = STEPS
-) -> tuple[NeighbourhoodSums, BeamErrors]:
-    """Sums of one frame over neighbourhoods and along beams: the better, the more skill and the larger the scale."""
+) -> NeighbourhoodSums:
+    """Sums of one frame over neighbourhoods: the better, the more skill and the larger the scale."""
     own = neighbourhood_strata(strata)
     squares = rng.gamma(20.0, 1.0, (steps + 1, len(own), len(SCALES)))
     agreement = squares * skill ** (1 / np.array(SCALES)) * rng.uniform(0.9, 1.0, squares.shape)
-    sums = NeighbourhoodSums(agreement, squares, squares[..., 0], own)
-    shape = steps + 1, len(BEAM_STRATA)
-    counts = np.zeros((*shape, BEAM_ERROR_BINS), np.int64)
-    counts[..., 40:60] = rng.poisson(5.0, (*shape, 20))
-    counts[..., 70] = rng.poisson(80.0 * (1.0 - skill), shape)
-    return sums, BeamErrors(*(rng.gamma(10.0, 2.0 - skill, (2, *shape))), counts)
+    return NeighbourhoodSums(agreement, squares, squares[..., 0], own)
+
+
+def beam_sums(rng: np.random.Generator, skill: float, facts: TrialFacts) -> Any:
+    """Sums (S, K, P) of beam errors of one frame."""
+    shape = facts.steps + 1, len(BEAM_ERROR.strata(facts))
+    found = np.zeros((*shape, 2 + BINS))
+    found[..., :2] = rng.gamma(10.0, 2.0 - skill, (*shape, 2))
+    found[..., 42:62] = rng.poisson(5.0, (*shape, 20))
+    found[..., 72] = rng.poisson(80.0 * (1.0 - skill), shape)
+    return found
+
+
+class _Drawn:
+    """A forecast of which the counts are drawn: it has what scores of cells and neighbourhoods ask for."""
+
+    def __init__(self, stamp_ns: int, observed_ns: int, counts: Mapping[Any, Any]) -> None:
+        self.stamp_ns, self._counts = stamp_ns, counts
+        self.frames = (type("Frame", (), {"stamp_ns": observed_ns}),)
+
+    def once(self, count: Any) -> Any:
+        return self._counts[count]
+
+
+COUNTED = ("f1", "pr_auc", "log_loss", "brier", "calibration", "fss", "soft_iou")
+"""The scores that count a drawn forecast as any other; those of beams are drawn."""
+
+
+def counted_scores() -> list[ScoreDefinition]:
+    """The scores of a synthetic run."""
+    return [score for score in built_in() if score.name in COUNTED]
+
+
+def write_sums(folder: Path, facts: TrialFacts, skill: float, seed: int, frames: Sequence[tuple[int, str]]) -> None:
+    """The sums of a trial, drawn with `seed`, of a forecast at each of `frames`, a stamp and a hash."""
+    rng, drawn = np.random.default_rng(seed), np.random.default_rng([seed, 1])
+    counter, beams = Counter(counted_scores(), facts), Counter([BEAM_ERROR], facts)
+    with SumsWriter(folder, counter.layouts | beams.layouts, facts.steps) as sums:
+        for stamp_ns, digest in frames:
+            counts = {
+                cells_of: tally(rng, skill, facts.strata, facts.steps),
+                neighbourhoods_of: neighbourhoods(drawn, skill, facts.strata, facts.steps),
+            }
+            forecast: Any = _Drawn(stamp_ns, stamp_ns + round(facts.steps * PERIOD_S * 1e9), counts)
+            for score, found in counter.count(forecast).items():
+                sums.add(stamp_ns, digest, score, found)
+            sums.add(stamp_ns, digest, BEAM_ERROR.name, beam_sums(drawn, skill, facts))
 
 
 def write_trial(
@@ -119,15 +166,12 @@ def write_trial(
     """
     folder = run / f"{label}@{recording}"
     folder.mkdir(parents=True)
-    rng = np.random.default_rng(seed)
     done = frames if scored is None else scored
     thresholds = half(steps, strata)
-    drawn = np.random.default_rng([seed, 1])
-    with ScoreWriter(folder, steps, thresholds) as scores, SpatialWriter(folder, steps, strata) as spatial:
-        for frame in range(done):
-            stamp_ns, digest = (frame * every_s + start_s) * 1_000_000_000, (delivered + f"{frame:x}").rjust(32, "0")
-            scores.add(stamp_ns, digest, tally(rng, skill, strata, steps), stamp_ns + round(steps * PERIOD_S * 1e9))
-            spatial.add(stamp_ns, *spatial_sums(drawn, skill, strata, steps))
+    facts = TrialFacts(cell_m=0.2, steps=steps, strata=strata, thresholds=thresholds)
+    stamps = ((frame * every_s + start_s) * 1_000_000_000 for frame in range(done))
+    hashes = ((delivered + f"{frame:x}").rjust(32, "0") for frame in range(done))
+    write_sums(folder, facts, skill, seed, list(zip(stamps, hashes, strict=True)))
     record = TrialRecord(
         schema=2,
         label=label,
@@ -136,7 +180,7 @@ def write_trial(
         frames_scored=done,
         frames_expected=frames,
         steps=steps,
-        thresholds=thresholds.used(),
+        thresholds=ThresholdsUsed.of(thresholds),
         **DESCRIBED.get(tracker or label, {}),
     )
     record.write(folder)
