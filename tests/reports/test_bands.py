@@ -8,8 +8,8 @@ import shutil
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
 from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
 from gridtrack.evaluation.statistics.summary import summarise
 from gridtrack.reports.page import render_report
 from gridtrack.reports.probability_curves import probability_curves

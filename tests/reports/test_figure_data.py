@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.scoring.counting import for_calibration
 from gridtrack.evaluation.scoring.histograms import UnitHistograms
-from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.statistics.score_intervals import HEADLINE_STRATA
 from gridtrack.evaluation.statistics.trial_files import TrialFiles
 from gridtrack.recordings.degradation import Degradation
