@@ -217,8 +217,12 @@ def _remember(folder: Path | None, earlier: History, baseline: Path, result: Ver
         return
     path, entry = append_entry(folder, earlier, baseline, result)
     drawing = folder / "history.svg"
-    write_text(drawing, history_svg([*(entry for _, entry in earlier), entry]))
-    typer.echo(f"history: {path}; drawing: {drawing}", err=True)
+    try:
+        write_text(drawing, history_svg([*(entry for _, entry in earlier), entry]))
+        drawn = f"drawing: {drawing}"
+    except ConfigurationError as error:
+        drawn = f"no drawing: {error}"
+    typer.echo(f"history: {path}; {drawn}", err=True)
 
 
 def _confirmed(
@@ -264,8 +268,7 @@ def _tolerance(text: str) -> tuple[str, float]:
 
 
 def _report_verdict(verdict: Verdict, junit: Path | None, markdown: Path | None, as_json: bool) -> None:
-    from gridtrack.reports.junit import junit_of
-    from gridtrack.reports.verdict_tables import data_of, markdown_of
+    from gridtrack.reports.verdict_tables import data_of, junit_of, markdown_of
     from gridtrack.reports.verdict_text import text_of
 
     _write_report(junit, junit_of, verdict)
@@ -274,8 +277,7 @@ def _report_verdict(verdict: Verdict, junit: Path | None, markdown: Path | None,
 
 
 def _report_unmeasured(reasons: Sequence[str], junit: Path | None, markdown: Path | None, as_json: bool) -> None:
-    from gridtrack.reports.junit import junit_of_unmeasured
-    from gridtrack.reports.verdict_tables import markdown_of_unmeasured
+    from gridtrack.reports.verdict_tables import junit_of_unmeasured, markdown_of_unmeasured
 
     _write_report(junit, junit_of_unmeasured, reasons)
     _write_report(markdown, markdown_of_unmeasured, reasons)

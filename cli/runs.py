@@ -196,8 +196,7 @@ def _run(settings: CompareSettings) -> _Compared:
 def _followed(settings: CompareSettings) -> _Compared:
     """Follow a recording that is still being written, and score what was seen."""
     from gridtrack.evaluation.runs.following import following
-    from gridtrack.reports.live_table import LiveTable
-    from gridtrack.reports.run_progress import RunProgress
+    from gridtrack.reports.run_progress import LiveTable, RunProgress
 
     with following(settings, note=lambda text: typer.echo(printable(text), err=True)) as followed:
         with LiveTable() as table:

@@ -50,7 +50,7 @@ def rerun_scene(path: Path, name: str, identity: str) -> Iterator[RerunScene]:
     if not rerun.is_enabled(recording=stream):
         raise ConfigurationError("the environment variable RERUN switches Rerun off: unset it")
     partial, strict = path.with_name(path.name + ".partial"), rerun.strict_mode()
-    partial.touch()  # where no file can be written, this line tells why, as OSError
+    partial.touch()  # raises OSError where no file can be written
     try:
         rerun.set_strict_mode(True)  # an error is raised, not printed
         stream.save(partial)

@@ -16,7 +16,7 @@ from gridtrack.common.scan import Scan
 from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, read_trial_record
 from gridtrack.recordings import RecordingInfo, open_recording, write_native
 from gridtrack.recordings.recording import MAX_LISTED_TOPICS, MAX_WARNINGS, NO_MORE_WARNINGS, Topics
-from gridtrack.reports.live_table import LiveTable
+from gridtrack.reports.run_progress import LiveTable
 from gridtrack.reports.run_progress import RunProgress
 from gridtrack.reports.terminal import print_rows
 

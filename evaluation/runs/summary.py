@@ -14,7 +14,8 @@ from gridtrack.evaluation.runs.result_files import Curve, Line, Number, ResultMo
 from gridtrack.evaluation.runs.run_record import LONGEST_S, RecordingSummary, refuse_unordered
 from gridtrack.evaluation.runs.trial_record import Times
 from gridtrack.evaluation.scores.definition import Output, ScoreDefinition
-from gridtrack.trackers.contract import Role
+from gridtrack.evaluation.scores.registry import output_named
+from gridtrack.trackers.contract import ComparedPart, Role
 
 SUMMARY_SCHEMA: Final = 3
 SUMMARY_FILE = "summary.json"
@@ -55,6 +56,10 @@ class ScoreDescription(ResultModel):
     name: str
     title: str
     about: str = ""
+    compared_with: ComparedPart = "occupancy"
+    """Whether the row that others are compared with is the reference for occupancy or for classes."""
+    thresholded: bool = False
+    """Whether its values depend on the threshold that was chosen."""
     outputs: Annotated[tuple[OutputDescription, ...], Field(min_length=1, max_length=100)]
     """The first one leads."""
 
@@ -66,8 +71,14 @@ class ScoreDescription(ResultModel):
     @classmethod
     def of(cls, score: ScoreDefinition) -> Self:
         """The description of a score."""
-        outputs = tuple(map(OutputDescription.of, score.outputs))
-        return cls(name=score.name, title=score.title, about=score.about, outputs=outputs)
+        return cls(
+            name=score.name,
+            title=score.title,
+            about=score.about,
+            compared_with=score.compared_with,
+            thresholded=score.thresholded,
+            outputs=tuple(map(OutputDescription.of, score.outputs)),
+        )
 
 
 class Estimate(ResultModel):
@@ -338,6 +349,11 @@ class RunSummary(ResultModel):
     def outputs(self) -> list[tuple[ScoreDescription, OutputDescription]]:
         """Every output of every score, in their order."""
         return [(score, output) for score in self.scores for output in score.outputs]
+
+    def find(self, text: str) -> tuple[ScoreDescription, OutputDescription]:
+        """The score and output of `f1` (the leading output) or `f1.recall`. Raises ConfigurationError."""
+        name, output = output_named(text, {one.name: [own.name for own in one.outputs] for one in self.scores})
+        return next((one, own) for one, own in self.outputs if (one.name, own.name) == (name, output))
 
     @model_validator(mode="after")
     def _curves_reach_every_horizon(self) -> Self:

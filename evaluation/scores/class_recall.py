@@ -64,4 +64,5 @@ CLASS_RECALL = ScoreDefinition(
     count=_count,
     value=_value,
     needed="classes of the recording",
+    thresholded=True,
 )

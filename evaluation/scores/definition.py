@@ -139,7 +139,8 @@ class ScoreDefinition:
     that need those of other rows: of the floors, and of the oracle. `figure` gives the points (N,) of the score's
     figure from sums (U, P) of units; those that are ratios get an interval.
     `needed` names files of the recording or parts of the forecast that not every trial has. `compared_with`: the row
-    that others are compared with is the reference for occupancy, or for classes. `about`: what the score says, what it
+    that others are compared with is the reference for occupancy, or for classes. `thresholded`: its values depend on
+    the threshold that was chosen for the trial. `about`: what the score says, what it
     does not say, and its source. `position`: scores are listed in this order.
     """
 
@@ -157,6 +158,7 @@ class ScoreDefinition:
     figure: Callable[[Sums], dict[str, Floats | Ratio]] | None = None
     needed: str = ""
     compared_with: ComparedPart = "occupancy"
+    thresholded: bool = False
 
     @property
     def lead(self) -> Output:

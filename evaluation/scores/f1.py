@@ -101,4 +101,5 @@ F1 = ScoreDefinition(
     value=_value,
     new_memory=lambda facts: LabelFreeThresholds(facts.steps, facts.strata),
     relate=_relate,
+    thresholded=True,
 )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint
 
@@ -59,13 +59,19 @@ def _foreign(name: str) -> ScoreDefinition:
 
 def find_output(text: str, among: Sequence[ScoreDefinition]) -> tuple[ScoreDefinition, Output]:
     """The score and output of `f1` (the leading output) or `f1.recall`. Raises ConfigurationError."""
-    name, _, output = text.partition(".")
-    score = next((one for one in among if one.name == name), None)
-    if score is None:
-        raise ConfigurationError(f"no score '{name}': {did_you_mean(name, [one.name for one in among])}")
-    if not output:
-        return score, score.lead
-    known = [one.name for one in score.outputs]
-    if output not in known:
-        raise ConfigurationError(f"score {name} has no output '{output}': {did_you_mean(output, known)}")
+    name, output = output_named(text, {one.name: [own.name for own in one.outputs] for one in among})
+    score = next(one for one in among if one.name == name)
     return score, score.output(output)
+
+
+def output_named(text: str, known: Mapping[str, Sequence[str]]) -> tuple[str, str]:
+    """The names of the score and output of `f1` or `f1.recall`; `known`: outputs by score, the leading one first.
+
+    Raises ConfigurationError.
+    """
+    name, _, output = text.partition(".")
+    if name not in known:
+        raise ConfigurationError(f"no score '{name}': {did_you_mean(name, known)}")
+    if output and output not in known[name]:
+        raise ConfigurationError(f"score {name} has no output '{output}': {did_you_mean(output, known[name])}")
+    return name, output or known[name][0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from gridtrack.evaluation.runs.summary import PairTest
-from gridtrack.reports.tiers import TOLD_APART
+from gridtrack.reports.differences import SIGNIFICANT as TOLD_APART
 
 MAY_BE_CHANCE = "°"
 """Stands behind a difference whose corrected p-value is 0.05 or more."""

@@ -22,7 +22,7 @@ from gridtrack.evaluation.statistics.jackknife import COUNTS
 from gridtrack.evaluation.statistics.pair_statistics import PairStatistics
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.training_statistics import TrainingStatistics
-from gridtrack.reports.tiers import TOLD_APART
+from gridtrack.reports.differences import SIGNIFICANT as TOLD_APART
 from gridtrack.trackers.card import GENERAL
 
 from studies.support.comparison import finished_trials

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +14,13 @@ from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.run_record import RecordingDescription, RecordingIdentity, RunConfiguration, RunRecord
 from gridtrack.evaluation.runs.scorekeeper import Counter
 from gridtrack.evaluation.runs.summarise import summarise
-from gridtrack.evaluation.runs.sums import SumsWriter
+from gridtrack.evaluation.runs.sums import Layout, SumsWriter
 from gridtrack.evaluation.runs.trial_record import TRIAL_SCHEMA, ThresholdsUsed, TrialRecord
 from gridtrack.evaluation.scores.beam_error import BEAM_ERROR, BINS
 from gridtrack.evaluation.scores.brier import BRIER
 from gridtrack.evaluation.scores.calibration import CALIBRATION
 from gridtrack.evaluation.scores.cells import PROBABILITY_BINS, Tally, cells_of, for_calibration
+from gridtrack.evaluation.scores.class_log_loss import CLASS_LOG_LOSS
 from gridtrack.evaluation.scores.definition import TrialFacts
 from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.scores.fss import FSS
@@ -129,6 +130,19 @@ def counted_forecast(stamp_ns: int, last_ns: int, tally: Tally, neighbourhoods: 
     made.once(cells_of), made.once(neighbourhoods_of)
     made._counted.update({cells_of: tally, neighbourhoods_of: neighbourhoods})
     return made
+
+
+def write_confusion(
+    folder: Path, classes: Sequence[str], counts: Mapping[int, Sequence[Sequence[int]]], steps: int = STEPS
+) -> None:
+    """Replace the sums of a trial by those of one forecast with these confusion matrices of visible cells, by step."""
+    facts = TrialFacts(0.2, steps, ("visible",), half(steps, ("visible",)), tuple(classes), tuple(classes))
+    layout = Layout(CLASS_LOG_LOSS.strata(facts), CLASS_LOG_LOSS.parts(facts))
+    found = np.zeros((steps + 1, 1, len(layout.parts)))
+    for step, matrix in counts.items():
+        found[step, 0, -np.size(matrix) :] = np.ravel(matrix)
+    with SumsWriter(folder, {CLASS_LOG_LOSS.name: layout}, steps) as sums:
+        sums.add(1, "0" * 32, CLASS_LOG_LOSS.name, found)
 
 
 def write_trial(

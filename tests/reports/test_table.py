@@ -1,4 +1,4 @@
-"""The headline table has the values of summary.json, ranks complete trials only, and marks the best of them."""
+"""The main table has the values of summary.json, ranks complete trials only, and marks the best of them."""
 
 import json
 import shutil
@@ -8,6 +8,8 @@ import pytest
 from gridtrack.reports.run import ReportError, read_runs
 from gridtrack.reports.table import headline_markdown, headline_tables
 
+from scenes.edited_run import edited, put, trial_of, value_of
+
 
 @pytest.fixture
 def table(run_folder):
@@ -15,24 +17,14 @@ def table(run_folder):
     return table
 
 
-def rewritten(run_folder, target, change):
-    """A copy of the run with its summary changed by `change(summary)`."""
-    run = shutil.copytree(run_folder, target)
-    summary = json.loads((run / "summary.json").read_text())
-    change(summary)
-    (run / "summary.json").write_text(json.dumps(summary))
-    return run
-
-
 def test_every_number_is_the_one_of_the_summary_at_its_horizon(table, run_folder, summary_of):
     summary = summary_of(run_folder)
     horizons = summary["recordings"]["crossing"]["horizons_s"]
     for row in table.rows:
-        strata = summary["trackers"][row.label]["recordings"]["crossing"]["strata"]
         for column, cell in zip(table.columns, row.cells, strict=True):
-            seconds = column.heading if column.score in ("f1", "pr_auc") else column.group.partition(", ")[2]
+            seconds = column.heading if column.heading.endswith(" s") else column.group.partition(", ")[2]
             step = horizons.index(float(seconds.removesuffix(" s")))
-            assert cell.value == strata[column.stratum][column.score][step]
+            assert cell.value == value_of(trial_of(summary, row.label), column.stratum, ".".join(column.key), step)
 
 
 def test_columns_are_the_marked_horizons(table):
@@ -40,9 +32,11 @@ def test_columns_are_the_marked_horizons(table):
         ("PR-AUC, in-motion", 3),
         *((f"F1, {stratum}", 3) for stratum in ("in-motion", "dynamic", "visible")),
         ("F1, standing", 1),
-        ("in-motion, 1 s", 5),
+        ("in-motion, 1 s", 6),
     )
     assert [c.heading for c in table.columns[:3]] == ["0.5 s", "1 s", "2.5 s"]
+    others = ["Precision", "Recall", "Log loss, nats", "FSS, 5 cells", "Soft IoU", "Beam error, m"]
+    assert [c.heading for c in table.columns[-6:]] == others
 
 
 def test_partial_trials_are_not_ranked_and_are_never_best(table):
@@ -55,12 +49,10 @@ def test_partial_trials_are_not_ranked_and_are_never_best(table):
 
 def test_a_partial_trial_cannot_take_the_best_mark_by_scoring_higher(run_folder, tmp_path):
     def raise_partial(summary):
-        in_motion = summary["trackers"]["unlucky"]["recordings"]["crossing"]["strata"]["in-motion"]
-        in_motion["f1"] = [1.0] * len(in_motion["f1"])
-        fair = summary["trackers"]["good"]["recordings"]["crossing"]["strata"]["in-motion"]
-        fair["f1"] = [0.9] * len(fair["f1"])
+        put(trial_of(summary, "unlucky"), "in-motion", "f1.f1", 1.0)
+        put(trial_of(summary, "good"), "in-motion", "f1.f1", 0.9)
 
-    (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", raise_partial)]))
+    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", raise_partial)]))
     best = [row.label for row in table.rows if row.cells[2].best]
     assert best == ["good"]
 
@@ -68,17 +60,17 @@ def test_a_partial_trial_cannot_take_the_best_mark_by_scoring_higher(run_folder,
 def test_less_is_better_for_log_loss_and_precision_alone_is_not_ranked(table):
     values = {column.heading: i for i, column in enumerate(table.columns)}
     complete = [row for row in table.rows if row.group != "unranked"]
-    least = min(row.cells[values["log loss"]].value for row in complete)
-    assert {row.cells[values["log loss"]].value for row in complete if row.cells[values["log loss"]].best} == {least}
-    assert not any(row.cells[values["precision"]].best for row in complete)
+    least = min(row.cells[values["Log loss, nats"]].value for row in complete)
+    losses = [row.cells[values["Log loss, nats"]] for row in complete]
+    assert {cell.value for cell in losses if cell.best} == {least}
+    assert not any(row.cells[values["Precision"]].best for row in complete)
 
 
 def test_an_undefined_score_is_a_dash(run_folder, tmp_path):
     def undefine(summary):
-        in_motion = summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["in-motion"]
-        in_motion["f1"] = [None] * len(in_motion["f1"])
+        put(trial_of(summary, "fair"), "in-motion", "f1.f1", None)
 
-    (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", undefine)]))
+    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", undefine)]))
     (fair,) = [row for row in table.rows if row.label == "fair"]
     f1 = [cell for column, cell in zip(table.columns, fair.cells, strict=True) if column.group == "F1, in-motion"]
     assert [cell.text for cell in f1] == ["–"] * 3
@@ -89,7 +81,7 @@ def test_nothing_is_best_where_trackers_were_delivered_other_frames(run_folder, 
     def differ(summary):
         summary["recordings"]["crossing"]["parity"] = False
 
-    (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", differ)]))
+    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", differ)]))
     assert not table.comparable
     assert not any(cell.best for row in table.rows for cell in row.cells)
 
@@ -97,13 +89,17 @@ def test_nothing_is_best_where_trackers_were_delivered_other_frames(run_folder, 
 def test_a_run_of_a_short_horizon_is_shown_at_its_last_step(run_folder, tmp_path):
     def cut(summary):
         summary["recordings"]["crossing"]["horizons_s"] = [0.0, 0.125, 0.25]
-        for entry in summary["trackers"].values():
-            for scores in entry["recordings"]["crossing"]["strata"].values():
-                scores.update({k: v[:3] for k, v in scores.items() if isinstance(v, list)})
-        summary.update(differences=[], class_differences=[], occluded_differences=[])
+        for label in summary["trackers"]:
+            trial = trial_of(summary, label)
+            trial["thresholds"] = {name: curve[:3] for name, curve in trial["thresholds"].items()}
+            for scores in trial["strata"].values():
+                for outputs in scores.values():
+                    for estimate in outputs.values():
+                        estimate.update({end: curve and curve[:3] for end, curve in estimate.items()})
+        summary["differences"] = []
 
-    (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", cut)]))
-    assert [c.heading for c in table.columns if c.score == "f1"] == ["0.25 s"] * 4
+    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", cut)]))
+    assert [c.heading for c in table.columns if c.key == ("f1", "f1")] == ["0.25 s"] * 4
     assert table.decisive.step == 2
 
 
@@ -128,7 +124,7 @@ def test_runs_of_different_rates_are_refused_side_by_side(run_folder, tmp_path):
         described = summary["recordings"]["crossing"]
         described["horizons_s"] = [2 * h for h in described["horizons_s"]]
 
-    other = rewritten(run_folder, tmp_path / "other", slow)
+    other = edited(run_folder, tmp_path / "other", slow)
     with pytest.raises(ReportError, match="8 and 4 Hz"):
         headline_tables(read_runs([run_folder, other]))
 
@@ -137,21 +133,8 @@ def test_markdown_has_a_row_for_each_tracker_and_names_cannot_break_it(run_folde
     def rename(summary):
         summary["trackers"]["a | b\n| c"] = summary["trackers"].pop("fair")
 
-    (table,) = headline_tables(read_runs([rewritten(run_folder, tmp_path / "run", rename)]))
+    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", rename)]))
     lines = headline_markdown(table).splitlines()
     assert len(lines) == 2 + 5
     assert len({line.replace("\\|", "").count("|") for line in lines}) == 1
     assert any(line.startswith("| good | **1.000** |") for line in lines)
-
-
-def test_a_score_that_an_earlier_run_does_not_have_is_a_dash_and_not_an_error(run_folder, tmp_path):
-    def without_optional(summary):
-        for row in summary["trackers"].values():
-            for trial in row["recordings"].values():
-                for scores in trial["strata"].values():
-                    scores["brier_reliability"] = None
-
-    (run,) = read_runs([rewritten(run_folder, tmp_path / "run", without_optional)])
-    scores = run.summary.trackers["good"].recordings["crossing"].strata["in-motion"]
-    assert scores.at("brier_reliability", 8) is None
-    assert scores.at("f1", 8) is not None

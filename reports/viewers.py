@@ -1,8 +1,9 @@
-"""The kept forecasts of a run as Rerun shows them: a file for each recording, with every tracker in it."""
+"""Files for viewers: a recording and the kept forecasts of a run as Rerun recordings, and the layout of Foxglove."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +11,93 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
+from gridtrack.common.scene import UNLABELLED, Outline, Scene
 from gridtrack.evaluation.referee.samples import SAMPLES, Sample, SamplesError, read_samples
-from gridtrack.reports.chosen_recordings import chosen_runs
+from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.stream import GridStream
+from gridtrack.recordings.stretches import parse_stretch
 from gridtrack.reports.chosen_scores import exported_tables
-from gridtrack.reports.rerun_scene import FREE_CELL, OCCUPIED_CELL, UNKNOWN_CELL, RerunScene, rerun_scene
-from gridtrack.reports.run import ReportedRun, ReportError, read_runs
+from gridtrack.reports.rerun_scene import (
+    FREE_CELL,
+    OCCUPIED_CELL,
+    UNKNOWN_CELL,
+    RerunScene,
+    colour_of_class,
+    rerun_scene,
+)
+from gridtrack.reports.run import ReportedRun, ReportError, chosen_runs, read_runs
 
+LAYOUT_FILE = Path(__file__).parent / "assets" / "foxglove_layout.json"
 _INPUT, _SENSORS, _OBSERVED, _TRUTH = "input", "sensors", "observed", "truth"
-_FORECAST, _TRACKS = "forecast", "tracks"
+_FORECAST, _TRACKS, _OUTLINES, _OBJECTS = "forecast", "tracks", "outlines", "objects"
+"""Entities of `world`; static outlines, and those of the road users, are the ground truth of a recording."""
 _HIDDEN = (2, 3)
 _CELL_OF_STATE = np.array([FREE_CELL, OCCUPIED_CELL, FREE_CELL, OCCUPIED_CELL, UNKNOWN_CELL], np.uint8)
-"""Seen free, seen occupied, hidden and free, hidden and occupied, not scored: the states of `target.py`."""
+"""Seen free, seen occupied, hidden and free, hidden and occupied, not scored: the states of a target."""
+
+
+def foxglove_layout() -> str:
+    """The layout as Foxglove imports it, JSON."""
+    return LAYOUT_FILE.read_text("utf-8")
+
+
+def write_rerun_recording(stream: GridStream, path: Path, on_frame: Callable[[], None] = lambda: None) -> None:
+    """Write the stretch of `stream` as a Rerun recording; `on_frame` is called after each frame.
+
+    Everything is in the world of ground truth. Raises ConfigurationError where rerun-sdk is not installed,
+    RecordingError and OSError.
+    """
+    with rerun_scene(path, stream.name, f"{stream.recording.sha256}@{stream.stretch_s}") as scene:
+        observations = stream.observations()
+        first = next(observations)
+        window = stream.grid, first.reference_T_grid
+        scene.show(scene.view(stream.name, ["/world/**"], *window))
+        drawn = _DrawnRecording(scene, stream)
+        for seen in chain((first,), observations):
+            drawn.add(seen)
+            on_frame()
+
+
+def default_name(text: str) -> str:
+    """The name of the file of `RECORDING[@RANGE]`. Raises RecordingError."""
+    path, _ = parse_stretch(text)
+    return f"{path.stem}{text.removeprefix(str(path))}.rrd"
+
+
+class _DrawnRecording:
+    def __init__(self, scene: RerunScene, stream: GridStream) -> None:
+        self._scene, self._stream = scene, stream
+        self._static: tuple[Outline, ...] | None = None
+        self._sensors: set[str] = set()
+
+    def add(self, seen: Observation) -> None:
+        """Draw a frame."""
+        scene, stream = self._scene, self._stream
+        scene.at(seen.frame.stamp_ns, stream.recording.survey.first_ns)
+        scene.occupancy(("world", _INPUT), seen.frame.visible, seen.frame.occupied, stream.grid, seen.reference_T_grid)
+        for scan, pose in zip(seen.scans, seen.grid_T_sensor, strict=True):
+            self._add_sensor(scan.sensor, seen.reference_T_grid @ pose)
+        if seen.scene is not None:
+            self._add_truth(seen.scene)
+
+    def _add_sensor(self, sensor: str, pose: SE2) -> None:
+        entity = ("world", _SENSORS, sensor)
+        if sensor not in self._sensors:
+            self._sensors.add(sensor)
+            self._scene.sensor(entity)
+        self._scene.pose(entity, pose)
+
+    def _add_truth(self, truth: Scene) -> None:
+        if truth.static is not self._static:
+            self._static = truth.static
+            self._scene.outlines(("world", _OUTLINES), truth.static, [(0.35, 0.35, 0.35)] * len(truth.static))
+        objects = truth.objects
+        outlines = [one.world_T_object.apply(one.outline) for one in objects]
+        labels = [" ".join((*self._class_of(one.label), str(one.track))) for one in objects]
+        self._scene.outlines(("world", _OBJECTS), outlines, [colour_of_class(one.label) for one in objects], labels)
+
+    def _class_of(self, label: int) -> Iterable[str]:
+        return () if label == UNLABELLED else (self._stream.classes[label],)
 
 
 def write_rerun_run(

@@ -1,10 +1,10 @@
-"""The moments that come onto the page first: worst, telling, and a spread of ordinary ones."""
+"""The moments that come onto the page first: worst, most different, and a spread of ordinary ones."""
 
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.results.columns import SCORES_TABLE
-from gridtrack.reports.moment_choice import FrameScore, frame_scores, moments_in_order
+from gridtrack.evaluation.runs.sums import SUMS_FILE
+from gridtrack.reports.moments import FrameScore, frame_scores, moments_in_order
 from gridtrack.reports.run import ReportError
 
 
@@ -20,11 +20,11 @@ def scored():
     return scores
 
 
-def test_the_worst_the_most_telling_and_an_ordinary_moment_come_first():
+def test_the_worst_the_most_different_and_an_ordinary_moment_come_first():
     order = moments_in_order(scored(), ["a", "b"])
     assert [(one.stamp_ns, one.reason) for one in order[:4]] == [
         (2, "worst"),
-        (5, "telling"),
+        (5, "different"),
         (0, "ordinary"),
         (1, "worst"),
     ]
@@ -41,7 +41,7 @@ def test_ordinary_moments_are_spread_over_the_time():
     assert [one.stamp_ns for one in order[:5]] == [0, 8, 4, 2, 6]
 
 
-def test_a_moment_in_which_nothing_is_occupied_is_neither_worst_nor_telling():
+def test_a_moment_in_which_nothing_is_occupied_is_neither_worst_nor_different():
     scores = {"a": perfect({0: 1, 1: 0}), "b": perfect({0: 1}) | {1: FrameScore(tp=0, fp=5, fn=0)}}
     assert {one.stamp_ns: one.reason for one in moments_in_order(scores, ["a", "b"])} == {0: "worst", 1: "ordinary"}
 
@@ -50,11 +50,11 @@ def test_moments_of_few_cells_stand_out_after_all_others():
     scores = {name: perfect({0: 1, 1: 9, 2: 9}) for name in ("a", "b")}
     scores["b"] |= {0: FrameScore(tp=0, fp=0, fn=1), 2: FrameScore(tp=5, fp=0, fn=4)}
     order = moments_in_order(scores, ["a", "b"])
-    assert [(one.stamp_ns, one.reason) for one in order[:2]] == [(2, "worst"), (0, "telling")]
+    assert [(one.stamp_ns, one.reason) for one in order[:2]] == [(2, "worst"), (0, "different")]
     scores |= {name: own | {3: FrameScore(9, 0, 0), 4: FrameScore(8, 0, 1)} for name, own in scores.items()}
     scores["b"][3] = FrameScore(tp=6, fp=0, fn=3)
     order = moments_in_order(scores, ["a", "b"])
-    assert [(one.stamp_ns, one.reason) for one in order[:2]] == [(2, "worst"), (3, "telling")]
+    assert [(one.stamp_ns, one.reason) for one in order[:2]] == [(2, "worst"), (3, "different")]
 
 
 def test_only_moments_that_every_trial_has_are_chosen():
@@ -65,7 +65,7 @@ def test_only_moments_that_every_trial_has_are_chosen():
 
 
 def test_counts_are_those_of_the_store_at_the_steps(run_folder):
-    moments = frame_scores(run_folder / "blank@crossing" / SCORES_TABLE.file, [4, 8])
+    moments = frame_scores(run_folder / "blank@crossing", [4, 8])
     assert set(moments) == {4, 8}
     assert len(moments[8]) == 20
     assert all(moment.tp == moment.fp == 0 and moment.occupied <= 4 for moment in moments[8].values())
@@ -74,7 +74,7 @@ def test_counts_are_those_of_the_store_at_the_steps(run_folder):
 
 
 def test_scores_that_cannot_be_read_are_an_error_of_one_line(tmp_path):
-    (tmp_path / SCORES_TABLE.file).write_bytes(b"not parquet")
-    with pytest.raises(ReportError, match="cannot be read as scores") as refused:
-        frame_scores(tmp_path / SCORES_TABLE.file, [8])
+    (tmp_path / SUMS_FILE).write_bytes(b"not parquet")
+    with pytest.raises(ReportError, match="cannot be read as sums") as refused:
+        frame_scores(tmp_path, [8])
     assert "\n" not in str(refused.value)

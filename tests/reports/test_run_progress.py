@@ -1,16 +1,18 @@
-"""What a user reads on a terminal while trials run: the time left for all of them."""
+"""What a user reads while trials run: the time left for all of them, and the table of a followed recording."""
 
 from __future__ import annotations
 
 import io
+import math
 import re
 import threading
 
 from rich.console import Console
 
+from gridtrack.evaluation.runs.live_scores import LiveRow, LiveStatus
 from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.reports import run_progress
-from gridtrack.reports.run_progress import RunProgress
+from gridtrack.reports.run_progress import LiveTable, RunProgress
 
 
 def record(frames=10):
@@ -34,15 +36,15 @@ def test_on_a_terminal_all_trials_have_a_bar_with_the_time_left():
     assert "1 of 2 trials" in console.file.getvalue()
 
 
-def test_a_long_start_is_told_and_left_out_of_the_time_left(monkeypatch):
-    console, told = Console(file=io.StringIO(), width=80, force_terminal=False), threading.Event()
+def test_a_long_start_is_announced_and_left_out_of_the_time_left(monkeypatch):
+    console, announced = Console(file=io.StringIO(), width=80, force_terminal=False), threading.Event()
     monkeypatch.setattr(run_progress, "RUNNING_LINE_EVERY_S", 0.0)
     with RunProgress(console) as progress:
         note = progress.note
-        monkeypatch.setattr(progress, "note", lambda text: (note(text), told.set()))
+        monkeypatch.setattr(progress, "note", lambda text: (note(text), announced.set()))
         progress.planned({"a@hall": 100})
         progress.started("a@hall", 100)
-        assert told.wait(30)
+        assert announced.wait(30)
         since_s, timer = progress._starting["a@hall"]
         progress._began_s, progress._starting["a@hall"] = since_s - 160.0, (since_s - 100.0, timer)
         monkeypatch.setattr(run_progress, "RUNNING_LINE_EVERY_S", 1e9)
@@ -72,3 +74,36 @@ def test_elsewhere_lines_say_how_far_all_trials_are(monkeypatch):
     assert re.fullmatch(r"b@hall: 1/50 frames; 0 of 2 trials, 1 min 5\d s left, then latency", lines[0])
     assert re.fullmatch(r"a@hall: ok, 10/10 forecasts scored, 0\.0 s \(1 of 2 trials, \d+ s left, .*\)", lines[1])
     assert lines[2] == "kept@hall: ok, 10/10 forecasts scored, 0.0 s"
+
+
+STATUS = LiveStatus(
+    41.2,
+    1.4,
+    "F1 dynamic at 1 s",
+    [
+        LiveRow("persistence", 0.1123, 34, 0, 0, ended=False),
+        LiveRow("[b]", 0.187, 34, 3, 2, ended=False),
+        LiveRow("gone", math.nan, 0, 9, None, ended=True),
+    ],
+)
+
+
+def test_without_a_terminal_it_is_a_line_every_few_seconds() -> None:
+    out = io.StringIO()
+    with LiveTable(Console(file=out, width=200)) as table:
+        table.update(lambda: STATUS)
+        table.update(lambda: STATUS)
+    assert out.getvalue() == (
+        "41.2 s, 1.4 s behind the newest frame read; F1 dynamic at 1 s: persistence 0.112, 0 missed; [b] 0.187, 3"
+        " missed; gone -, 9 missed\n"
+    )
+
+
+def test_on_a_terminal_it_is_a_table() -> None:
+    out = io.StringIO()
+    with LiveTable(Console(file=out, width=100, force_terminal=True, color_system=None)) as table:
+        table.update(lambda: STATUS)
+    lines = out.getvalue().splitlines()
+    assert any(line.split() == ["persistence", "0.112", "34", "0", "in", "time"] for line in lines)
+    assert any(line.split() == ["[b]", "0.187", "34", "3", "2", "frames", "old"] for line in lines)
+    assert any(line.split() == ["gone", "-", "0", "9", "ended"] for line in lines)

@@ -1,4 +1,21 @@
-// Scores of single moments, and the moments that stand out by them.
+// Moments: links to them, their scores, and the moments that stand out by these.
+// A link to a moment: #t=recording,seconds,horizon,tracker,... with each part escaped.
+export function linkOf({ recording, seconds, horizon, trackers }) {
+  return `#t=${[recording, seconds, horizon, ...trackers].map((part) => encodeURIComponent(part)).join(",")}`;
+}
+
+// The moment that a link names; null where it names none.
+export function momentOfLink(hash) {
+  if (!hash.startsWith("#t=")) return null;
+  try {
+    const [recording, seconds, horizon, ...trackers] = hash.slice(3).split(",").map(decodeURIComponent);
+    const found = { recording, seconds: Number(seconds), horizon: Number(horizon), trackers };
+    return Number.isFinite(found.seconds) && Number.isFinite(found.horizon) ? found : null;
+  } catch {
+    return null;
+  }
+}
+
 export function countsOf(player, moment, h, tracker) {
   return player.moments[moment].counts[h][tracker];
 }
@@ -20,7 +37,7 @@ export function scoreText(player, moment, h, tracker) {
 }
 
 // Kinds of moments that stand out by the first `trackers` on screen: the higher the `value`, the more, and where it is
-// null, not at all. The worst has the lowest F1, where something was to be found; in the most telling, F1 differs most.
+// null, not at all. The worst has the lowest F1, where something was to be found; in the most different, F1 differs most.
 // Both come last where few cells were to be found: F1 of one cell is 0 or 1 by chance.
 const FEW_CELLS = 5;
 const AFTER_ALL_OTHERS = 2;
@@ -33,8 +50,8 @@ export const WORST = {
     return counts && counts[0] + counts[2] ? -momentF1(player, moment, h, tracker) : null;
   },
 };
-export const TELLING = {
-  name: "most telling",
+export const MOST_DIFFERENT = {
+  name: "most different",
   trackers: 2,
   value(player, moment, h, trackers) {
     const [one, other] = trackers.map((tracker) => momentF1(player, moment, h, tracker));
