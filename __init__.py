@@ -16,17 +16,19 @@ if TYPE_CHECKING:
     from gridtrack.common.grid import GridFrame, GridSpec
     from gridtrack.recordings import open_recording, packaged_recording
     from gridtrack.recordings.stream import open_stream
-    from gridtrack.trackers.contract import Forecast, StreamSpec, TrackedObject, Tracker
+    from gridtrack.trackers.contract import FitTask, Forecast, Objective, StreamSpec, TrackedObject, Tracker
 
     __version__: str
 
 __all__ = [
     "SE2",
     "ConfigurationError",
+    "FitTask",
     "Forecast",
     "GridFrame",
     "GridSpec",
     "GridtrackError",
+    "Objective",
     "Run",
     "Settings",
     "StreamSpec",
@@ -41,10 +43,12 @@ __all__ = [
 _HOMES = {
     "SE2": "common.geometry",
     "ConfigurationError": "common.errors",
+    "FitTask": "trackers.contract",
     "Forecast": "trackers.contract",
     "GridFrame": "common.grid",
     "GridSpec": "common.grid",
     "GridtrackError": "common.errors",
+    "Objective": "trackers.contract",
     "Run": "cli.notebook",
     "Settings": "common.config",
     "StreamSpec": "trackers.contract",

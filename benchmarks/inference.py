@@ -25,11 +25,11 @@ from torch import Tensor, nn
 from torch.nn.functional import conv2d
 
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
-from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU
-from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferenceRNN
+from gridtrack.trackers.recurrent.kernels.convgru import InferenceConvGRU
+from gridtrack.trackers.recurrent.kernels.rnn import InferenceRNN
 from gridtrack.trackers.recurrent.network import LatentState, RecurrentNetwork, as_tensor, channels_last
-from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.settings import GATES
 
 from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section

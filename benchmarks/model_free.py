@@ -19,7 +19,6 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.calibration import IDENTITY, Calibration
 from gridtrack.trackers.model_free.background import BackgroundMap
 from gridtrack.trackers.model_free.classes import FEATURES, ClassFilter, ClassModel
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
@@ -27,7 +26,8 @@ from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.calibration import IDENTITY, Calibration
+from gridtrack.trackers.training.weights import read_card
 
 from benchmarks.timing import p50_p95
 from studies.support.results_file import measured_table, write_table

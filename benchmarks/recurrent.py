@@ -14,8 +14,8 @@ import numpy as np
 import torch
 
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
-from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.settings import Precision
 
 from benchmarks.timing import median_ms
@@ -34,7 +34,7 @@ def random_planes(seed: int) -> np.ndarray:
 
 def training_rate(kind: type[RecurrentTracker], precision: Precision, threads: int) -> float:
     """Frames of training a second."""
-    from gridtrack.trackers.recurrent.sequence_loss import sequence_loss
+    from gridtrack.trackers.recurrent.training_module import sequence_loss
 
     torch.set_num_threads(threads)
     options: Any = kind.Options()

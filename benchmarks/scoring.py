@@ -40,14 +40,14 @@ from gridtrack.evaluation.referee.targets import (
     Target,
     returned_beams,
 )
-from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
-from gridtrack.evaluation.scores.cells import count_cells
+from gridtrack.evaluation.scores.cells import PROBABILITY_EDGES, count_cells
+from gridtrack.evaluation.scores.class_log_loss import count_classes, match_classes
+from gridtrack.evaluation.scores.neighbourhoods import sum_neighbourhoods
 from gridtrack.evaluation.scores.thresholds import half
 from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.energy import energy_terms
-from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
 from gridtrack.evaluation.scoring.score_store import ScoreWriter
-from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
+from gridtrack.evaluation.scoring.semantics import count_found
 from gridtrack.recordings.observation import Observation
 from gridtrack.trackers.contract import MAX_FUTURES
 

@@ -10,7 +10,9 @@ import argparse
 
 import numpy as np
 
-from gridtrack.evaluation.statistics.jackknife import COUNTS, differences, holm, interval
+from gridtrack.evaluation.scores.f1 import COUNTS
+from gridtrack.evaluation.statistics.jackknife import holm, interval
+from gridtrack.reports import differences
 
 from benchmarks.timing import median_ms
 

@@ -1,4 +1,4 @@
-"""`train` and `trackers list | show | check | new | migrate`: the registered trackers and their learned weights."""
+"""`train` and `trackers list | show | check | new`: the registered trackers and their learned weights."""
 
 from __future__ import annotations
 
@@ -24,9 +24,7 @@ from gridtrack.cli.options import (
 )
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, GridtrackError, PluginError, printable
 
-app = typer.Typer(
-    no_args_is_help=True, help="The trackers: list, show, check, new; migrate: rewrite older weights cards."
-)
+app = typer.Typer(no_args_is_help=True, help="The trackers: list, show, check, new.")
 
 
 NameArgument = Annotated[str, typer.Argument(autocompletion=complete_tracker)]
@@ -268,18 +266,6 @@ def new_command(
     module = new_tracker(name, out or Path(name))
     with_tests = shlex.quote(f"{module.parent}[test]")
     typer.echo(f"tracker: {module}\nnext: pip install -e {with_tests} && gridtrack trackers check {name}")
-
-
-@app.command("migrate")
-def migrate_weights(cards: Annotated[list[Path], typer.Argument(metavar="CARD_OR_FOLDER...")]) -> None:
-    """Rewrite weights cards of an older gridtrack in place: options and arrays get their present names."""
-    from gridtrack.common.errors import WeightsError
-    from gridtrack.trackers.migration import migrate_cards
-
-    done = migrate_cards(cards)
-    typer.echo(f"weights: {len(done.rewritten)} cards migrated, {len(done.unchanged)} have the present schema")
-    if done.errors:
-        raise WeightsError(f"{len(done.errors)} cards are left as they are; the first: {done.errors[0]}")
 
 
 def _tracker_alone(text: str) -> Any:

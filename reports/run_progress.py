@@ -19,7 +19,7 @@ from rich.table import Table
 from gridtrack.common.errors import printable
 from gridtrack.evaluation.runs.live_scores import LiveRow, LiveStatus
 from gridtrack.evaluation.runs.trial_record import TrialRecord
-from gridtrack.trackers.progress import duration_text
+from gridtrack.trackers.training.progress import duration_text
 
 RUNNING_LINE_EVERY_S = 30.0
 """Without a terminal, time between two lines about a trial that is still running."""

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from gridtrack.evaluation.runs.recipe import read_recipe
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 
 from studies.support.comparison import compare_at_junction, train
 from studies.support.results_file import ResultSection, write_section

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
 from gridtrack.evaluation.referee.referee import Delivery, Schedule
 from gridtrack.evaluation.referee.targets import Target
-from gridtrack.evaluation.scoring.semantics import VISIBILITIES, count_classes, match_classes
+from gridtrack.evaluation.scores.class_log_loss import VISIBILITIES, count_classes, match_classes
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Tracker

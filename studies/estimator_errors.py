@@ -15,11 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from gridtrack.common.geometry import wrap_angle
-from gridtrack.trackers.model_free.motion.estimator import MotionEstimator, warm_up
-from gridtrack.trackers.model_free.motion.factor_graph import GATE, FactorGraphEstimator
-from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
-from gridtrack.trackers.model_free.motion.model import propagate
-from gridtrack.trackers.model_free.motion.regimes import SwitchingEstimator
+from gridtrack.trackers.model_free.estimators import MotionEstimator, SwitchingEstimator, warm_up
+from gridtrack.trackers.model_free.factor_graph import GATE, FactorGraphEstimator
+from gridtrack.trackers.model_free.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.motion import propagate
 from gridtrack.trackers.model_free.settings import PipelineSettings
 
 from studies.support.measured_motion import FRAMES_PER_SECOND, MODEL, NOISE, Array, measured_poses

@@ -22,9 +22,8 @@ import numpy as np
 from scipy.special import expit
 
 from gridtrack.evaluation.regression.confirmation import judged_again
-from gridtrack.evaluation.regression.criteria import row_tests
 from gridtrack.evaluation.regression.judging import VerdictRow, judged_recordings, judged_row
-from gridtrack.evaluation.regression.rows import PairedRow
+from gridtrack.evaluation.regression.rows import PairedRow, row_tests
 from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.evaluation.statistics.jackknife import Floats
 

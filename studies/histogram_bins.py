@@ -22,8 +22,7 @@ from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.referee.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.referee.splits import Sampling, plan_split
 from gridtrack.evaluation.referee.targets import SEEN_OCCUPIED
-from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
-from gridtrack.evaluation.scores.cells import Tally
+from gridtrack.evaluation.scores.cells import PROBABILITY_EDGES, Tally
 from gridtrack.evaluation.scoring import metrics
 
 from studies.support.results_file import measured_table, write_table

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.special import expit, logit, ndtr, ndtri, stdtrit
 
-from gridtrack.evaluation.statistics.jackknife import COUNTS, differences, interval
+from gridtrack.evaluation.scores.f1 import COUNTS
+from gridtrack.evaluation.statistics.jackknife import interval
 from gridtrack.evaluation.statistics.units import (
     UnitRule,
     autocorrelation_time,
@@ -23,6 +24,7 @@ from gridtrack.evaluation.statistics.units import (
     shortest_block_s,
     sum_by_unit,
 )
+from gridtrack.reports import differences
 
 from studies.support.results_file import measured_table, write_table
 

@@ -30,7 +30,7 @@ from gridtrack.evaluation.scores.thresholds import best_thresholds
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
+from gridtrack.trackers.baselines import PersistenceTracker
 from gridtrack.trackers.contract import Forecast, stream_of
 
 from studies.support.place_command import worlds_called

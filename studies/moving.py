@@ -21,11 +21,12 @@ from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.summary import RunSummary, read_summary
 from gridtrack.evaluation.statistics.frame_counts import FrameCounts
-from gridtrack.evaluation.statistics.jackknife import PairedDifferences, differences, jackknifed, pooled
+from gridtrack.evaluation.statistics.jackknife import PairedDifferences, jackknifed, pooled
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.score_intervals import summed_by_unit
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.observation import reference_pose
+from gridtrack.reports import differences
 from gridtrack.simulation.junction.drives import CARRIERS
 
 from studies.ego_motion import Pairs, errors

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
+from gridtrack.evaluation.scores.cells import PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.statistics.pr_auc import pr_auc_without_each
 
 from studies.support.coverage import DrawnSet, covered, print_coverage, skills_of_two

@@ -22,10 +22,10 @@ from gridtrack.common.scan import Scan
 from gridtrack.recordings.ego_motion import PoseSource
 from gridtrack.recordings.stream import open_stream
 from gridtrack.reports.run import read_runs
-from gridtrack.trackers.card import GENERAL
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
+from gridtrack.trackers.training.card import GENERAL
 
 from studies.support.comparison import compare
 from studies.support.forecast_pictures import forecast_pictures

@@ -16,7 +16,7 @@ import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from gridtrack.trackers.card import GENERAL
+from gridtrack.trackers.training.card import GENERAL
 
 from studies.support.comparison import RECORDINGS, VALIDATION, compare, train
 from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gridtrack.evaluation.runs.summary import RunSummary, read_summary
-from gridtrack.trackers.card import GENERAL
+from gridtrack.trackers.training.card import GENERAL
 
 from studies.support.comparison import compare, train
 from studies.support.results_file import ResultSection, ResultTable, measured_table, read_sections, write_section

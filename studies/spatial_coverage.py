@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from gridtrack.evaluation.results.columns import BEAM_ERROR_EDGES_M, SCALES
+from gridtrack.evaluation.results.columns import BEAM_ERROR_EDGES_M
+from gridtrack.evaluation.scores.neighbourhoods import SCALES
 from gridtrack.evaluation.statistics.spatial_scores import (
     beam_ratios,
     beam_scores,

@@ -29,7 +29,7 @@ from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.contract import Forecast
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
 from gridtrack.trackers.model_free.kalman import KalmanTracker
-from gridtrack.trackers.model_free.outlines import Match
+from gridtrack.trackers.model_free.matching import Match
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.segmentation import Cluster, joined
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
 from gridtrack.evaluation.runs.trial_record import read_trial_record
-from gridtrack.evaluation.scores.cells import HALF, Tally
+from gridtrack.evaluation.scores.cells import HALF, PROBABILITY_BINS, PROBABILITY_EDGES, Tally
 from gridtrack.evaluation.scores.thresholds import best_thresholds
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.histograms import read_tally

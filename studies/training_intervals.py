@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gridtrack.evaluation.statistics.training_differences import Trainings, training_differences
+from gridtrack.evaluation.statistics.trainings import Trainings, training_differences
 
 from studies.support.results_file import measured_table, write_table
 

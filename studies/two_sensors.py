@@ -31,15 +31,10 @@ from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH, RegionMaps
 from gridtrack.evaluation.referee.targets import Target, target_of
 from gridtrack.evaluation.scores.cells import Tally, count_cells
 from gridtrack.evaluation.scores.thresholds import best_thresholds
-from gridtrack.evaluation.statistics.jackknife import (
-    PairedDifferences,
-    differences,
-    pooled,
-    ratio_differences,
-    ratio_interval,
-)
+from gridtrack.evaluation.statistics.jackknife import PairedDifferences, pooled, ratio_differences, ratio_interval
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.stream import GridStream
+from gridtrack.reports import differences
 from gridtrack.simulation.junction import TWO_CORNERS, seen
 from gridtrack.simulation.tracks_file import read_tracks
 from gridtrack.trackers.contract import Tracker

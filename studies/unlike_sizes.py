@@ -14,7 +14,9 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import expit
 
-from gridtrack.evaluation.statistics.jackknife import COUNTS, degrees_of_freedom, differences, pooled, ratio_sums
+from gridtrack.evaluation.scores.f1 import COUNTS
+from gridtrack.evaluation.statistics.jackknife import degrees_of_freedom, pooled, ratio_sums
+from gridtrack.reports import differences
 
 from studies.support.results_file import measured_table, write_table
 

@@ -19,7 +19,7 @@ import numpy as np
 from gridtrack.common.horizons import nearest_step
 from gridtrack.evaluation.referee.samples import SAMPLES, Sample, read_samples
 from gridtrack.evaluation.results.columns import SCORES_TABLE
-from gridtrack.reports.moment_choice import FrameScore, frame_scores
+from gridtrack.reports.moments import FrameScore, frame_scores
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import ReportedRun, read_runs
 from gridtrack.reports.table import MAIN_STRATUM

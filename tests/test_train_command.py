@@ -14,7 +14,7 @@ from gridtrack.evaluation.runs.train import general_start, train_tracker
 from gridtrack.evaluation.runs.training_process import ProgressLines
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import GridStream
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 
 DEMO = str(packaged_recording("leg_tracker"))
 

@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
-from gridtrack.trackers.progress import Progress
+from gridtrack.trackers.training.progress import Progress
 
-API = 1
+API = 2
+"""The version of this contract, in which `fit` takes one FitTask."""
+API_WITHOUT_FIT = 1
+"""The version before, which differs in `fit` only."""
 MAX_FUTURES = 64
 """The most sampled futures of one forecast; it bounds the size of an answer before memory is allocated."""
 Role = Literal["tracker", "floor"]
@@ -110,35 +113,62 @@ def stream_of(source: FrameSource, weights: Path | None = None) -> StreamSpec:
 
 @dataclass(frozen=True, slots=True)
 class StretchScore:
-    """The host's score of one tracker on one stretch: F1 (steps+1,) per stratum at the best threshold of each step."""
+    """The scores of one tracker on one stretch, each (steps+1,) by stratum: F1 at the best threshold of each step."""
 
     f1: dict[str, NDArray[np.float64]]
     log_loss: dict[str, NDArray[np.float64]]
 
 
-Score = Callable[["Tracker", FrameSource, int], StretchScore]
-"""`score(tracker, source, steps)`: resets the tracker, streams the source through it, and scores its forecasts on the
-referee's strata. The source is a stretch that `fit` received, or consecutive frames of one with their stamps. Raises
-RecordingError for another source."""
+class Objective(Protocol):
+    """The host's score of a tracker, by which `fit` selects: `task.objective(tracker, source, steps)`."""
+
+    def __call__(self, tracker: Tracker, source: FrameSource, steps: int, /) -> StretchScore:
+        """Reset the tracker, stream the source through it, and score its forecasts of 0 to `steps` steps.
+
+        The source is a stretch of the FitTask, or consecutive frames of one with their stamps. Raises RecordingError
+        for another source.
+        """
+        ...
 
 
 @dataclass(frozen=True, slots=True)
-class FitOutput:
-    """The card that `fit` writes (`path`, a `.toml`), the command for the card, and the seed."""
+class FitTask:
+    """The input of one training: `Tracker.fit` learns from it and writes the card `out`.
 
-    path: Path
-    command: str
-    seed: int
+    `train` and `validation`: stretches of recordings, each a stream of GridFrames whose planes are (M, M); no frame is
+    in both. `options`: the tracker's own Options. An example that counts the occupied rate of each cell:
+
+        @classmethod
+        def fit(cls, task: FitTask) -> None:
+            frames = [frame for source in task.train for frame in source]
+            rate = np.mean([frame.occupied for frame in frames], axis=0)  # (M, M)
+            save_weights(task.out, card_for(cls, task), {"rate": rate})
+    """
+
+    train: Sequence[FrameSource]
+    """The stretches to learn from."""
+    validation: Sequence[FrameSource]
+    """The stretches to select by; `fit` must not learn from them."""
+    objective: Objective
+    """The host's score of a tracker on one of these stretches."""
+    out: Path
+    """The card to write (`.toml`, its arrays in the `.safetensors` beside it)."""
+    options: Any
     log_dir: Path
-    """Folder for logs and checkpoints of `fit`; a second call with the same folder resumes."""
-    report: Callable[[str], None] = print
-    """One line for the user."""
-    progress: Progress = field(default_factory=Progress)
-    """The stages of `fit`; the host reports their rate and the time left every few seconds."""
+    """Folder for logs and checkpoints; a second call with the same folder resumes."""
+    seed: int = 0
+    command: str = ""
+    """The command line of the training, for the card."""
     general: bool = False
     """Learn for any place: from recordings of many sites, grids and periods, and nothing of a place."""
     start: Path | None = None
-    """The card of the general weights to start from, where the tracker `starts_from_general`; None: from scratch."""
+    """The card of the general weights to start from, if the tracker `starts_from_general`; None: from scratch."""
+    device: str = "auto"
+    """Kind of torch device to train on, such as `cpu` or `cuda`; `auto`: an accelerator if there is one."""
+    report: Callable[[str], None] = print
+    """Prints one line for the user."""
+    progress: Progress = field(default_factory=Progress)
+    """The stages of the training; the host prints their rate and the time left every few seconds."""
 
 
 class Tracker(ABC):
@@ -148,6 +178,7 @@ class Tracker(ABC):
     """
 
     api: ClassVar[int] = API
+    """The version of the contract; a tracker without `fit` may also say API_WITHOUT_FIT."""
     Options: ClassVar[type[Settings]] = Settings
     """The tracker's own settings; unknown keys are refused."""
     classes: tuple[str, ...] = ()
@@ -158,7 +189,7 @@ class Tracker(ABC):
     learns: ClassVar[bool] = False
     """Whether `fit` must have run, for the site or for any place, before the tracker can be used."""
     learns_general: ClassVar[bool] = False
-    """Whether `fit` can learn for any place (`FitOutput.general`)."""
+    """Whether `fit` can learn for any place (`FitTask.general`)."""
     role: ClassVar[Role] = "tracker"
     """A floor is a row that every tracker must beat, such as persistence."""
     reference_for: ClassVar[frozenset[ComparedPart]] = frozenset()
@@ -172,7 +203,7 @@ class Tracker(ABC):
     def starts_from_general(cls, options: Any) -> bool:
         """Whether `fit` with these options starts from general weights where it gets some.
 
-        It then reads them from `FitOutput.start`; the command writes on the card which they were, and what they
+        It then reads them from `FitTask.start`; the command writes on the card which they were, and what they
         learned from.
         """
         return False
@@ -195,13 +226,9 @@ class Tracker(ABC):
         """Forecast steps 0..`steps` from x_1..x_t, without changing the state."""
 
     @classmethod
-    def fit(
-        cls,
-        train: Sequence[FrameSource],
-        validation: Sequence[FrameSource],
-        score: Score,
-        out: FitOutput,
-        options: Any,
-    ) -> None:
-        """Train on `train`, select on `validation`, and write the card `out.path`. Called only if `learns` is true."""
+    def fit(cls, task: FitTask) -> None:
+        """Train on `task.train`, select on `task.validation`, and write the card `task.out`.
+
+        Called only if `learns` is true.
+        """
         raise NotImplementedError(f"{cls.__name__} has nothing to learn")

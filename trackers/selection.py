@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import shlex
@@ -16,7 +17,7 @@ from pydantic import model_validator
 from gridtrack.common.config import Settings, parse_pairs, validated
 from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
-from gridtrack.common.files import read_bounded
+from gridtrack.common.files import read_bounded, sha256_of
 from gridtrack.common.grid import Points
 from gridtrack.common.untrusted import parse_toml
 from gridtrack.trackers import registry
@@ -60,6 +61,19 @@ class Launch:
     def external(self) -> bool:
         """Whether a `trackers.toml` names it."""
         return self.cwd is not None
+
+    def code_sha256(self) -> str:
+        """The hash of the files that the command names; "" if it names none."""
+        digests = [sha256_of(path) for path in (Path(self.cwd or "", word) for word in self.argv) if _is_file(path)]
+        return hashlib.sha256("\n".join(digests).encode()).hexdigest() if digests else ""
+
+
+def _is_file(path: Path) -> bool:
+    """Whether `path` is a file; a word of a command may be too long for a path, or have a null byte."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def parse_selection(text: str) -> Selection:

@@ -25,10 +25,10 @@ from gridtrack.evaluation.hosting.sandbox import confine
 from gridtrack.evaluation.hosting.supervised import SupervisedProgram
 from gridtrack.evaluation.hosting.timing import Call, Timings, clock_that_counts
 from gridtrack.trackers import messages
-from gridtrack.trackers.contract import API, ComparedPart, Forecast, Role, StreamSpec
-from gridtrack.trackers.own_code import program_sha256
+from gridtrack.trackers.contract import ComparedPart, Forecast, Role, StreamSpec
+from gridtrack.trackers.registry import api_breach
 from gridtrack.trackers.selection import Launch
-from gridtrack.trackers.weights import ARRAYS_SUFFIX
+from gridtrack.trackers.training.weights import ARRAYS_SUFFIX
 from gridtrack.trackers.wire import Message, TooLargeError, WireError
 
 THREAD_VARIABLES = (
@@ -142,7 +142,7 @@ class TrackerProcess:
             if self._killed:
                 self._dialogue.process.kill()
             described = description_from(self._dialogue.ask(request, self.limits.start_s))
-            code = described.code_sha256 or program_sha256(self.launch.argv, self.launch.cwd)
+            code = described.code_sha256 or self.launch.code_sha256()
             self.description = replace(described, code_sha256=code)
         return self
 
@@ -312,8 +312,8 @@ def description_from(answer: Message) -> TrackerDescription:
         raise WireError(f"{len(classes)} classes; at most {messages.MAX_CLASSES}")
     if not all(isinstance(name, str) and is_label(name) for name in classes) or len(set(classes)) != len(classes):
         raise WireError(f"classes {classes!r:.80} are not distinct names: {LABEL_RULE}")
-    if answer.value("api", int) != API:
-        raise WireError(f"made for contract {answer.value('api', int)}; this gridtrack has contract {API}")
+    if problem := api_breach(answer.value("api", int), fits=False):
+        raise WireError(problem)
     return TrackerDescription(
         tuple(classes),
         answer.value("moving_sensor", bool),

@@ -19,7 +19,7 @@ from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.recording_info import stretch_text
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
-from gridtrack.trackers.card import TrainingData
+from gridtrack.trackers.training.card import TrainingData
 
 ORACLE = "oracle"
 """Label of the ceiling, which the referee computes where there is truth; no tracker may have it."""

@@ -21,10 +21,10 @@ from gridtrack.evaluation.runs.trial import validation_tally
 from gridtrack.evaluation.scores.cells import HALF, Tally
 from gridtrack.evaluation.scores.thresholds import Thresholds, best_thresholds
 from gridtrack.recordings.stream import GridStream
-from gridtrack.trackers.card import CardThresholds
-from gridtrack.trackers.progress import Progress
 from gridtrack.trackers.selection import Selection, launch
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.card import CardThresholds
+from gridtrack.trackers.training.progress import Progress
+from gridtrack.trackers.training.weights import read_card
 
 HORIZON_STEP_S, LAST_S = 0.1, 2.5
 """The horizons that have a threshold on a card: every HORIZON_STEP_S up to LAST_S; a later one has that of LAST_S."""

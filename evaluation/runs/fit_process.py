@@ -18,7 +18,7 @@ from gridtrack.evaluation.runs.fit_regions import FitScores
 from gridtrack.evaluation.runs.stretch_files import StoredStretch
 from gridtrack.evaluation.runs.training_process import ProgressLines
 from gridtrack.trackers import registry
-from gridtrack.trackers.contract import FitOutput, Tracker
+from gridtrack.trackers.contract import FitTask, Tracker
 from gridtrack.trackers.serve import error_line, take_wire
 from gridtrack.trackers.wire import Message, encode, fill_from, receive, write_to
 
@@ -75,19 +75,23 @@ def _fit(
     files = {use: [Path(path) for path in request.value(use, list)] for use in ("train", "validation")}
     train, validation = ([StoredStretch(path, lines.progress) for path in paths] for paths in files.values())
     scores = FitScores([*train, *validation], regions_of)
-    path, log_dir = (Path(request.value(name, str)) for name in ("path", "log_dir"))
+    out, log_dir = (Path(request.value(name, str)) for name in ("out", "log_dir"))
     start = request.value("start", str)
-    output = FitOutput(
-        path,
-        request.value("command", str),
-        request.value("seed", int),
+    task = FitTask(
+        train,
+        validation,
+        scores.score,
+        out,
+        settings,
         log_dir,
-        lines.report,
-        lines.progress,
+        request.value("seed", int),
+        request.value("command", str),
         general=request.value("general", bool),
         start=Path(start) if start else None,
+        report=lines.report,
+        progress=lines.progress,
     )
-    tracker.fit(train, validation, scores.score, output, settings)
+    tracker.fit(task)
 
 
 def _error_fields(error: Exception) -> dict[str, str]:

@@ -21,9 +21,9 @@ from gridtrack.evaluation.referee.splits import EvaluationSplit, common_with
 from gridtrack.evaluation.runs.run_record import WeightsUsed
 from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.stream import GridStream
-from gridtrack.trackers.card import GENERAL, Card, TrainingData
 from gridtrack.trackers.selection import CardKind
-from gridtrack.trackers.weights import ARRAYS_SUFFIX, arrays_content, read_card
+from gridtrack.trackers.training.card import GENERAL, Card, TrainingData
+from gridtrack.trackers.training.weights import ARRAYS_SUFFIX, arrays_content, read_card
 
 SITE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 READ_TRIES, READ_AGAIN_S = 3, 0.1

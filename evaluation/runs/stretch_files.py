@@ -22,7 +22,7 @@ from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.survey_file import recall_survey, write_survey
 from gridtrack.trackers import messages
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.progress import Progress
+from gridtrack.trackers.training.progress import Progress
 from gridtrack.trackers.wire import Fill, Message, WireError, encode, receive
 
 STRETCHES_VERSION = 3

@@ -29,10 +29,9 @@ from gridtrack.recordings import Recording, open_recording, recordings_at
 from gridtrack.recordings.recording_info import Stretch, stretch_text
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
-from gridtrack.trackers.card import GENERAL, StartedFrom, TrainingData
-from gridtrack.trackers.contract import FitOutput
-from gridtrack.trackers.progress import Progress
-from gridtrack.trackers.weights import add_thresholds, complete_card, read_card
+from gridtrack.trackers.training.card import GENERAL, StartedFrom, TrainingData
+from gridtrack.trackers.training.progress import Progress
+from gridtrack.trackers.training.weights import add_thresholds, complete_card, read_card
 
 NamedStretch = tuple[Path, Stretch | str | None]
 """A recording, with a stretch, the name of a stretch, or None for its own."""
@@ -67,14 +66,23 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         path = weights_path(recipe.out or user_weights_folder(), recipe.tracker, site)
         _make_folder(path.parent)
         logs = path.with_suffix(".logs")
-        from_weights = start.path if start else None
-        output = FitOutput(path, COMMAND, recipe.seed, logs, report, general=recipe.general, start=from_weights)
         stretches = StretchFiles([*train_on, *validate_on], Path(folder), cache)
         with ProgressLines(report) as lines:
             files = stretches.frames(lines.progress)
         train, validation = files[: len(train_on)], files[len(train_on) :]
         try:
-            process.fit(train, validation, output, stretches.regions)
+            process.fit(
+                train,
+                validation,
+                stretches.regions,
+                report,
+                out=path,
+                log_dir=logs,
+                seed=recipe.seed,
+                command=COMMAND,
+                general=recipe.general,
+                start=start.path if start else None,
+            )
         except KeyboardInterrupt:
             interrupted = True
         else:

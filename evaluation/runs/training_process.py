@@ -22,8 +22,7 @@ from gridtrack.common import errors
 from gridtrack.common.errors import GridtrackError, PluginError
 from gridtrack.evaluation.hosting.host import shielded_environment
 from gridtrack.evaluation.hosting.supervised import SupervisedProgram
-from gridtrack.trackers.contract import FitOutput
-from gridtrack.trackers.progress import Progress
+from gridtrack.trackers.training.progress import Progress
 from gridtrack.trackers.wire import Message, WireError
 
 INTERRUPT_S = 30.0
@@ -66,10 +65,17 @@ class TrainingProcess:
         self,
         train: Sequence[Path],
         validation: Sequence[Path],
-        output: FitOutput,
         regions_of: Callable[[int], Path],
+        report: Callable[[str], None],
+        *,
+        out: Path,
+        log_dir: Path,
+        seed: int,
+        command: str,
+        general: bool,
+        start: Path | None,
     ) -> None:
-        """Run `fit` on these files of stretches; its lines go to `output.report`.
+        """Run `fit` on these files of stretches, with the other fields of its FitTask; its lines go to `report`.
 
         `regions_of(n)` makes the file with the regions of the n-th stretch, training before validation, when `fit`
         requests it. Raises GridtrackError, KeyboardInterrupt.
@@ -78,16 +84,16 @@ class TrainingProcess:
             "fit",
             train=[str(path) for path in train],
             validation=[str(path) for path in validation],
-            path=str(output.path),
-            command=output.command,
-            seed=output.seed,
-            log_dir=str(output.log_dir),
-            general=output.general,
-            start=str(output.start or ""),
+            out=str(out),
+            log_dir=str(log_dir),
+            seed=seed,
+            command=command,
+            general=general,
+            start=str(start or ""),
         )
         with self._passing_on_interrupts() as interrupted:
             try:
-                self._answer("done", output.report, lambda n: self._send("regions", path=str(regions_of(n))))
+                self._answer("done", report, lambda n: self._send("regions", path=str(regions_of(n))))
             except GridtrackError:
                 if not interrupted.is_set():
                     raise

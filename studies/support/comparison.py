@@ -11,7 +11,7 @@ from pathlib import Path
 from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.summary import RunSummary
 from gridtrack.evaluation.runs.trial_record import read_trial_record
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 
 RECORDINGS = Path("data/junction")
 VALIDATION = RECORDINGS / "validation.tracks"

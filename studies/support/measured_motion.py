@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.trackers.model_free.motion.parameters import MotionModel
+from gridtrack.trackers.model_free.motion import MotionModel
 
 Array = NDArray[np.float64]
 MODEL = MotionModel(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 
 from gridtrack.evaluation.referee.splits import ORACLE
-from gridtrack.evaluation.results.columns import SCALES
+from gridtrack.evaluation.scores.neighbourhoods import SCALES
 from gridtrack.reports.figures import Axis, document
 
 from studies.support.unseen_places import FAMILIES, REFERENCE, PlaceScores

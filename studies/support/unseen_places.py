@@ -18,12 +18,12 @@ from gridtrack.evaluation.runs.summary import (
     TrackerTrainings,
     read_summary,
 )
-from gridtrack.evaluation.statistics.jackknife import COUNTS
+from gridtrack.evaluation.scores.f1 import COUNTS
 from gridtrack.evaluation.statistics.pair_statistics import PairStatistics
 from gridtrack.evaluation.statistics.run_statistics import RunStatistics
 from gridtrack.evaluation.statistics.training_statistics import TrainingStatistics
 from gridtrack.reports.differences import SIGNIFICANT as TOLD_APART
-from gridtrack.trackers.card import GENERAL
+from gridtrack.trackers.training.card import GENERAL
 
 from studies.support.comparison import finished_trials
 from studies.support.results_file import ResultTable, measured_table

@@ -15,7 +15,6 @@ import typer
 
 from gridtrack.cli import app
 from gridtrack.trackers import registry
-from gridtrack.trackers.migration import RENAMES
 from gridtrack.trackers.selection import parse_selection
 
 from docs.pages import PAGES, ROOT, commands, name_of, prose
@@ -89,13 +88,6 @@ def test_the_files_that_a_page_names_exist(page: Path) -> None:
     modules = {path.name for package in PACKAGES for path in (ROOT / package).rglob("*.py")}
     assert [file for file in FILE.findall(text) if not (ROOT / file).exists()] == []
     assert [name for name in re.findall(r"`(\w+\.py)`", text) if name not in modules] == []
-
-
-@pytest.mark.parametrize("page", [page for page in CURRENT if page.parent.name == "trackers"], ids=name_of)
-def test_no_page_on_a_tracker_names_an_option_by_its_old_name(page: Path) -> None:
-    old = {name for step in RENAMES.values() for renames in step.values() for name in renames.options}
-    old -= {"blank"}  # a tracker has this name
-    assert old & set(re.findall(r"`(\w+)`", page.read_text("utf-8"))) == set()
 
 
 def test_the_options_that_a_page_on_a_tracker_sets_exist() -> None:

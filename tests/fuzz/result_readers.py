@@ -17,25 +17,29 @@ from fuzz.containers import (
 )
 from fuzz.damage import Choices, damaged_json, damaged_text, damaged_value, dumped, one_of
 from fuzz.reader import CLASSES, GRID, Reader, on_file
+from gridtrack.evaluation.referee.samples import read_samples
+from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.regression.baseline import digest_of, read_baseline
 from gridtrack.evaluation.regression.history import append_entry, read_history
 from gridtrack.evaluation.regression.measuring import measure_run
-from gridtrack.evaluation.runs.run_record import RecordingSummary
-from gridtrack.evaluation.runs.run_record import RunConfiguration, RunRecord, TrialIdentity, read_run_record
-from gridtrack.evaluation.runs.summary import RunSummary, TrackerSummary
-from gridtrack.evaluation.runs.trial_record import read_trial_record
-from gridtrack.evaluation.runs.summary import TrialSummary
 from gridtrack.evaluation.runs.recipe import read_recipe
+from gridtrack.evaluation.runs.run_record import (
+    RecordingSummary,
+    RunConfiguration,
+    RunRecord,
+    TrialIdentity,
+    read_run_record,
+)
+from gridtrack.evaluation.runs.summary import RunSummary, TrackerSummary, TrialSummary
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.scoring.histograms import read_tally
-from gridtrack.evaluation.referee.samples import read_samples
 from gridtrack.evaluation.scoring.score_store import read_label_free, read_losses
-from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.statistics.frame_counts import read_frame_counts
 from gridtrack.reports.run import read_runs
-from gridtrack.trackers.card import Card, CardThresholds, TrainingData
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import read_trackers_toml
-from gridtrack.trackers.weights import load_weights, save_weights
+from gridtrack.trackers.training.card import Card, CardThresholds, TrainingData
+from gridtrack.trackers.training.weights import load_weights, save_weights
 
 from scenes.drawn_samples import write_samples
 from scenes.synthetic_run import description, identity, write_trial

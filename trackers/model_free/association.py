@@ -14,8 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2
 
-from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.ragged import bounds_of, split
+from gridtrack.trackers.model_free.arrays import Array, bounds_of, split
 from gridtrack.trackers.model_free.segmentation import Cluster, joined
 from gridtrack.trackers.model_free.settings import AssociationMethod
 

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.ragged import bounds_of
-from gridtrack.trackers.model_free.tracks import Track
-from gridtrack.trackers.model_free.window import Window
+from gridtrack.trackers.model_free.arrays import Array, bounds_of
+from gridtrack.trackers.model_free.tracks import Track, Window
 from gridtrack.trackers.site_map import SiteMap, mean_of_cells
-from gridtrack.trackers.weights import Weights, array
+from gridtrack.trackers.training.weights import Weights, array
 
 FEATURES = ("length", "along", "across", "speed", "range")
 """Each as a logarithm, see `features_of`."""

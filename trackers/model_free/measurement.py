@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import wrap_angle
 from gridtrack.common.grid import Mask
-from gridtrack.trackers.model_free.arrays import Array
+from gridtrack.trackers.model_free.arrays import Array, bounds_of, means_of, spans_of
 from gridtrack.trackers.model_free.association import distances_to, gaps
-from gridtrack.trackers.model_free.matching import match
-from gridtrack.trackers.model_free.outlines import Match, Matches, Outlines, Pairs
-from gridtrack.trackers.model_free.ragged import bounds_of, means_of, spans_of
+from gridtrack.trackers.model_free.matching import Match, Matches, Outlines, Pairs, match
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track, boundaries_of, poses_of

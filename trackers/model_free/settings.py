@@ -7,8 +7,8 @@ from typing import Literal
 from pydantic import Field
 
 from gridtrack.common.config import Settings
-from gridtrack.trackers.label_settings import LabelSettings
-from gridtrack.trackers.model_free.motion.parameters import MotionModel, Regimes
+from gridtrack.trackers.model_free.motion import MotionModel, Regimes
+from gridtrack.trackers.training.labelled_scans import LabelSettings
 
 AssociationMethod = Literal["hungarian", "jcbb"]
 """How clusters are assigned to tracks: by gating each pair, or the whole set of pairs."""

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridSpec, Mask
-from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.ragged import split
+from gridtrack.trackers.model_free.arrays import Array, split
 
 MAX_POINTS = 256
 """Maximum number of boundary points; those of the smallest weight are removed first."""

@@ -12,17 +12,17 @@ import pytest
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.engines.engine import EngineError
 from gridtrack.evaluation.engines.remote import RETRIES, RemoteEngine, TaskEnd
-from gridtrack.evaluation.results.columns import PROBABILITY_BINS
-from gridtrack.evaluation.runs.run_record import read_run_record
-from gridtrack.evaluation.runs.trial_record import read_trial_record
+from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.runs import jobs, runner
 from gridtrack.evaluation.runs.jobs import SharedInputs, TrialJob
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.run_record import read_run_record
 from gridtrack.evaluation.runs.runner import engine_of, run
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.runs.train import train_tracker
-from gridtrack.evaluation.referee.strata import STRATA
+from gridtrack.evaluation.runs.trial_record import read_trial_record
+from gridtrack.evaluation.scores.cells import PROBABILITY_BINS
 from gridtrack.evaluation.scores.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation
 

@@ -15,14 +15,14 @@ from gridtrack.evaluation.referee.strata import AGES_S, CELL_KINDS, PARTS, STRAT
 from gridtrack.evaluation.referee.targets import NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED
 from gridtrack.evaluation.results.columns import BEAM_ERROR_BINS
 from gridtrack.evaluation.runs.oracle import Oracle
-from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.beam_errors import beam_errors
+from gridtrack.evaluation.scores.beam_error import median_size
 from gridtrack.evaluation.scores.cells import Tally, count_cells
 from gridtrack.evaluation.scores.thresholds import half
-from gridtrack.evaluation.statistics.spatial_scores import median_size
+from gridtrack.evaluation.scoring import metrics
+from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
+from gridtrack.trackers.baselines import PersistenceTracker
 from gridtrack.trackers.contract import stream_of
 
 from scenes import drive

@@ -9,11 +9,11 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.referee import samples as samples_module
 from gridtrack.evaluation.referee.referee import Schedule, ScoredForecast
 from gridtrack.evaluation.referee.samples import SAMPLES, SamplesError, SampleWriter, kept_forecasts, read_samples
 from gridtrack.evaluation.referee.strata import CELL_KINDS, region_maps_of
 from gridtrack.evaluation.referee.targets import Target
-from gridtrack.evaluation.scoring import samples as samples_module
 from gridtrack.trackers.contract import Forecast, TrackedObject
 
 GRID = GridSpec(12, 0.25, (-1.0, 2.0))

@@ -12,8 +12,8 @@ from gridtrack.evaluation.runs.recipe import Recipe
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.recordings import import_recording
-from gridtrack.trackers.card import Card, TrainingData
-from gridtrack.trackers.weights import save_weights
+from gridtrack.trackers.training.card import Card, TrainingData
+from gridtrack.trackers.training.weights import save_weights
 
 SECOND = Sampling(horizon_s=1.0, every_s=0.5)
 

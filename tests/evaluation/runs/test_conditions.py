@@ -9,14 +9,13 @@ import pytest
 
 from gridtrack.evaluation.referee.deadline import Costs
 from gridtrack.evaluation.results.columns import SCORES_TABLE
-from gridtrack.evaluation.runs import deadline_pass
+from gridtrack.evaluation.runs import deadline_pass, scorekeeper
 from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.trial_record import TrialRecord
-from gridtrack.evaluation.scoring import scorekeeper
 from gridtrack.evaluation.scoring.robustness import mismatched_degradations
 from gridtrack.recordings.degradation import Degradation
 

@@ -13,9 +13,9 @@ from gridtrack.evaluation.runs.fit_regions import FitScores, StretchRegions, cel
 from gridtrack.evaluation.runs.stretch_files import StoredStretch, store_stretch
 from gridtrack.evaluation.runs.objective import score_in_process
 from gridtrack.recordings.stream import open_stream
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
+from gridtrack.trackers.baselines import PersistenceTracker
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.excerpts import CachedSource
+from gridtrack.trackers.training.excerpts import CachedSource
 
 from scenes import drive, truth_scene
 

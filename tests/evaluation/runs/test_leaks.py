@@ -167,18 +167,18 @@ def recorded_today(path, site):
 
 def test_a_tracker_that_names_no_training_data_on_its_card_cannot_hide_it(record, tmp_path, install):
     module = """
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
-from gridtrack.trackers.card import card_for
-from gridtrack.trackers.weights import save_weights
+from gridtrack.trackers.baselines import PersistenceTracker
+from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.weights import save_weights
 
 
 class Secretive(PersistenceTracker):
     learns = True
 
     @classmethod
-    def fit(cls, train, validation, score, out, options):
-        card = card_for("secretive", out, train, validation, {})
-        save_weights(out.path, card.model_copy(update={"train": (), "validation": ()}), {})
+    def fit(cls, task):
+        card = card_for("secretive", task, {})
+        save_weights(task.out, card.model_copy(update={"train": (), "validation": ()}), {})
 """
     install("secretive", {"secretive": "secretive:Secretive"}, {"secretive.py": module})
     path = train_tracker(

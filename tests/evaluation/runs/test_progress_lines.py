@@ -6,7 +6,7 @@ import re
 import time
 
 from gridtrack.evaluation.runs.training_process import ProgressLines
-from gridtrack.trackers.progress import Progress, duration_text
+from gridtrack.trackers.training.progress import Progress, duration_text
 
 
 def wait_for(lines, pattern):

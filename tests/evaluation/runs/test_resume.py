@@ -16,8 +16,6 @@ from gridtrack.common.errors import GridtrackError, WeightsError
 from gridtrack.evaluation.regression.measurement import Unmeasured
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
-from gridtrack.evaluation.runs.result_files import RunError
-from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs import jobs, plan, run_folder
 from gridtrack.evaluation.runs.jobs import SharedInputs
 from gridtrack.evaluation.runs.learned import find_weights

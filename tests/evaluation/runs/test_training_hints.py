@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError, RecordingError
-from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs.jobs import SharedInputs, TrialJob
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.trial import unstarted
-from gridtrack.trackers.weights import read_card
+from gridtrack.evaluation.runs.trial_record import read_trial_record
+from gridtrack.trackers.training.weights import read_card
 
 
 @pytest.fixture(autouse=True)

@@ -6,7 +6,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gridtrack.trackers.recurrent.entered_cells import LOOKBACK_STEPS, NEAR_CELLS, entered_cells, near_entered_cells  # noqa: E402
+from gridtrack.trackers.recurrent.motion import LOOKBACK_STEPS, NEAR_CELLS, entered_cells, near_entered_cells
 
 STEPS, SIZE = 30, 24
 

@@ -12,20 +12,17 @@ from gridtrack.common.errors import ConfigurationError  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN  # noqa: E402
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, convgru_gates  # noqa: E402
-from gridtrack.trackers.recurrent.fused import fused_gates  # noqa: E402
-from gridtrack.trackers.recurrent.inference import (  # noqa: E402
-    InferenceConvGRU,
-    InferencePlainConvGRU,
-    InferenceRNN,
-    bias_rows,
-)
+from gridtrack.trackers.recurrent.inference import InferencePlainConvGRU
+from gridtrack.trackers.recurrent.kernels.convgru import InferenceConvGRU, bias_rows
+from gridtrack.trackers.recurrent.kernels.convolutions import WinogradConvolution
+from gridtrack.trackers.recurrent.kernels.gates import fused_gates
+from gridtrack.trackers.recurrent.kernels.rnn import InferenceRNN
 from gridtrack.trackers.recurrent.network import as_cells, channels_last  # noqa: E402
 from gridtrack.trackers.recurrent.settings import (  # noqa: E402
     GATES,
     DeepTrackingRNNSettings,
     DilatedConvGRUSettings,
 )
-from gridtrack.trackers.recurrent.winograd import WinogradConvolution  # noqa: E402
 
 CHANNELS = 4
 

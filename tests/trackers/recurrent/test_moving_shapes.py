@@ -7,9 +7,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gridtrack.trackers.recurrent import moving_shapes as shapes  # noqa: E402
-from gridtrack.trackers.recurrent.entered_cells import entered_cells  # noqa: E402
-from gridtrack.trackers.recurrent.moving_shapes import moving_shapes  # noqa: E402
+from gridtrack.trackers.recurrent.motion import entered_cells, moving_shapes
+from gridtrack.trackers.recurrent.motion import moving_shapes as shapes
 
 
 def test_a_window_depends_on_its_draw_alone_and_much_of_it_moves():

@@ -11,10 +11,12 @@ from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec, Shift, rolled  # noqa: E402
 from gridtrack.trackers.contract import StreamSpec  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN  # noqa: E402
+from gridtrack.trackers.recurrent.deep_tracking_rnn import (
+    DeepTrackingRNN,  # noqa: E402
+    DeepTrackingRNNTracker,
+)
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU  # noqa: E402
 from gridtrack.trackers.recurrent.network import as_cells, as_tensor, channels_last  # noqa: E402
-from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.recurrent.settings import (  # noqa: E402
     DeepTrackingRNNOptions,
     DeepTrackingRNNSettings,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridtrack.trackers.recurrent.sight import cells_in_sight
+from gridtrack.trackers.recurrent.motion import cells_in_sight
 
 
 def drawn(window):
