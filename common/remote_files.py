@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from gridtrack.common.errors import GridtrackError, StoreError, bounded_line
-from gridtrack.common.files import user_cache_folder
-from gridtrack.common.names import NAME_RULE, is_name
+from gridtrack.common.files import NAME_RULE, is_name, user_cache_folder
 
 URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://")
 READ_BYTES = 1 << 22

@@ -20,8 +20,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Metadata, Schema
 
-from gridtrack.recordings.growth import FileEnds, GrowingFile, Growth
-from gridtrack.recordings.read_budget import ReadBudget
+from gridtrack.recordings.file_reading import FileEnds, GrowingFile, Growth, ReadBudget
 from gridtrack.recordings.recording import DamageError
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"

@@ -1,18 +1,19 @@
-"""An observation: a grid frame with the scans it was made of, in the window of the frame or in another one."""
+"""An observation: a grid frame with the scans and labels that it was made of."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Points
-from gridtrack.common.raycast import cast_scan
+from gridtrack.common.raycast import cast_scan, end_cells
 from gridtrack.common.scan import Scan
-from gridtrack.common.scene import Scene
+from gridtrack.common.scene import UNLABELLED, Scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,3 +122,35 @@ def cells_in_window(marked: NDArray[np.bool_], own: SE2, window: SE2, grid: Grid
     found = np.zeros((len(marked), grid.size**2), np.bool_)
     found[:, inside] = marked[:, cells[inside, 0], cells[inside, 1]]
     return found.reshape(-1, *grid.shape)
+
+
+def labelled_returns(
+    scans: Sequence[Scan], grid_T_sensor: Sequence[SE2], grid: GridSpec
+) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+    """Cells (N,), row * M + column, and labels (N,) of the labelled returns: the most frequent label of each cell.
+
+    Of equally frequent labels the lowest; cells whose most frequent label is UNLABELLED are left out.
+    """
+    votes = [
+        end_cells(scan, grid, pose) * (UNLABELLED + 1) + scan.labels
+        for scan, pose in zip(scans, grid_T_sensor, strict=True)
+        if scan.labels is not None and scan.labels.min(initial=UNLABELLED) < UNLABELLED
+    ]
+    if not votes:
+        return np.zeros(0, np.int64), np.zeros(0, np.uint8)
+    pairs, count = np.unique(np.concatenate(votes), return_counts=True)
+    pairs, count = pairs[pairs >= 0], count[pairs >= 0]
+    cells, labels = np.divmod(pairs, UNLABELLED + 1)
+    order = np.lexsort((labels, -count, cells))
+    winners = order[np.flatnonzero(np.diff(cells[order], prepend=-1))]
+    winners = winners[labels[winners] != UNLABELLED]
+    return cells[winners], labels[winners].astype(np.uint8)
+
+
+def check_labels(labels: NDArray[np.uint8], classes: Sequence[str], time_s: float) -> None:
+    """Raise RecordingError for a label, `time_s` after the first scan, that is not an index into `classes`."""
+    if labels.size and labels.max() >= len(classes):
+        raise RecordingError(
+            f"a label names class {labels.max()} at {time_s:.3f} s, and the recording has"
+            f" {len(classes)} classes: it is damaged"
+        )

@@ -8,13 +8,11 @@ from pathlib import Path
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import GridtrackError, RecordingError, did_you_mean
-from gridtrack.common.names import check_utf8
-from gridtrack.recordings.format import HEAD_BYTES, RecordingFormat
-from gridtrack.recordings.growth import Growth
-from gridtrack.recordings.mounts import Mount
-from gridtrack.recordings.read_options import CloudSlice, ReadOptions
+from gridtrack.common.files import check_utf8
+from gridtrack.recordings.file_reading import Growth
+from gridtrack.recordings.read_options import CloudSlice, Mount, ReadOptions
 from gridtrack.recordings.recording import Recording
-from gridtrack.recordings.registry import FormatRegistry
+from gridtrack.recordings.registry import HEAD_BYTES, FormatRegistry, RecordingFormat
 
 OPTION_PURPOSE = {
     "topic": "--topic is for recordings with several topics",

@@ -1,14 +1,72 @@
-"""Options of reading a recording: the topic, strictness, point clouds, poses and mounts."""
+"""Options of reading a recording: format, topic, strictness, point clouds, poses and mounts."""
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 from pydantic import Field, model_validator
 
 from gridtrack.common.config import Settings
-from gridtrack.common.scan import MAX_RANGE_M
-from gridtrack.recordings.mounts import Mount
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.geometry import SE2, wrap_angle
+from gridtrack.common.scan import MAX_POSITION_M, MAX_RANGE_M
+
+MOUNT_FORM = "SENSOR=X,Y,ANGLE, as in front_laser=0.4,0.2,45deg (metres; deg or rad; ',mirrored' for one upside down)"
+
+
+class Mount(Settings):
+    """The pose of a sensor on the frame `parent`, metres and radians; the frame of the robot's body where it is empty.
+
+    `sensor` is the name of a sensor or of its frame. `mirrored`: mounted upside down, so that its angles run clockwise.
+    """
+
+    sensor: str
+    parent: str = ""
+    x: float = Field(ge=-MAX_POSITION_M, le=MAX_POSITION_M)
+    y: float = Field(ge=-MAX_POSITION_M, le=MAX_POSITION_M)
+    heading_rad: float
+    mirrored: bool = False
+
+    @property
+    def parent_T_sensor(self) -> SE2:
+        """The pose in the plane."""
+        return SE2(self.x, self.y, self.heading_rad)
+
+    def __str__(self) -> str:
+        parent = f"{self.parent}:" if self.parent else ""
+        degrees = round(math.degrees(self.heading_rad), 9)
+        heading = f"{180.0 if degrees == -180.0 else degrees:.9g}deg"
+        return f"{self.sensor}={parent}{self.x:.9g},{self.y:.9g},{heading}" + (",mirrored" if self.mirrored else "")
+
+
+def parse_mount(text: str) -> Mount:
+    """Read `front_laser=0.4,0.2,45deg` or `rear=base_link:-0.4,0,3.1rad,mirrored`. Raises ConfigurationError."""
+    sensor, _, rest = text.partition("=")
+    parent, _, place = rest.rpartition(":")
+    numbers = [part.strip() for part in place.split(",")]
+    try:
+        x, y, heading_rad = float(numbers[0]), float(numbers[1]), _radians(numbers[2])
+    except (ValueError, IndexError):
+        x = y = heading_rad = math.nan
+    is_valid = abs(x) <= MAX_POSITION_M and abs(y) <= MAX_POSITION_M and math.isfinite(heading_rad)
+    if not sensor.strip() or not is_valid or numbers[3:] not in ([], ["mirrored"]):
+        raise ConfigurationError(f"--mount {text}: expected {MOUNT_FORM}")
+    return Mount(
+        sensor=sensor.strip(), parent=parent.strip(), x=x, y=y, heading_rad=heading_rad, mirrored=len(numbers) == 4
+    )
+
+
+def _radians(text: str) -> float:
+    """`45deg` or `0.8rad`, wrapped; a plain number only where it is 0. Raises ValueError."""
+    if text.endswith("deg"):
+        return wrap_angle(math.radians(float(text.removesuffix("deg"))))
+    if text.endswith("rad"):
+        return wrap_angle(float(text.removesuffix("rad")))
+    if float(text) != 0.0:
+        raise ValueError(text)
+    return 0.0
+
 
 NO_POSES = "none"
 """The pose topic of a recording whose sensors stand still."""

@@ -12,14 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from gridtrack.common.errors import RecordingError, bounded_line, did_you_mean
-from gridtrack.common.files import sha256_of
-from gridtrack.common.names import name_from
+from gridtrack.common.files import name_from, sha256_of
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.growth import Growth
-from gridtrack.recordings.mounts import Mount
-from gridtrack.recordings.order import StampOrder
-from gridtrack.recordings.read_options import ReadOptions
+from gridtrack.recordings.file_reading import Growth
+from gridtrack.recordings.read_options import Mount, ReadOptions
 from gridtrack.recordings.recording_info import RecordingInfo
+from gridtrack.recordings.stamp_order import StampOrder
 from gridtrack.recordings.survey import RecordingOverview, Survey
 
 MAX_WARNINGS, MAX_LISTED_TOPICS = 100, 1000

@@ -7,8 +7,8 @@ from typing import Any
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer
 
 from gridtrack.common.config import Settings
+from gridtrack.common.files import LABEL_RULE, NAME_RULE, is_label, is_name
 from gridtrack.common.grid import GridSpec
-from gridtrack.common.names import LABEL_RULE, NAME_RULE, is_label, is_name
 from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ
 
 Stretch = tuple[float, float | None]

@@ -1,14 +1,43 @@
-"""The registry of recording formats: found by entry point, loaded one after the other until one recognises the file."""
+"""Recording formats: what a format is, and the registry of the installed ones."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
 from gridtrack.common.entry_points import Registration, registrations
 from gridtrack.common.errors import PluginError
-from gridtrack.recordings.format import RecordingFormat
+from gridtrack.recordings.read_options import ReadOptions
+from gridtrack.recordings.recording import Recording
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingFormat:
+    """One format of recordings.
+
+    A distribution registers it in the entry point group `gridtrack.recordings` as `NAME = "package.module:FORMAT"`. The
+    module is loaded whenever a recording is opened that no earlier format recognises, so it imports heavy libraries
+    only inside `open`.
+    """
+
+    name: str
+    """For messages, in the singular: `ROS 1 bag`."""
+    suffixes: tuple[str, ...]
+    """Usual ends of the file names. They suggest a name for a missing file; `recognises` decides."""
+    recognises: Callable[[Path, bytes], bool]
+    """Whether a file or folder is of this format, from its path and its first HEAD_BYTES bytes (none for a folder)."""
+    open: Callable[[Path, ReadOptions], Recording]
+    """The recording at a path of this format, nothing of its scans read yet. Raises RecordingError."""
+    options: tuple[str, ...] = ("topic",)
+    """The fields of ReadOptions that the format can use; `strict` and `zero_range` hold for every format."""
+    can_grow: bool = False
+    """Whether a file can be read while it is written: its recordings read it by their `growth`."""
+
+
+HEAD_BYTES = 16
+
 
 FORMAT_GROUP = "gridtrack.recordings"
 
@@ -67,7 +96,7 @@ def load_format(entry: Registration) -> RecordingFormat:
     except (Exception, SystemExit) as error:
         raise PluginError(f"{where} cannot be imported ({type(error).__name__}: {error})") from error
     if not isinstance(found, RecordingFormat):
-        raise PluginError(f"{where}: {entry.value} is not a gridtrack.recordings.format.RecordingFormat")
+        raise PluginError(f"{where}: {entry.value} is not a gridtrack.recordings.registry.RecordingFormat")
     return found
 
 

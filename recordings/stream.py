@@ -12,20 +12,18 @@ from itertools import count, islice
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Points, window_about
 from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ, Scan
 from gridtrack.recordings import Recording, open_recording
-from gridtrack.recordings.cell_labels import check_labels, labelled_returns
-from gridtrack.recordings.observation import Observation, frame_of
-from gridtrack.recordings.recorded_time import RecordedTime
+from gridtrack.recordings.observation import Observation, check_labels, frame_of, labelled_returns
 from gridtrack.recordings.recording_info import Stretch, stretch_text
-from gridtrack.recordings.resample import Tick, resample_scans
-from gridtrack.recordings.sensor_poses import SensorPoses
-from gridtrack.recordings.several_sensors import missing_scans, slow_sensor
-from gridtrack.recordings.stretches import parse_stretch, stretch_of, ticks_in
+from gridtrack.recordings.resample import SensorPoses, Tick, resample_scans
+from gridtrack.recordings.stretches import RecordedTime, parse_stretch, stretch_of, ticks_in
+from gridtrack.recordings.survey import Survey
 
 MAX_EMPTY_FRAMES = 6000
 """Limit of the empty frames in one gap: ten minutes at 10 Hz."""
@@ -290,3 +288,34 @@ def frame_digest(frame: GridFrame) -> bytes:
     ):
         digest.update(np.ascontiguousarray(array, kind).tobytes())
     return digest.digest()
+
+
+SLOW = 1.5
+"""A sensor is slow whose period is so many times that of the fastest one."""
+
+
+def missing_scans(survey: Survey, stamps_ns: NDArray[np.int64], period_s: float, stretch_s: Stretch) -> Iterator[str]:
+    """A line for each sensor without a scan for some of the frames, stamped `stamps_ns` (n,)."""
+    for name, sensor in survey.sensors.items():
+        missing = sensor.missing(stamps_ns, period_s * 1e9)
+        if missing.any():
+            first_s = (stamps_ns[missing.argmax()] - survey.first_ns) / 1e9
+            yield (
+                f"sensor '{name}': no scan within half a period of {period_s:g} s of {missing.sum()} of"
+                f" {len(missing)} frames in {stretch_text(stretch_s)}, the first at {first_s:.2f} s; they are"
+                " made of the scans of the other sensors"
+            )
+
+
+def slow_sensor(survey: Survey) -> Iterator[str]:
+    """A line where one sensor, whose rate is that of the frames, is so slow that scans of the others are not used."""
+    periods_s = {name: sensor.period_s for name, sensor in survey.sensors.items() if sensor.period_s}
+    if len(periods_s) < 2:
+        return
+    slow, fast = (end(periods_s, key=periods_s.__getitem__) for end in (max, min))
+    if periods_s[slow] > SLOW * periods_s[fast]:
+        yield (
+            f"frames are made at the rate of the slowest sensor: '{slow}' has {1 / periods_s[slow]:.3g} scans a second,"
+            f" '{fast}' {1 / periods_s[fast]:.3g}; --rate {1 / periods_s[fast]:.3g} makes more frames, most of them"
+            f" without '{slow}'"
+        )

@@ -1,11 +1,14 @@
-"""Statistics of a recording from one pass over its scans: sensors, rate, field of view, gaps; and their overview."""
+"""Statistics of a recording from one pass over its scans, kept in a file."""
 
 from __future__ import annotations
 
+import json
 import math
 from array import array
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +17,8 @@ from gridtrack.common.config import Settings
 from gridtrack.common.errors import bounded_line
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.pose_drift import PoseDrift
-from gridtrack.recordings.pose_jumps import PoseJumps
+from gridtrack.recordings.pose_checks import PoseDrift, PoseJumps
+from gridtrack.recordings.recording import Recording
 from gridtrack.recordings.resample import JITTER_PERIODS
 
 MANY_INVALID, MANY_ZEROS = 0.2, 0.05
@@ -290,3 +293,70 @@ def _sensor_lines(s: SensorOverview) -> list[str]:
         f" {s.labelled_scans} scans labelled"
         + (f", {s.scans_with_truth} scans with truth" if s.scans_with_truth else ""),
     ]
+
+
+SURVEY_COUNTS = ("moved", "no_return", "invalid", "zeros", "readings", "labelled", "with_truth")
+POSE_JUMPS = tuple(field.name for field in fields(PoseJumps) if not field.name.startswith("_"))
+FIRST_SCAN = ("stamp_ns", "angle_min", "angle_increment", "range_min", "range_max", "sensor", "time_increment_s")
+"""Fields of the first scan that are kept beside its ranges and poses; labels and truth are not."""
+
+
+def write_survey(recording: Recording, path: Path) -> None:
+    """Write the survey of `recording`, its warnings and damage to `path`. Raises RecordingError, OSError."""
+    survey = recording.survey
+    about = {
+        "sensors": {name: _values(sensor) for name, sensor in survey.sensors.items()},
+        "topics": survey.topics,
+        "warnings": recording.warning_texts(),
+        "damage": recording.damage,
+    }
+    arrays: dict[str, Any] = {}
+    for n, sensor in enumerate(survey.sensors.values()):
+        arrays |= {f"stamps_{n}": sensor.stamps_ns, f"ranges_{n}": sensor.first.ranges}
+    with path.open("wb") as file:
+        np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
+
+
+def recall_survey(recording: Recording, path: Path) -> None:
+    """Let `recording` take over what `write_survey` wrote about the same file. Raises OSError."""
+    with np.load(path, allow_pickle=False) as stored:
+        about = json.loads(str(stored["about"]))
+        sensors = {
+            name: _sensor(values, stored[f"stamps_{n}"], stored[f"ranges_{n}"])
+            for n, (name, values) in enumerate(about["sensors"].items())
+        }
+    topics = {topic: (kind, count) for topic, (kind, count) in about["topics"].items()}
+    recording.recall(Survey(sensors, topics), about["warnings"], about["damage"])
+
+
+def _values(sensor: SensorSurvey) -> dict[str, Any]:
+    first = sensor.first
+    return {
+        "first": {name: getattr(first, name) for name in FIRST_SCAN},
+        "pose": asdict(first.world_T_sensor),
+        "reference": first.reference_T_sensor and asdict(first.reference_T_sensor),
+        "beams": sorted(sensor.beams),
+        "longest_rest_ns": sensor.longest_rest_ns,
+        "counts": {name: getattr(sensor, name) for name in SURVEY_COUNTS},
+        "jumps": {name: getattr(sensor.jumps, name) for name in POSE_JUMPS},
+        "drift": sensor.drift.displacements_m.tolist(),
+    }
+
+
+def _sensor(values: Mapping[str, Any], stamps_ns: NDArray[np.int64], ranges: NDArray[np.float32]) -> SensorSurvey:
+    reference = values["reference"]
+    first = Scan(
+        **values["first"],
+        ranges=ranges,
+        world_T_sensor=SE2(**values["pose"]),
+        reference_T_sensor=SE2(**reference) if reference else None,
+    )
+    return SensorSurvey(
+        first,
+        stamps=array("q", stamps_ns.tolist()),
+        beams=set(values["beams"]),
+        longest_rest_ns=tuple(values["longest_rest_ns"]),
+        jumps=PoseJumps(**values["jumps"]),
+        drift=PoseDrift(array("d", values["drift"])),
+        **values["counts"],
+    )

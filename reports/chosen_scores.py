@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from gridtrack.common.errors import ConfigurationError, did_you_mean
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.results.trial_summary import TrialSummary, better_direction
 from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
 from gridtrack.reports.differences import DifferenceTable, difference_table

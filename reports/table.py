@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.results.summary import TrackerSummary
 from gridtrack.evaluation.results.trial_summary import TrialSummary
 from gridtrack.evaluation.statistics.score_intervals import HEADLINE_HORIZONS_S, HEADLINE_STRATA

@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 from pydantic import Field, field_serializer, field_validator
 
 from gridtrack.common.config import Settings
+from gridtrack.common.files import NAME_RULE, is_name
 from gridtrack.common.geometry import SE2
-from gridtrack.common.names import NAME_RULE, is_name
 from gridtrack.common.scan import MIN_RATE_HZ, Scan
 from gridtrack.common.scene import UNLABELLED, Outline, Scene, SceneObject
 from gridtrack.recordings.recording_info import RecordingInfo
-from gridtrack.simulation.bodies import body_outline
+from gridtrack.simulation.bodies import Walker, body_outline, outlines_of
 from gridtrack.simulation.laser import MATT, MAX_SCENE_M, Laser, SceneSurfaces
-from gridtrack.simulation.motion import unbroken_tracks
-from gridtrack.simulation.odometry import WheelOdometry
-from gridtrack.simulation.walkers import Walker, outlines_of
+from gridtrack.simulation.motion import WheelOdometry, unbroken_tracks
 
 MAX_FRAMES, MAX_USERS_PER_FRAME = 5_000_000, 1000
 HALF_TURN_MRAD = 3141

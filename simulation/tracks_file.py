@@ -1,9 +1,4 @@
-"""Tracks as a file: what a recording is rendered from.
-
-A Parquet file with one row for each road user in each frame, integers in the unit of measurement in the column's name,
-and the rest of the recording (TracksInfo) as JSON in its metadata. An hour of a busy junction takes about two
-megabytes.
-"""
+"""Tracks as a file, from which a recording is rendered."""
 
 from __future__ import annotations
 
@@ -18,7 +13,9 @@ from numpy.typing import NDArray
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.files import atomic_write
 from gridtrack.common.untrusted import parse_json
+from gridtrack.recordings.formats.native_writer import write_native
 from gridtrack.simulation.tracks import MAX_USERS_PER_FRAME, ONLY_LASER, Tracks, TracksInfo
 
 STANDING_SCHEMA, TRACKS_SCHEMA, WORLD_SCHEMA = 1, 2, 3
@@ -178,3 +175,29 @@ def _check_rows(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.int6
 def _raise_if(path: Path, fault: str, found: bool | np.bool_) -> None:
     if found:
         raise RecordingError(f"{path}: damaged ({fault})")
+
+
+SIMULATED_SUFFIXES = (".tracks", ".mcap")
+
+
+def check_suffix(out: Path) -> None:
+    """Raise RecordingError for a name that ends neither in .tracks nor in .mcap; for use before a long simulation."""
+    if out.suffix not in SIMULATED_SUFFIXES:
+        raise RecordingError(f"{out}: a simulated recording is written as .tracks or as .mcap")
+
+
+def write_recording(out: Path, tracks: Tracks) -> None:
+    """Write `tracks` as `out.tracks`, or their scans as `out.mcap`; the scans are the same either way.
+
+    Same tracks, same bytes. Raises RecordingError; `out` is then not changed.
+    """
+    check_suffix(out)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(out) as file:
+            if out.suffix == ".tracks":
+                write_tracks(file, tracks)
+            else:
+                write_native(file, tracks.info.recording, tracks.scans())
+    except OSError as error:
+        raise RecordingError(f"{out}: cannot be written ({error.strerror})") from None

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.metrics import average_precision_score
 
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally

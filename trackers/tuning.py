@@ -16,7 +16,7 @@ import optuna
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.files import read_bounded, write_text
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.common.untrusted import parse_json
 from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
 from gridtrack.trackers.racing import Race

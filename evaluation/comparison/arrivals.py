@@ -12,7 +12,7 @@ from typing import Protocol
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.engines.engine import WAKE_S
-from gridtrack.recordings.growth import Growth
+from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
 

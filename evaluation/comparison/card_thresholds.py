@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.files import sha256_of
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.comparison.learned import LearnedWeights
 from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.trial import validation_tally

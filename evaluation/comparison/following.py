@@ -33,7 +33,7 @@ from gridtrack.evaluation.scoring.referee import WARM_UP
 from gridtrack.evaluation.scoring.regions import regions_of
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions, split_of
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.growth import Growth
+from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.stream import frame_digest
 from gridtrack.recordings.stretches import parse_stretch
 

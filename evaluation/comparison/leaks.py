@@ -8,8 +8,8 @@ from itertools import chain
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.comparison.learned import LearnedWeights
 from gridtrack.evaluation.scoring.splits import EvaluationSplit, common_with
-from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.stream import GridStream
+from gridtrack.recordings.stretches import RecordedTime
 from gridtrack.trackers.card import TrainingData
 
 

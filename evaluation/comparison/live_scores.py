@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import shift_between
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step, shift_between
 from gridtrack.evaluation.comparison.followed_trial import FollowedTrial
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
+from gridtrack.common.files import check_utf8
 from gridtrack.common.grid import GridSpec
-from gridtrack.common.names import check_utf8
 from gridtrack.evaluation.comparison.leaks import leaks_of, refuse_leaks
 from gridtrack.evaluation.comparison.learned import LearnedWeights, copy_weights, find_weights, weights_in
 from gridtrack.evaluation.comparison.settings import CompareSettings, check_together

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO
 
 from gridtrack.common.grid import GridFrame, LabelledFrame
-from gridtrack.recordings.cell_labels import check_labels, labelled_returns
+from gridtrack.recordings.observation import check_labels, labelled_returns
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import messages
 from gridtrack.trackers.contract import stream_of

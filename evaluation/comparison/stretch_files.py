@@ -17,7 +17,7 @@ from gridtrack.evaluation.comparison.fit_regions import StoredKinds, StretchRegi
 from gridtrack.evaluation.comparison.stored_stretch import store_stretch
 from gridtrack.recordings import Recording
 from gridtrack.recordings.stream import GridStream
-from gridtrack.recordings.survey_file import recall_survey, write_survey
+from gridtrack.recordings.survey import recall_survey, write_survey
 from gridtrack.trackers.progress import Progress
 from gridtrack.trackers.wire import WireError
 

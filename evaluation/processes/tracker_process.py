@@ -11,8 +11,8 @@ from types import TracebackType
 from typing import Any
 
 from gridtrack.common.errors import ConfigurationError, PluginError
+from gridtrack.common.files import LABEL_RULE, is_label
 from gridtrack.common.grid import GridFrame
-from gridtrack.common.names import LABEL_RULE, is_label
 from gridtrack.evaluation.processes.call_times import Call, Timings
 from gridtrack.evaluation.processes.clock import clock_that_counts
 from gridtrack.evaluation.processes.dialogue import Dialogue, Request

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.results.columns import CLASSES_TABLE
 from gridtrack.evaluation.results.recording import RecordingDescription
 from gridtrack.evaluation.results.trial_record import TrialRecord

@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import atomic_write
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, Mask
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import GridFrame, GridSpec, Mask, nearest_step
 from gridtrack.evaluation.scoring.referee import Schedule, ScoredForecast
 from gridtrack.evaluation.scoring.sample_grids import (
     GRID_FRAME,
@@ -45,9 +44,9 @@ from gridtrack.evaluation.scoring.sample_grids import (
 )
 from gridtrack.evaluation.scoring.sample_objects import KeptObject, objects_message, objects_of
 from gridtrack.evaluation.scoring.target import NOT_SCORED
+from gridtrack.recordings.file_reading import ReadBudget
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile
-from gridtrack.recordings.read_budget import ReadBudget
-from gridtrack.recordings.scene_messages import WORLD
+from gridtrack.recordings.native_messages import WORLD
 
 SAMPLES = "forecasts.mcap"
 KEPT = 40

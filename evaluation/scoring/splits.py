@@ -8,18 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
-from gridtrack.common.grid import GridSpec, Points
-from gridtrack.common.horizons import nearest_step
-from gridtrack.common.names import NAME_RULE, is_name
+from gridtrack.common.files import NAME_RULE, is_name
+from gridtrack.common.grid import GridSpec, Points, nearest_step
 from gridtrack.evaluation.results.recording import RecordingDescription, RecordingIdentity
 from gridtrack.evaluation.results.summary import ORACLE
 from gridtrack.evaluation.scoring.referee import WARM_UP, Schedule
 from gridtrack.evaluation.scoring.regions import Regions, regions_of
 from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.recordings import Recording, Stretch, open_recording
-from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.stream import GridStream
-from gridtrack.recordings.stretches import parse_stretch
+from gridtrack.recordings.stretches import RecordedTime, parse_stretch
 from gridtrack.trackers.card import TrainingData
 
 TEST, VALIDATION, TRAIN = "test", "validation", "train"

@@ -14,8 +14,7 @@ from gridtrack.common.scene import UNLABELLED
 from gridtrack.evaluation.scoring.body_motions import BodyMotions
 from gridtrack.evaluation.scoring.returned_beams import ReturnedBeams, returned_beams
 from gridtrack.evaluation.scoring.true_flow import TrueFlow, true_flow
-from gridtrack.recordings.cell_labels import check_labels, labelled_returns
-from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.observation import Observation, check_labels, labelled_returns
 from gridtrack.recordings.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth_grid
 
 SEEN_FREE, SEEN_OCCUPIED, HIDDEN_FREE, HIDDEN_OCCUPIED, NOT_SCORED = range(5)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.results.recording import RecordingDescription
 
 POOLED_EVERY_S = 0.5

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.results.values import rounded_curve
 from gridtrack.evaluation.scoring.histograms import UnitHistograms
 from gridtrack.evaluation.statistics.finished_trial import FinishedTrial

@@ -1,12 +1,9 @@
-"""One scan matched with a local map of the scans before: kiss-icp's registration, refined on the walls.
-
-kiss-icp: Vizzo et al., KISS-ICP, IEEE RA-L 2023. Its registration is used alone, since its pipeline takes no prior.
-Gauss-Newton steps of the distances across the walls follow (fit.py).
-"""
+"""One scan matched with a local map of the scans before."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -14,11 +11,10 @@ from scipy.spatial import cKDTree
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.pose_quality import MatchOutcome, PoseQuality
-from gridtrack.common.scan import Scan
-from gridtrack.recordings.ego_motion.drift_from_odometry import DriftFromOdometry
+from gridtrack.common.scan import MatchOutcome, PoseQuality, Scan
 from gridtrack.recordings.ego_motion.fit import (
     KERNEL_REACH,
+    MatchingSettings,
     by_objects,
     fit_at,
     share_on_map,
@@ -26,9 +22,9 @@ from gridtrack.recordings.ego_motion.fit import (
     walls_of,
     weighed_step,
 )
-from gridtrack.recordings.ego_motion.moving_returns import EarlierScans
 from gridtrack.recordings.ego_motion.prior import Prior, inverse
 from gridtrack.recordings.ego_motion.returns import (
+    EarlierScans,
     PlaneArray,
     ScanReturns,
     homogeneous,
@@ -36,7 +32,37 @@ from gridtrack.recordings.ego_motion.returns import (
     planar,
     returns_of,
 )
-from gridtrack.recordings.ego_motion.settings import MatchingSettings
+
+WINDOW_NS = 1_000_000_000
+DRIFT_M = 0.1
+"""A drift over the window that is never too large: that of the matches' own noise."""
+MIN_SCANS = 4
+"""A drift is judged from so many matches in the window on."""
+
+
+class DriftFromOdometry:
+    """The differences of the matches of the last second from where odometry led from the scan before."""
+
+    def __init__(self, max_deviations: float) -> None:
+        self._max_deviations = max_deviations
+        self._steps: deque[tuple[int, PlaneArray, float]] = deque()
+
+    def grows(self, stamp_ns: int, predicted: SE2, matched: SE2, position_m: float) -> bool:
+        """Add a match, whose prior has this standard deviation; whether all of them together are beyond the noise.
+
+        The largest difference is left out of the sum: it may be a slip.
+        """
+        self._steps.append((stamp_ns, np.array([matched.x - predicted.x, matched.y - predicted.y]), position_m))
+        while stamp_ns - self._steps[0][0] > WINDOW_NS:
+            self._steps.popleft()
+        if len(self._steps) < MIN_SCANS:
+            return False
+        off = np.array([step for _, step, _ in self._steps])
+        slip = int(np.hypot(*off.T).argmax())
+        drift = off.sum(axis=0) - off[slip]
+        noise_m = math.sqrt(sum(sigma**2 for _, _, sigma in self._steps))
+        return float(np.hypot(*drift)) > DRIFT_M + self._max_deviations * noise_m
+
 
 MAX_ITERATIONS, CONVERGED_M = 100, 1e-4
 PRIOR_SHARE = 1e-4

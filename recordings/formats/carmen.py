@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
+from gridtrack.common.files import name_from
 from gridtrack.common.geometry import SE2
-from gridtrack.common.names import name_from
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.format import RecordingFormat
-from gridtrack.recordings.read_budget import ReadBudget
+from gridtrack.recordings.file_reading import ReadBudget
 from gridtrack.recordings.recording import DamageError, Recording, Topics
 from gridtrack.recordings.recording_info import RecordingInfo
+from gridtrack.recordings.registry import RecordingFormat
 
 CARMEN_SUFFIXES = (".clf", ".clf.bz2", ".log", ".log.bz2")
 MAX_LINE_BYTES = 1 << 20

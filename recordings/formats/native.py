@@ -30,26 +30,30 @@ from numpy.typing import NDArray
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError, one_line
 from gridtrack.common.geometry import SE2
-from gridtrack.common.pose_quality import PoseQuality
-from gridtrack.common.scan import Scan
+from gridtrack.common.scan import PoseQuality, Scan
 from gridtrack.common.scene import Scene
 from gridtrack.common.untrusted import parse_json
-from gridtrack.recordings.format import RecordingFormat
-from gridtrack.recordings.formats.native_layout import (
+from gridtrack.recordings.file_reading import Growth
+from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile, McapMessage
+from gridtrack.recordings.native_messages import (
+    BEAM_TIMES,
     METADATA_NAME,
     NATIVE_SCHEMA,
+    OBJECTS,
+    OUTLINES,
+    POSE_QUALITY,
     REFERENCE_POSE,
     WARNINGS_NAME,
+    SceneReader,
     is_topic,
+    nanoseconds_of,
+    read_beam_times,
+    read_pose_quality,
     topic_name,
 )
-from gridtrack.recordings.growth import Growth
-from gridtrack.recordings.json_messages import BEAM_TIMES, POSE_QUALITY, read_beam_times, read_pose_quality
-from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile, McapMessage
-from gridtrack.recordings.protobuf_time import nanoseconds_of
 from gridtrack.recordings.recording import DamageError, Recording, Topics
 from gridtrack.recordings.recording_info import RecordingInfo
-from gridtrack.recordings.scene_messages import OBJECTS, OUTLINES, SceneReader
+from gridtrack.recordings.registry import RecordingFormat
 
 MAX_SOURCE_WARNINGS, MAX_WARNING_CHARS = 100, 1000
 OF_SOURCE = "the source had: "

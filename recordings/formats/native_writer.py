@@ -20,23 +20,24 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
-from gridtrack.recordings.formats.native_layout import (
+from gridtrack.recordings.native_messages import (
+    BEAM_TIMES,
     METADATA_NAME,
     NATIVE_SCHEMA,
+    OBJECTS,
+    OUTLINES,
+    POSE_QUALITY,
     REFERENCE_POSE,
     WARNINGS_NAME,
-    topic_name,
-)
-from gridtrack.recordings.json_messages import (
-    BEAM_TIMES,
-    POSE_QUALITY,
+    WORLD,
+    SceneWriter,
     beam_times_message,
     json_schema,
     pose_quality_message,
+    timestamp_of,
+    topic_name,
 )
-from gridtrack.recordings.protobuf_time import timestamp_of
 from gridtrack.recordings.recording_info import RecordingInfo
-from gridtrack.recordings.scene_messages import OBJECTS, OUTLINES, WORLD, SceneWriter
 
 CHUNK_BYTES = 128 * 1024
 MAX_CHANNELS = 1024

@@ -14,12 +14,11 @@ from typing import BinaryIO, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 
-from gridtrack.recordings.format import RecordingFormat
+from gridtrack.recordings.file_reading import ReadBudget
 from gridtrack.recordings.framed_recording import EncodedMessage
-from gridtrack.recordings.read_budget import ReadBudget
 from gridtrack.recordings.recording import DamageError
-from gridtrack.recordings.ros_messages import ros2_name
-from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording
+from gridtrack.recordings.registry import RecordingFormat
+from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording, ros2_name
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 MAX_BAG_RECORD_BYTES = 1 << 28

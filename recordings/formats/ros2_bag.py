@@ -9,11 +9,11 @@ import zstandard
 
 from gridtrack.common.files import read_bounded
 from gridtrack.common.untrusted import MAX_NESTING
-from gridtrack.recordings.format import RecordingFormat
+from gridtrack.recordings.file_reading import ReadBudget
 from gridtrack.recordings.formats.ros_mcap import mcap_files
 from gridtrack.recordings.framed_recording import EncodedMessage
-from gridtrack.recordings.read_budget import ReadBudget
 from gridtrack.recordings.recording import DamageError
+from gridtrack.recordings.registry import RecordingFormat
 from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording
 
 SQLITE_MAGIC = b"SQLite format 3\x00"

@@ -11,11 +11,9 @@ a link that come on several topics, as of several robots, each sensor has those 
 from __future__ import annotations
 
 from gridtrack.recordings.frames import notes, problems
-from gridtrack.recordings.frames.chains import Chain, ChainOptions, Chains, Link
-from gridtrack.recordings.frames.links import FrameLinks, parent_of
-from gridtrack.recordings.frames.naming import WORLD_WORDS, has_word, is_body
+from gridtrack.recordings.frames.chains import Chain, ChainOptions, Chains, FrameLinks, Link, parent_of
 from gridtrack.recordings.frames.transform import SE3
-from gridtrack.recordings.frames.tree import Edge, FrameTree, PoseTopic
+from gridtrack.recordings.frames.tree import WORLD_WORDS, Edge, FrameTree, PoseTopic, has_word, is_body
 
 MAX_POSE_GAP_NS = 1_000_000_000
 

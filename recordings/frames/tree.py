@@ -1,15 +1,79 @@
-"""The tree of coordinate frames that the transforms of a recording make, and the topics with poses beside it."""
+"""The tree of coordinate frames of a recording, and the topics with poses beside it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
-from gridtrack.common.names import LABEL_RULE, is_label
-from gridtrack.recordings.frames.far_stamps import FarStamps
+from gridtrack.common.files import LABEL_RULE, is_label
 from gridtrack.recordings.frames.transform import SE3
+
+WORLD_WORDS = ("odom", "map")
+"""In the names of frames that do not move; `odom` first, since it is continuous."""
+BODY_FRAMES = ("base_link", "base_footprint")
+"""Frames of a robot's body."""
+
+
+def last_part(frame: str) -> str:
+    """`odom` of `robot1/odom`."""
+    return frame.rpartition("/")[2]
+
+
+def has_word(frame: str, word: str) -> bool:
+    """Whether a frame's name is `odom`, or has it as a word, as in `robot1/odom`, `odom_combined` and `tb_odom`."""
+    return word in last_part(frame).lower().split("_")
+
+
+def is_world(frame: str) -> bool:
+    """Whether a frame's name is that of a world that does not move."""
+    return any(has_word(frame, word) for word in WORLD_WORDS)
+
+
+def is_body(frame: str) -> bool:
+    """Whether a frame is a robot's body, as `base_link`, `robot1/base_link` and `tb_base_link`."""
+    return last_part(frame).endswith(BODY_FRAMES)
+
+
+FAR_JUMP_NS = 10_000_000_000
+USUAL_GAPS = 2
+"""Stamps that come seldom may be so many times as far apart as those before them."""
+
+Judgement = Literal["near", "held", "confirmed", "restarted"]
+"""`held`: far from the newest stamp. `confirmed`: near the one held before, or as far after it as that is after those
+before, so that both are correct; `restarted`: they are, and those before them are not, because they are later, or only
+one.
+"""
+
+
+class FarStamps:
+    """Judges the stamps of one topic or frame in the order of the file."""
+
+    def __init__(self) -> None:
+        self.last_ns = 0
+        """The newest stamp that is near others, or the only one."""
+        self._judged = 0
+        self._held_ns: int | None = None
+        self._near_ns = FAR_JUMP_NS
+        """A stamp that is later by no more is near: longer where all come seldom."""
+
+    def judge(self, stamp_ns: int) -> Judgement:
+        """Whether a stamp is near those before it."""
+        held_ns, self._held_ns = self._held_ns, None
+        if self._judged == 0 or -FAR_JUMP_NS <= stamp_ns - self.last_ns <= self._near_ns:
+            self.last_ns = max(self.last_ns, stamp_ns) if self._judged else stamp_ns
+            self._judged += 1
+            return "near"
+        if held_ns is None or not (abs(stamp_ns - held_ns) <= FAR_JUMP_NS or self.last_ns < held_ns < stamp_ns):
+            self._held_ns = stamp_ns
+            return "held"
+        goes_on = self.last_ns < held_ns < stamp_ns - FAR_JUMP_NS
+        restarts = held_ns < self.last_ns or (self._judged == 1 and not goes_on)
+        self._near_ns = USUAL_GAPS * max(held_ns - self.last_ns, stamp_ns - held_ns) if goes_on else FAR_JUMP_NS
+        self.last_ns, self._judged = max(held_ns, stamp_ns), self._judged + 2
+        return "restarted" if restarts else "confirmed"
+
 
 MAX_TREE_FRAMES = 1000
 """Frames of a recording that are kept; a robot with two arms has a hundred."""

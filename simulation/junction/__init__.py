@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.junction import demand, layout
-from gridtrack.simulation.junction.patience import Patience
+from gridtrack.simulation.junction.road_users import Patience
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.motion import headings, smoothed, trailing_headings, unbroken_tracks
 from gridtrack.simulation.sumo import STEP_S, Movements, run_sumo, sumo_version

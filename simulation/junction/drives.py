@@ -25,7 +25,7 @@ from gridtrack.simulation.junction import (
     simulate_traffic,
 )
 from gridtrack.simulation.laser import Laser, sweep
-from gridtrack.simulation.odometry import WheelOdometry
+from gridtrack.simulation.motion import WheelOdometry
 from gridtrack.simulation.sumo import SimulationError
 from gridtrack.simulation.tracks import ONLY_LASER, Carrier, Tracks
 from gridtrack.simulation.traffic import inside

@@ -13,9 +13,9 @@ from shapely import Polygon
 
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings.recording_info import RecordingInfo
-from gridtrack.simulation.odometry import WheelOdometry
+from gridtrack.simulation.bodies import Walker
+from gridtrack.simulation.motion import WheelOdometry
 from gridtrack.simulation.tracks import MAX_OUTLINES, ONLY_LASER, Carrier, Tracks, TracksInfo, World
-from gridtrack.simulation.walkers import Walker
 from gridtrack.simulation.worlds.crowd import CROWD_STEP_S, MoverPath
 from gridtrack.simulation.worlds.scenery import Thing, placed
 from gridtrack.simulation.worlds.sensors import WorldSensor

@@ -11,9 +11,19 @@ import shapely
 from shapely import Polygon
 
 from gridtrack.simulation.tracks import Corner
-from gridtrack.simulation.worlds.building import DOOR_M, door_leaf, enclose, rectangle, reliefs, threshold
 from gridtrack.simulation.worlds.furniture import clutter, furnish, pillar, sofa
-from gridtrack.simulation.worlds.scenery import Corners, Scenery, box, wall
+from gridtrack.simulation.worlds.scenery import (
+    DOOR_M,
+    Corners,
+    Scenery,
+    box,
+    door_leaf,
+    enclose,
+    rectangle,
+    reliefs,
+    threshold,
+    wall,
+)
 
 
 def room(random: np.random.Generator) -> Scenery:

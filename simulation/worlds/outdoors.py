@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from shapely import Polygon
 
 from gridtrack.simulation.tracks import Corner
-from gridtrack.simulation.worlds.building import rectangle
-from gridtrack.simulation.worlds.scenery import Lane, Scenery, disc
-from gridtrack.simulation.worlds.street_furniture import (
+from gridtrack.simulation.worlds.furniture import (
     bench,
     hedge,
     house_front,
@@ -22,6 +20,7 @@ from gridtrack.simulation.worlds.street_furniture import (
     small_thing,
     tree,
 )
+from gridtrack.simulation.worlds.scenery import Lane, Scenery, disc, rectangle
 
 AISLE_M, BAY_M, BAY_WIDTH_M = 6.0, 5.2, 2.6
 

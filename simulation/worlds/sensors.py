@@ -10,8 +10,7 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scene import UNLABELLED, Outline, Scene
-from gridtrack.simulation.laser import Laser, sweep
-from gridtrack.simulation.laser_errors import LaserErrors
+from gridtrack.simulation.laser import Laser, LaserErrors, sweep
 from gridtrack.simulation.tracks import Corner
 
 GRID_CELLS = 100

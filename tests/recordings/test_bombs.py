@@ -18,9 +18,9 @@ import zstandard
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.formats.native_layout import METADATA_NAME, NATIVE_SCHEMA
+from gridtrack.recordings.file_reading import FREE_BYTES, FREE_RECORDS, NOT_A_RECORDING
 from gridtrack.recordings.mcap_file import MCAP_MAGIC
-from gridtrack.recordings.read_budget import FREE_BYTES, FREE_RECORDS, NOT_A_RECORDING
+from gridtrack.recordings.native_messages import METADATA_NAME, NATIVE_SCHEMA
 
 from scenes.drive_bag import FRONT, Ros, mounts, scans_of
 

@@ -14,7 +14,7 @@ import pytest
 
 from gridtrack.common.errors import StoreError
 from gridtrack.recordings import packaged_recording
-from gridtrack.recordings.fetching import fetched
+from gridtrack.recordings.stretches import fetched
 
 CONTENT = b"a recording" * 1000
 

@@ -11,11 +11,10 @@ from rosbags.rosbag2 import StoragePlugin
 
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import framed_recording, open_recording
+from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.frames.chains import Chain, Link
-from gridtrack.recordings.frames.placing import FramedScan, ScansOnChains
-from gridtrack.recordings.frames.trajectory import AllTransforms, NewestTransforms
+from gridtrack.recordings.frames.trajectory import AllTransforms, FramedScan, NewestTransforms, ScansOnChains
 from gridtrack.recordings.frames.transform import SE3
-from gridtrack.recordings.growth import Growth
 from gridtrack.recordings.recording import Recording
 
 from scenes import drive_bag as made

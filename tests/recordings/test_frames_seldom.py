@@ -10,8 +10,8 @@ import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.frames.far_stamps import FarStamps
 from gridtrack.recordings.frames.transform import SE3
+from gridtrack.recordings.frames.tree import FarStamps
 from gridtrack.recordings.recording import Recording
 
 from scenes import drive_bag as made

@@ -13,8 +13,8 @@ from rosbags.rosbag2 import StoragePlugin
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import open_recording
+from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.formats import native_writer
-from gridtrack.recordings.growth import Growth
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile
 from gridtrack.recordings.recording import NoScansError
 from gridtrack.recordings.stream import GridStream, frame_digest

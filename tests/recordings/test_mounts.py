@@ -7,7 +7,7 @@ import math
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.recordings.mounts import Mount, parse_mount
+from gridtrack.recordings.read_options import Mount, parse_mount
 
 
 def test_a_mount_is_metres_and_an_angle_with_its_unit() -> None:

@@ -11,7 +11,7 @@ import pytest
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import import_recording, open_recording
-from gridtrack.recordings.pose_drift import DRIFT_LIMIT_M, ENOUGH_PAIRS, PoseDrift
+from gridtrack.recordings.pose_checks import DRIFT_LIMIT_M, ENOUGH_PAIRS, PoseDrift
 
 DRIVES = Path(__file__).parents[2] / "data" / "drives"
 SECOND_NS = 10**9

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from gridtrack.common.geometry import SE2
-from gridtrack.recordings.pose_jumps import PoseJumps
+from gridtrack.recordings.pose_checks import PoseJumps
 
 SECOND_NS = 10**9
 

@@ -9,8 +9,8 @@ import pytest
 
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import import_recording
-from gridtrack.recordings.recorded_time import WALL_CLOCK_FROM_NS, RecordedTime
 from gridtrack.recordings.stream import open_stream
+from gridtrack.recordings.stretches import WALL_CLOCK_FROM_NS, RecordedTime
 
 DAY_NS = 86_400 * 1_000_000_000
 

@@ -14,8 +14,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.order import StampOrder
-from gridtrack.recordings.stamp_filter import CONFIRMING_SCANS
+from gridtrack.recordings.stamp_order import CONFIRMING_SCANS, StampOrder
 from gridtrack.recordings.stream import MAX_EMPTY_FRAMES, open_stream
 
 START_NS, PERIOD_NS, DAY_NS = 10**15, 10**8, 86_400 * 10**9

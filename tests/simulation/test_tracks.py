@@ -16,11 +16,10 @@ from gridtrack.common.errors import GridtrackError, RecordingError
 from gridtrack.recordings import RecordingInfo, open_recording, packaged_recording
 from gridtrack.simulation.bodies import body_outline
 from gridtrack.simulation.laser import Laser
-from gridtrack.simulation.rendered import rendering_folder
+from gridtrack.simulation.recording_format import rendering_folder
 from gridtrack.simulation.tracks import ONLY_LASER, Tracks, TracksInfo
-from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks, write_tracks
+from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks, write_recording, write_tracks
 from gridtrack.simulation.traffic import GRIDLOCK_S, check_traffic
-from gridtrack.simulation.writing import write_recording
 
 CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
 WALL = ((5.0, -5.0), (6.0, -5.0), (6.0, 5.0), (5.0, 5.0))

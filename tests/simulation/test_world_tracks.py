@@ -11,12 +11,10 @@ import pytest
 
 from gridtrack.common.errors import GridtrackError, RecordingError
 from gridtrack.recordings import RecordingInfo, open_recording
-from gridtrack.simulation.laser import Laser
-from gridtrack.simulation.laser_errors import LaserErrors
+from gridtrack.simulation.bodies import Walker
+from gridtrack.simulation.laser import Laser, LaserErrors
 from gridtrack.simulation.tracks import ONLY_LASER, Tracks, TracksInfo, World
-from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks
-from gridtrack.simulation.walkers import Walker
-from gridtrack.simulation.writing import write_recording
+from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks, write_recording
 
 FRAMES, RATE_HZ = 30, 10.0
 WALL = ((5.0, -5.0), (6.0, -5.0), (6.0, 5.0), (5.0, 5.0))

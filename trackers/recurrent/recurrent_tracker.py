@@ -12,8 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, Shift, shift_between
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import GridFrame, Shift, nearest_step, shift_between
 from gridtrack.trackers.card import card_for
 from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
 from gridtrack.trackers.excerpts import SELECTION_HORIZONS_S, VALIDATED_S, excerpts_of_places

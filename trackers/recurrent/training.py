@@ -27,7 +27,7 @@ from torch import Tensor, nn
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import write_text
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.trackers.contract import FitOutput, FrameSource, StretchScore
 from gridtrack.trackers.excerpts import SELECTION_STRATA, mean_of_defined
 from gridtrack.trackers.recurrent.devices import ONE_DEVICE, SEVERAL_DEVICES, called_here, check_devices, end_devices

@@ -12,7 +12,7 @@ from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.scoring.counting import CLIP
 from gridtrack.evaluation.scoring.splits import Sampling, plan_split
 from gridtrack.recordings.stream import open_stream
-from gridtrack.simulation.range_errors import true_ranges
+from gridtrack.simulation.expected_scan import true_ranges
 
 from scenes import truth_scene
 

@@ -20,7 +20,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import import_recording, open_recording
 from gridtrack.recordings.frames.transform import SE3
-from gridtrack.recordings.protobuf_time import timestamp_of
+from gridtrack.recordings.native_messages import timestamp_of
 
 from scenes import drive_bag as made
 

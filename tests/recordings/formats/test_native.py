@@ -21,10 +21,9 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gridtrack.common.errors import ConfigurationError, GridtrackError, RecordingError
 from gridtrack.common.geometry import SE2, same_pose
-from gridtrack.common.pose_quality import PoseQuality
-from gridtrack.common.scan import Scan
+from gridtrack.common.scan import PoseQuality, Scan
 from gridtrack.recordings import RecordingInfo, open_recording
-from gridtrack.recordings.json_messages import read_beam_times, read_pose_quality
+from gridtrack.recordings.native_messages import read_beam_times, read_pose_quality
 from gridtrack.recordings.recording import DamageError
 
 

@@ -355,8 +355,8 @@ def test_a_cloud_that_declares_more_points_than_it_has_is_refused(tmp_path: Path
 
 def test_without_rosbags_the_extra_is_named(tmp_path: Path, scans: list[Scan], monkeypatch: pytest.MonkeyPatch) -> None:
     path = MAKERS["ros1 bag"](tmp_path, scans)
-    monkeypatch.delattr("gridtrack.recordings.ros_decoding", raising=False)
-    monkeypatch.delitem(sys.modules, "gridtrack.recordings.ros_decoding", raising=False)
+    monkeypatch.delattr("gridtrack.recordings.ros_recording", raising=False)
+    monkeypatch.delitem(sys.modules, "gridtrack.recordings.ros_recording", raising=False)
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     with pytest.raises(RecordingError, match=r"pip install 'gridtrack\[ros\]'"):
         open_recording(path)

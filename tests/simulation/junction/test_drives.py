@@ -23,9 +23,8 @@ from gridtrack.simulation.junction.drives import (
 )
 from gridtrack.simulation.sumo import SimulationError
 from gridtrack.simulation.tracks import Tracks, TracksInfo
-from gridtrack.simulation.tracks_file import read_tracks, write_tracks
+from gridtrack.simulation.tracks_file import read_tracks, write_recording, write_tracks
 from gridtrack.simulation.traffic import check_traffic, inside
-from gridtrack.simulation.writing import write_recording
 
 CAR = layout.JUNCTION_CLASSES.index("car")
 FRAMES = 160

@@ -16,7 +16,7 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.recordings import open_recording, packaged_recording
 from gridtrack.simulation import junction, sumo
 from gridtrack.simulation.junction import JUNCTION_SET, demand, layout, simulate_junction
-from gridtrack.simulation.junction.patience import Patience
+from gridtrack.simulation.junction.road_users import Patience
 from gridtrack.simulation.tracks_file import read_tracks, write_tracks
 from gridtrack.simulation.traffic import check_traffic
 

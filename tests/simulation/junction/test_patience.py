@@ -10,7 +10,7 @@ import pytest
 
 from gridtrack.simulation import junction
 from gridtrack.simulation.junction import JUNCTION_SET, MARGIN_S, layout, patience
-from gridtrack.simulation.junction.patience import FROM_S, PATIENCE_S, Patience
+from gridtrack.simulation.junction.road_users import FROM_S, PATIENCE_S, Patience
 from gridtrack.simulation.sumo import Movements, run_sumo
 
 pytest.importorskip("traci", reason="SUMO is not installed")

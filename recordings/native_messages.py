@@ -1,17 +1,12 @@
-"""The true scene in a native recording: foxglove.SceneUpdate messages with the outlines of all objects.
-
-`/outlines` holds the static outlines, written where they change; `/objects` the road users, once for each scan and
-with its stamp. An entity's id is the object's track, its metadata name the class, and its one line loop is the outline
-in the object's own frame; the pose of the line is `world_T_object`. An object of several outlines, such as legs, is an
-entity for each: the ids of the further ones are the track, a slash and a number.
-"""
+"""The messages of a native recording."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
@@ -19,12 +14,121 @@ from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import DecodeError
+from google.protobuf.timestamp_pb2 import Timestamp
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import MATCH_OUTCOMES, PoseQuality
 from gridtrack.common.scene import UNLABELLED, Outline, Scene, SceneObject
-from gridtrack.recordings.protobuf_time import nanoseconds_of, timestamp_of
+from gridtrack.common.untrusted import parse_json
 from gridtrack.recordings.recording import DamageError
+
+
+def timestamp_of(stamp_ns: int) -> Timestamp:
+    """A stamp as a Protobuf timestamp."""
+    return Timestamp(seconds=stamp_ns // 1_000_000_000, nanos=stamp_ns % 1_000_000_000)
+
+
+def nanoseconds_of(timestamp: Timestamp) -> int:
+    """A Protobuf timestamp as a stamp in nanoseconds."""
+    return int(timestamp.seconds) * 1_000_000_000 + int(timestamp.nanos)
+
+
+NATIVE_SCHEMA = "1"
+METADATA_NAME, WARNINGS_NAME = "gridtrack", "gridtrack.warnings"
+REFERENCE_POSE = "/reference_pose"
+DEFAULT_SENSOR = "scan"
+
+
+def topic_name(kind: str, sensor: str) -> str:
+    """The topic of this kind (`/scan`, `/labels`, ...) with the messages of `sensor`."""
+    return kind if sensor == DEFAULT_SENSOR else f"{kind}/{sensor}"
+
+
+def is_topic(topic: str, kind: str) -> bool:
+    """Whether `topic` is one of `topic_name(kind, sensor)`."""
+    return topic == kind or topic.startswith(f"{kind}/")
+
+
+BEAM_TIMES, POSE_QUALITY = "/beam_times", "/pose_quality"
+MAX_SWEEP_S = 10.0
+"""Limit of the time from a scan's first beam to its last."""
+MAX_MESSAGE_CHARS = 1000
+
+_TIMESTAMP = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+_NUMBER = {"type": "number"}
+JSON_SCHEMAS: dict[str, dict[str, Any]] = {
+    BEAM_TIMES: {"title": "gridtrack.BeamTimes", "time_increment_s": _NUMBER},
+    POSE_QUALITY: {
+        "title": "gridtrack.PoseQuality",
+        "outcome": {"type": "string", "enum": list(MATCH_OUTCOMES)},
+        "inlier_share": _NUMBER,
+        "residual_m": _NUMBER,
+    },
+}
+"""By kind of topic: the name of the schema, and the fields beside the timestamp."""
+
+
+def json_schema(kind: str) -> tuple[str, bytes]:
+    """Name and JSON Schema of the messages of BEAM_TIMES or POSE_QUALITY."""
+    fields = {"timestamp": _TIMESTAMP, **JSON_SCHEMAS[kind]}
+    name = fields.pop("title")
+    return name, json.dumps({"title": name, "type": "object", "properties": fields}).encode()
+
+
+def beam_times_message(stamp_ns: int, time_increment_s: float) -> bytes:
+    """A message of BEAM_TIMES."""
+    return _encoded(stamp_ns, {"time_increment_s": time_increment_s})
+
+
+def pose_quality_message(stamp_ns: int, quality: PoseQuality) -> bytes:
+    """A message of POSE_QUALITY."""
+    values = {"inlier_share": round(quality.inlier_share, 4), "residual_m": round(quality.residual_m, 5)}
+    return _encoded(stamp_ns, {"outcome": quality.outcome, **values})
+
+
+def read_beam_times(data: bytes) -> float:
+    """The time between two beams, seconds. Raises DamageError."""
+    increment_s = _number(_decoded(BEAM_TIMES, data), BEAM_TIMES, "time_increment_s")
+    if not 0.0 <= increment_s <= MAX_SWEEP_S:
+        raise DamageError(f"corrupt: {increment_s:g} s from beam to beam on {BEAM_TIMES}")
+    return increment_s
+
+
+def read_pose_quality(data: bytes) -> PoseQuality:
+    """The quality of a pose. Raises DamageError."""
+    values = _decoded(POSE_QUALITY, data)
+    outcome = values.get("outcome")
+    if outcome not in MATCH_OUTCOMES:
+        raise DamageError(f"corrupt: an outcome on {POSE_QUALITY} that is none of {', '.join(MATCH_OUTCOMES)}")
+    share, residual_m = (_number(values, POSE_QUALITY, name) for name in ("inlier_share", "residual_m"))
+    if not (0.0 <= share <= 1.0 and 0.0 <= residual_m <= 1e6):
+        raise DamageError(f"corrupt: a share of {share:g} or a residual of {residual_m:g} m on {POSE_QUALITY}")
+    return PoseQuality(outcome, share, residual_m)
+
+
+def _encoded(stamp_ns: int, values: dict[str, Any]) -> bytes:
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return json.dumps({"timestamp": {"sec": seconds, "nsec": nanoseconds}, **values}).encode()
+
+
+def _decoded(topic: str, data: bytes) -> dict[str, Any]:
+    try:
+        values = parse_json(data) if len(data) <= MAX_MESSAGE_CHARS else None
+    except ValueError:
+        values = None
+    if not isinstance(values, dict):
+        raise DamageError(f"corrupt: a message of {topic} is not a {JSON_SCHEMAS[topic]['title']}")
+    return values
+
+
+def _number(values: dict[str, Any], topic: str, name: str) -> float:
+    """The number called `name`; a comparison with its limits is false for NaN."""
+    value = values.get(name)
+    if not isinstance(value, int | float):
+        raise DamageError(f"corrupt: no number '{name}' on {topic}")
+    return float(value)
+
 
 OUTLINES, OBJECTS = "/outlines", "/objects"
 WORLD = "world"
