@@ -1,4 +1,4 @@
-"""One revolution of a planar laser, and how its pose was found."""
+"""One revolution of a planar laser, and the quality of its pose."""
 
 from __future__ import annotations
 
@@ -12,6 +12,12 @@ from numpy.typing import NDArray
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scene import Scene
 
+MAX_BEAMS = 100_000
+MAX_ANGLE_RAD = 4.0 * math.pi
+"""Limit of the angle of the first beam, and of the angle from the first beam to the last: two turns."""
+MAX_RANGE_M, MAX_POSITION_M = 1e6, 1e9
+"""Limits of the maximum range, and of a sensor's coordinates."""
+MIN_RATE_HZ, MAX_RATE_HZ = 1e-3, 1e4
 MatchOutcome = Literal["start", "matched", "partial", "few-returns", "few-inliers", "far"]
 MATCH_OUTCOMES: tuple[str, ...] = get_args(MatchOutcome)
 
@@ -20,11 +26,11 @@ MATCH_OUTCOMES: tuple[str, ...] = get_args(MatchOutcome)
 class PoseQuality:
     """The match of a scan with the scans before it.
 
-    `outcome` is `start` for the first scan, `matched`, or `partial` where a direction is open, in which the pose is the
-    prior's: nothing constrains it, as along a corridor, or one compact cluster alone, which may move. A scan with
-    `few-returns`, with `few-inliers`, or whose match is `far` from the prior has the prior's pose. `inlier_share` is
-    the share of its returns on the map, `residual_m` their median distance from the map's walls; both are 0 where the
-    scan was not matched.
+    `outcome` is `start` for the first scan, `matched`, or `partial` if the surroundings leave a direction of the pose
+    open (as along a corridor, or with a single compact cluster, which may move): there the pose is the prior's. It is
+    the prior's completely with `few-returns`, `few-inliers`, or a match `far` from the prior. `inlier_share` is the
+    share of the returns on the map, `residual_m` their median distance from the map's walls; both are 0 for a scan
+    that was not matched.
     """
 
     outcome: MatchOutcome
@@ -33,21 +39,13 @@ class PoseQuality:
 
     @property
     def failed(self) -> bool:
-        """Whether the pose is the prior's."""
+        """Whether the pose is that of the prior."""
         return self.outcome in ("few-returns", "few-inliers", "far")
 
     @property
     def fell_back(self) -> bool:
-        """Whether all of the pose or a part of it is the prior's."""
+        """Whether the pose is that of the prior, in full or in part."""
         return self.failed or self.outcome == "partial"
-
-
-MAX_BEAMS = 100_000
-MAX_ANGLE_RAD = 4.0 * math.pi
-"""Limit of the angle of the first beam, and of the angle from the first beam to the last: two turns."""
-MAX_RANGE_M, MAX_POSITION_M = 1e6, 1e9
-"""Limits of the maximum range, and of a sensor's coordinates."""
-MIN_RATE_HZ, MAX_RATE_HZ = 1e-3, 1e4
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,7 +73,7 @@ def test_a_recording_that_comes_in_another_size_is_not_kept(store, notes, cache,
 
 
 def refuse_half(notes, sent):
-    with pytest.raises(StoreError, match=f"{len(sent)} bytes came, and {len(CONTENT)} were announced; try again"):
+    with pytest.raises(StoreError, match=f"received {len(sent)} bytes instead of {len(CONTENT)}; try again"):
         fetched("memory://bucket/hall.mcap", notes.append)
 
 
