@@ -1,18 +1,58 @@
-"""Reading files that are damaged, compressed, or still being written."""
+"""Reading files that are damaged, compressed far, or still being written."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from gridtrack.recordings.recording import DamageError
+from gridtrack.common.errors import RecordingError
+
+FREE_BYTES, BYTES_PER_BYTE = 64 << 20, 100
+"""Limit of the unpacked bytes of a file: a free amount, and more for each byte of the file."""
+FREE_RECORDS, BYTES_PER_RECORD = 200_000, 2
+"""Limit of the records (messages, lines) of a file: a free number, and one more for every two bytes of the file."""
+NOT_A_RECORDING = "no recording is compressed so far: import it from a trusted copy"
+
+
+class DamageError(RecordingError):
+    """A file is cut off or corrupt: only the scans before the damage can be used."""
+
+
+@dataclass
+class ReadBudget:
+    """Counts the unpacked content of a compressed file in one pass, with limits in proportion to the file's size.
+
+    Scans compress to a tenth, and a message takes tens of bytes. Ten kilobytes that unpack to 200 MB, or to millions of
+    empty messages, are not a recording, and would take minutes of processor time.
+    """
+
+    bytes_per_byte: int = BYTES_PER_BYTE
+    free_records: int = FREE_RECORDS
+    unpacked_bytes: int = 0
+    records: int = 0
+
+    def take_bytes(self, count: int, file_bytes: int) -> None:
+        """Count bytes before they are unpacked from the first `file_bytes` of the file. Raises DamageError."""
+        self.unpacked_bytes += count
+        if self.unpacked_bytes > FREE_BYTES + self.bytes_per_byte * file_bytes:
+            raise DamageError(
+                f"its first {file_bytes} bytes unpack to more than {self.unpacked_bytes >> 20} MiB; {NOT_A_RECORDING}"
+            )
+
+    def take_record(self, file_bytes: int) -> None:
+        """Count a message or a line in the first `file_bytes` of the file. Raises DamageError."""
+        self.records += 1
+        if self.records > self.free_records + file_bytes // BYTES_PER_RECORD:
+            raise DamageError(
+                f"its first {file_bytes} bytes have more than {self.records - 1} records; {NOT_A_RECORDING}"
+            )
 
 
 class FileEnds(Exception):
-    """A file that is still being written ends here, and its reader does not wait for more."""
+    """The current end of a growing file, when its reader does not wait for more."""
 
 
 def _no_more() -> bool:
@@ -21,14 +61,15 @@ def _no_more() -> bool:
 
 @dataclass
 class Growth:
-    """How a file is read that may still be written.
+    """How to read a file that may still be written.
 
-    At its end `more()` may wait for more bytes, and says whether to read on; by default what is there is read. Bytes
-    from `limit` on are not read, and sensors that are not in `sensors` are left out; None: no limit, every sensor.
-    `position` is the number of bytes read last, and `cut` whether the file ended there before its writer closed it.
+    At the end of the file `more()` may wait for more bytes; it returns whether to read on. By default the present
+    content is read. Bytes from `limit` on are not read, and sensors outside of `sensors` are left out; None: no limit,
+    all sensors. `position` is the number of bytes read last; `cut` tells whether the file ended there before its writer
+    closed it.
     """
 
-    more: Callable[[], bool] = field(default=_no_more)
+    more: Callable[[], bool] = _no_more
     limit: int | None = None
     sensors: frozenset[str] | None = None
     position: int = 0
@@ -40,7 +81,7 @@ class Growth:
 
 
 class GrowingFile:
-    """A file whose reads give all the bytes that are asked for, and wait for them as its Growth says."""
+    """A file whose reads return all bytes asked for, and wait for them according to its Growth."""
 
     def __init__(self, path: Path, growth: Growth) -> None:
         self._file, self._growth = path.open("rb"), growth
@@ -55,7 +96,7 @@ class GrowingFile:
         self._file.close()
 
     def read(self, size: int) -> bytes:
-        """The next `size` bytes. Raises FileEnds where they are not there, and none are waited for."""
+        """The next `size` bytes. Raises FileEnds if they are missing and the reader does not wait."""
         content = bytearray()
         while len(content) < size:
             found = self._file.read(self._readable(size - len(content)))
@@ -73,36 +114,3 @@ class GrowingFile:
     def _readable(self, size: int) -> int:
         limit = self._growth.limit
         return size if limit is None else max(0, min(size, limit - self._file.tell()))
-
-
-FREE_BYTES, BYTES_PER_BYTE = 64 << 20, 100
-"""Limit of the bytes that a file unpacks to: so many, and so many more for each of its own bytes."""
-FREE_RECORDS, BYTES_PER_RECORD = 200_000, 2
-"""Limit of its records (messages, lines): so many, and one more for so many of its own bytes."""
-NOT_A_RECORDING = "no recording is compressed so far: import it from a trusted copy"
-
-
-@dataclass
-class ReadBudget:
-    """What one pass over a file has unpacked, and its limits."""
-
-    bytes_per_byte: int = BYTES_PER_BYTE
-    free_records: int = FREE_RECORDS
-    unpacked_bytes: int = 0
-    records: int = 0
-
-    def take_bytes(self, count: int, file_bytes: int) -> None:
-        """Count bytes before they are unpacked from the first `file_bytes` of the file. Raises DamageError."""
-        self.unpacked_bytes += count
-        if self.unpacked_bytes > FREE_BYTES + self.bytes_per_byte * file_bytes:
-            raise DamageError(
-                f"its first {file_bytes} bytes unpack to more than {self.unpacked_bytes >> 20} MiB; {NOT_A_RECORDING}"
-            )
-
-    def take_record(self, file_bytes: int) -> None:
-        """Count a message or a line of the first `file_bytes` of the file. Raises DamageError."""
-        self.records += 1
-        if self.records > self.free_records + file_bytes // BYTES_PER_RECORD:
-            raise DamageError(
-                f"its first {file_bytes} bytes have more than {self.records - 1} records; {NOT_A_RECORDING}"
-            )

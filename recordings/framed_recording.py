@@ -11,13 +11,14 @@ from typing import Literal, NamedTuple
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.files import name_from
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.file_reading import DamageError
 from gridtrack.recordings.frames.chains import ChainOptions, Chains
 from gridtrack.recordings.frames.choice import chosen_chains
 from gridtrack.recordings.frames.trajectory import MAX_WHOLE, AllTransforms, FramedScan, ScansOnChains
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FrameTree, StampedTransform, frame_name
 from gridtrack.recordings.read_options import NO_POSES, Mount
-from gridtrack.recordings.recording import DamageError, Recording, Topics
+from gridtrack.recordings.recording import Recording, Topics
 from gridtrack.recordings.recording_info import RecordingInfo
 
 Content = Literal["scan", "transforms", "pose"]

@@ -1,4 +1,12 @@
-"""Checks of recorded poses: jumps from scan to scan, and drift against what the scans show."""
+"""Checks of recorded poses: jumps from scan to scan, and drift in comparison with the scans.
+
+A jump is a step that no robot makes, from a localisation or a damaged transform.
+
+For the drift scans a second apart are laid on each other: the later scan is matched with the earlier one, from the
+relative pose that the recorded poses give (ego_motion/fit.py). The motion of its walls in the match, across themselves,
+is the displacement of a wall in a second by the poses; sliding along a wall is not visible. Exact poses leave the noise
+of the ranges and of the match: a centimetre or less.
+"""
 
 from __future__ import annotations
 
@@ -11,25 +19,30 @@ import numpy as np
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.scan import Scan
 
+MIN_JUMP_M, MIN_JUMP_RAD = 0.3, math.radians(20.0)
+MAX_ACCELERATION, MAX_TURN_ACCELERATION = 20.0, 40.0
+"""m/s^2 and rad/s^2: twice those of a braking car, and of a small robot that begins to turn."""
+MAX_FASTER = 2.0
+"""Limit of a step at constant velocity, relative to the step before; stamps may be irregular."""
 PAIR_S, LONGEST_PAIR_S = 1.0, 2.0
-"""Between the two scans of a pair. Poses are reported as they drift in PAIR_S."""
+"""Time between the two scans of a pair, and its limit. Drift is reported per PAIR_S."""
 PAIR_MOVED_M, PAIR_TURNED_RAD, PAIR_JUMPED_M = 0.2, math.radians(5.0), 20.0
-"""A pair between which the sensor moved less says nothing: odometry at rest is exact. Nor does one that is as far apart
-as a jump, of which `PoseJumps` tells."""
+"""Limits of the motion between the scans of a pair: below the first two odometry is exact, beyond the third it
+jumps."""
 SPARSER = 1.0 / 32.0
-"""The next pair comes after this share of the time since the first scan: a long recording has not many more pairs."""
+"""The next pair begins after this share of the time since the first scan, so long recordings have few more pairs."""
 KERNELS_M = (0.5, 0.2, 0.1)
-"""Of the matches of a pair, one after the other: the first reaches poses that are far off."""
+"""Kernels of successive matches of a pair: the first one reaches poses that are far off."""
 PRIOR_INFORMATION = 0.01
-"""Of the recorded poses in these matches: they decide in the directions alone that the walls leave open."""
+"""Weight of the recorded poses in these matches: they decide only in directions that the walls leave open."""
 ENOUGH_PAIRS = 8
 DRIFT_LIMIT_M = 0.04
-"""Median displacement from which poses are told to disagree with the scans: half a cell or less of any usual grid."""
+"""Median displacement from which there is a warning: half a cell or less of any usual grid."""
 
 
 @dataclass(slots=True)
 class PoseDrift:
-    """The displacements of walls between pairs of scans, metres in PAIR_S, by the poses of one sensor."""
+    """The displacements of walls between pairs of scans of one sensor by its poses, metres in PAIR_S."""
 
     displacements_m: array[float] = field(default_factory=lambda: array("d"))
     _start_ns: int = 0
@@ -72,29 +85,29 @@ class PoseDrift:
         return float(np.median(self.displacements_m)) if len(self.displacements_m) >= ENOUGH_PAIRS else None
 
     def problem(self, remedy: str) -> str:
-        """One line about poses that disagree with the scans, with the command that is the `remedy`; else empty."""
+        """One line about poses that disagree with the scans, with the `remedy`, a command; else empty."""
         median_m = self.median_m
         if median_m is None or median_m < DRIFT_LIMIT_M:
             return ""
         return (
             f"its poses disagree with its scans: by them a wall moves {median_m:.2f} m in a second (median of"
-            f" {len(self.displacements_m)} pairs of scans), so that trackers with a memory smear it and lose by it:"
-            f" correct them by `{remedy}`"
+            f" {len(self.displacements_m)} pairs of scans), so trackers with a memory smear the walls and score worse:"
+            f" correct the poses with `{remedy}`"
         )
 
 
 def motion_since(before: tuple[int, SE2] | None, scan: Scan) -> tuple[SE2, float]:
-    """The sensor's motion from the stamp and pose of the scan before, and its duration in seconds; none without one."""
+    """The sensor's motion since the scan before (stamp, pose), and its duration in seconds; 0 without such a scan."""
     if before is None or scan.stamp_ns <= before[0]:
         return SE2(), 0.0
     return before[1].inverse() @ scan.world_T_sensor, (scan.stamp_ns - before[0]) / 1e9
 
 
 def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: tuple[SE2, float]) -> float | None:
-    """How far the poses of two scans displace the walls that both see: root mean square across the walls, metres.
+    """The displacement of common walls of two scans by their poses: root mean square across the walls, metres.
 
-    `moved` and `moves`: the motion of the sensor at each of them and its duration in seconds, for scans with beam
-    times. None where too little of the later scan, or too few of its walls, lie on the earlier one to be matched.
+    `moved` and `moves` are the motion of the sensor at each scan and its duration in seconds, for scans with beam
+    times. None if too small a part of the later scan, or of its walls, lies on the earlier one for a match.
     """
     from scipy.spatial import cKDTree
 
@@ -120,18 +133,9 @@ def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: 
     return float(np.sqrt(np.mean(np.square(across))))
 
 
-MIN_JUMP_M, MIN_JUMP_RAD = 0.3, math.radians(20.0)
-MAX_ACCELERATION, MAX_TURN_ACCELERATION = 20.0, 40.0
-"""m/s^2 and rad/s^2: twice those of a car that brakes, and of a small robot that begins to turn."""
-
-
-MAX_FASTER = 2.0
-"""A step at constant velocity is up to this many times the one before; stamps may be irregular."""
-
-
 @dataclass(slots=True)
 class PoseJumps:
-    """Counts the steps from pose to pose that the step before and an acceleration do not explain."""
+    """Counts the steps from pose to pose that neither the step before nor an acceleration explains."""
 
     count: int = 0
     largest_m: float = 0.0
@@ -175,7 +179,7 @@ class PoseJumps:
         return (
             f"its pose jumps: {self.count} times in the whole recording, by up to {self.largest_m:.2f} m and"
             f" {math.degrees(self.largest_rad):.0f} deg, first {at_s:.1f} s after the first scan; walls are in two"
-            " places there: choose a stretch without a jump, or continuous poses, such as those of odometry or of"
+            " places there: choose a stretch without a jump, or continuous poses, from odometry or from"
             " `recording import --ego-motion kiss-icp`"
         )
 

@@ -1,4 +1,4 @@
-"""Options of reading a recording: format, topic, strictness, point clouds, poses and mounts."""
+"""Options of reading a recording: its format, one topic, strictness, point clouds, poses and mounts."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.scan import MAX_POSITION_M, MAX_RANGE_M
 
-MOUNT_FORM = "SENSOR=X,Y,ANGLE, as in front_laser=0.4,0.2,45deg (metres; deg or rad; ',mirrored' for one upside down)"
+MOUNT_FORM = "SENSOR=X,Y,ANGLE, as in front_laser=0.4,0.2,45deg (metres; deg or rad; ',mirrored' if upside down)"
+NO_POSES = "none"
+"""The pose topic of a recording with sensors at rest."""
 
 
 class Mount(Settings):
-    """The pose of a sensor on the frame `parent`, metres and radians; the frame of the robot's body where it is empty.
+    """The pose of a sensor on the frame `parent`, metres and radians; an empty parent is the robot's body.
 
     `sensor` is the name of a sensor or of its frame. `mirrored`: mounted upside down, so that its angles run clockwise.
     """
@@ -58,7 +60,7 @@ def parse_mount(text: str) -> Mount:
 
 
 def _radians(text: str) -> float:
-    """`45deg` or `0.8rad`, wrapped; a plain number only where it is 0. Raises ValueError."""
+    """`45deg` or `0.8rad`, wrapped; the only number without a unit is 0. Raises ValueError."""
     if text.endswith("deg"):
         return wrap_angle(math.radians(float(text.removesuffix("deg"))))
     if text.endswith("rad"):
@@ -68,17 +70,13 @@ def _radians(text: str) -> float:
     return 0.0
 
 
-NO_POSES = "none"
-"""The pose topic of a recording whose sensors stand still."""
-
-
 class CloudSlice(Settings):
     """How a point cloud becomes a scan: the nearest point of each bearing between two heights, metres, sensor frame.
 
-    `empty` is the meaning of a bearing without a point in the slice: "free" up to `range_max_m`, like a laser's beam
-    without a return, or "unknown", like no beam. Free is right for a dense cloud from a sensor that looks over all
-    obstacles below the slice. With few rings, or a slice above low obstacles, it marks unobserved cells as free: use a
-    shorter `range_max_m`, or "unknown".
+    `empty` is the meaning of a bearing without a point in the slice: "free" up to `range_max_m`, like a beam without a
+    return, or "unknown", like no beam. Free is right for a dense cloud from a sensor that sees over all obstacles below
+    the slice. With few rings, or a slice above low obstacles, it marks unobserved cells as free: use a shorter
+    `range_max_m`, or "unknown".
     """
 
     low_m: float
@@ -96,18 +94,20 @@ class CloudSlice(Settings):
 
 
 class ReadOptions(Settings):
-    """How a recording is read. An option that the format of the file cannot use is refused when the file is opened."""
+    """How a recording is read. Opening a file refuses options that its format cannot use."""
 
+    format: str | None = None
+    """The name of a recording format of another package; formats of gridtrack are found by the file itself."""
     topic: str | None = None
     """Read the scans of this topic only."""
     strict: bool = False
-    """Raise RecordingError for what otherwise is a warning."""
+    """Raise RecordingError instead of giving a warning."""
     cloud_slice: CloudSlice | None = None
     """How a point cloud becomes a scan."""
     pose_topic: str | None = None
-    """The topic with the poses of what carries the sensors; "none" where they stand still."""
+    """The topic with the poses of the robot; "none" if it stands still."""
     mounts: tuple[Mount, ...] = ()
-    """The places of sensors on what carries them."""
+    """The places of sensors on the robot."""
     zero_range: Literal["free", "unknown"] | None = None
     """The meaning of a range of exactly 0.0, in every format: no return ("free" up to the maximum range) or invalid
-    ("unknown"). Without it such a range is as any other: invalid below the minimum range."""
+    ("unknown"). Without this option it is like any range: invalid below the minimum range."""

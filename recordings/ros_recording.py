@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.file_reading import DamageError
 from gridtrack.recordings.framed_recording import Content, EncodedMessage, FramedRecording
 from gridtrack.recordings.frames.trajectory import FramedScan
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import StampedTransform
 from gridtrack.recordings.native_messages import MAX_SWEEP_S
 from gridtrack.recordings.read_options import CloudSlice, ReadOptions
-from gridtrack.recordings.recording import DamageError
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -31,28 +31,29 @@ POSES = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
 )
+ROS_OPTIONS = ("topic", "cloud_slice", "pose_topic", "mounts")
 POINT_FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
 def ros2_name(kind: str) -> str:
-    """`package/Name` of ROS 1 as ROS 2's `package/msg/Name`; other names as they are."""
+    """`package/Name` of ROS 1 as `package/msg/Name` of ROS 2; other names unchanged."""
     package, _, name = kind.partition("/")
     is_ros1 = bool(name) and not name.startswith(("msg/", "srv/", "action/"))
     return f"{package}/msg/{name}" if is_ros1 else kind
 
 
 def stamp_ns(message: Any) -> int:
-    """The stamp of a message's header, nanoseconds."""
+    """The stamp in the header of a message, nanoseconds."""
     return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
 def transform_of(translation: Any, rotation: Any) -> SE3 | None:
-    """A geometry_msgs/Transform or Pose from its two parts; None where its numbers are not a transform."""
+    """A geometry_msgs/Transform or Pose from its two parts; None if its numbers are not a transform."""
     return SE3.of((translation.x, translation.y, translation.z), (rotation.x, rotation.y, rotation.z, rotation.w))
 
 
 def scan_of_laser(message: Any, sensor: str, received_ns: int) -> Scan:
-    """A sensor_msgs/LaserScan as a scan; the stamp is that of the header, or of reception where the header has none."""
+    """A sensor_msgs/LaserScan as a scan, stamped by its header, or else by its reception."""
     return Scan(
         stamp_ns=stamp_ns(message) or received_ns,
         ranges=np.array(message.ranges, np.float32),
@@ -66,7 +67,7 @@ def scan_of_laser(message: Any, sensor: str, received_ns: int) -> Scan:
 
 
 def _time_increment_s(message: Any) -> float:
-    """The time between beams; 0, not known, where a driver writes one that no laser has."""
+    """The time between beams; 0 (not known) for an impossible value."""
     increment_s = float(message.time_increment)
     return increment_s if 0.0 <= increment_s * max(len(message.ranges) - 1, 0) <= MAX_SWEEP_S else 0.0
 
@@ -74,10 +75,10 @@ def _time_increment_s(message: Any) -> float:
 def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice) -> Scan:
     """A height slice of a sensor_msgs/PointCloud2 as a scan: bearings from -pi to pi.
 
-    A cloud without any point says nothing of free space, whatever an `empty` bearing means.
+    A cloud without any point gives no information about free space, whatever `empty` says.
     """
     points = cloud_points(message)
-    says_nothing = cut.empty == "unknown" or not len(points)
+    is_unknown = cut.empty == "unknown" or not len(points)
     points = points[(points[:, 2] >= cut.low_m) & (points[:, 2] <= cut.high_m)]
     distance = np.hypot(points[:, 0], points[:, 1])
     near = (distance >= cut.range_min_m) & (distance <= cut.range_max_m)
@@ -86,7 +87,7 @@ def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice) 
     beam = np.floor((bearing + math.pi) / step).astype(np.int64) % cut.beams
     ranges = np.full(cut.beams, np.inf)
     np.minimum.at(ranges, beam, distance[near])
-    if says_nothing:
+    if is_unknown:
         ranges[np.isinf(ranges)] = np.nan
     return Scan(
         stamp_ns=stamp_ns(message) or received_ns,
@@ -100,16 +101,16 @@ def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice) 
 
 
 def cloud_points(message: Any) -> NDArray[np.float64]:
-    """x, y, z (N, 3) of a sensor_msgs/PointCloud2, metres, sensor frame; points with a NaN are left out.
+    """x, y, z (N, 3) of a sensor_msgs/PointCloud2, metres, sensor frame, without points that are not finite.
 
-    Raises RecordingError where the cloud lacks these fields, or has fewer bytes than its header declares.
+    Raises RecordingError if the cloud lacks these fields, or has fewer bytes than its header declares.
     """
     rows, columns, step = message.height, message.width, message.point_step
     if not rows * columns:
-        return np.empty((0, 3))  # a filter that lets nothing pass may write neither fields nor a row_step
+        return np.empty((0, 3))  # an empty cloud may have neither fields nor a row_step
     fields = {f.name: f for f in message.fields}
     order = ">" if message.is_bigendian else "<"
-    row_step = message.row_step or columns * step  # 0 where a driver writes none
+    row_step = message.row_step or columns * step  # some drivers write 0
     data = np.asarray(message.data, np.uint8)
     if not {"x", "y", "z"} <= set(fields):
         raise RecordingError(f"a point cloud with the fields {', '.join(fields) or 'none'}; expected x, y and z")
@@ -126,33 +127,28 @@ def cloud_points(message: Any) -> NDArray[np.float64]:
     return points[np.isfinite(points).all(axis=1)]
 
 
-try:
-    from rosbags.serde import SerdeError
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-except ImportError:
-    raise RecordingError("reading ROS recordings needs rosbags: pip install 'gridtrack[ros]'") from None
+class RosRecording(FramedRecording):
+    """A recording of ROS messages.
 
+    Every LaserScan topic is a sensor; a PointCloud2 topic is read if the options name it, and give the slice to cut
+    from it. Messages are decoded by the definitions in rosbags, never by code made from the definitions in the
+    recording.
+    """
 
-class RosDecoder:
-    """Decodes the messages of one recording, never by code made from the definitions in the recording itself."""
-
-    @contextmanager
-    def decoded(self, message: EncodedMessage) -> Iterator[Any]:
-        """The decoded message. Raises DamageError where decoding it, or using it inside the block, fails."""
+    def __init__(self, path: Path, options: ReadOptions) -> None:
+        """Raises RecordingError if rosbags is not installed."""
+        super().__init__(path, options)
         try:
-            yield self._decode(message)
-        except (SerdeError, struct.error, ValueError, IndexError, UnicodeDecodeError) as error:
-            raise DamageError(f"corrupt: a message of {message.topic} cannot be decoded ({error})") from None
-
-    def _decode(self, message: EncodedMessage) -> Any:
-        if message.encoding == "ros1":
-            return self._ros1.deserialize_ros1(message.data, message.kind)
-        if message.encoding == "cdr":
-            return self._ros2.deserialize_cdr(message.data, message.kind)
-        raise RecordingError(f"'{message.topic}' is encoded as '{message.encoding}'; expected ros1 or cdr")
+            import rosbags.typesys  # noqa: F401
+            from rosbags.serde import SerdeError
+        except ImportError:
+            raise RecordingError("reading ROS recordings needs rosbags: pip install 'gridtrack[ros]'") from None
+        self._errors = (SerdeError, struct.error, ValueError, IndexError, UnicodeDecodeError)
 
     @cached_property
     def _ros1(self) -> Any:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
         store = get_typestore(Stores.ROS1_NOETIC)
         for kind in TRANSFORMS:  # the packages of transforms are not in this store
             store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
@@ -160,28 +156,25 @@ class RosDecoder:
 
     @cached_property
     def _ros2(self) -> Any:
+        from rosbags.typesys import Stores, get_typestore
+
         return get_typestore(Stores.LATEST)
 
-
-ROS_OPTIONS = ("topic", "cloud_slice", "pose_topic", "mounts")
-
-
-class RosRecording(FramedRecording):
-    """A recording of ROS messages.
-
-    Every LaserScan topic is a sensor; a PointCloud2 topic is read where the options name it, with the slice to cut from
-    it.
-    """
-
-    def __init__(self, path: Path, options: ReadOptions) -> None:
-        """Raises RecordingError where rosbags is not installed."""
-        from gridtrack.recordings.ros_recording import RosDecoder
-
-        super().__init__(path, options)
-        self._decoder = RosDecoder()
+    @contextmanager
+    def _decoded(self, message: EncodedMessage) -> Iterator[Any]:
+        """The decoded message. Raises DamageError if decoding it, or using it inside the block, fails."""
+        try:
+            if message.encoding == "ros1":
+                yield self._ros1.deserialize_ros1(message.data, message.kind)
+            elif message.encoding == "cdr":
+                yield self._ros2.deserialize_cdr(message.data, message.kind)
+            else:
+                raise RecordingError(f"'{message.topic}' is encoded as '{message.encoding}'; expected ros1 or cdr")
+        except self._errors as error:
+            raise DamageError(f"corrupt: a message of {message.topic} cannot be decoded ({error})") from None
 
     def content_of(self, message: EncodedMessage) -> Content | None:
-        """What a message holds, from its topic and type."""
+        """As in every recording with frames."""
         if message.kind in (LASER_SCAN, POINT_CLOUD):
             return "scan"
         if message.kind in TRANSFORMS:
@@ -189,17 +182,17 @@ class RosRecording(FramedRecording):
         return "pose" if message.kind in POSES else None
 
     def is_read(self, message: EncodedMessage) -> bool:
-        """Whether the scans of a topic are read: point clouds only where the options name it."""
+        """Whether the scans of a topic are read: point clouds only if the options name the topic."""
         return super().is_read(message) and (message.kind == LASER_SCAN or self.options.topic is not None)
 
     def frame_of(self, message: EncodedMessage) -> str:
-        """The frame of a scan. Raises DamageError."""
-        with self._decoder.decoded(message) as decoded:
+        """As in every recording with frames."""
+        with self._decoded(message) as decoded:
             return str(decoded.header.frame_id)
 
     def transforms_of(self, message: EncodedMessage) -> Iterable[StampedTransform]:
-        """The transforms of a message, or its pose; `child` is empty where it does not name one. DamageError."""
-        with self._decoder.decoded(message) as decoded:
+        """As in every recording with frames."""
+        with self._decoded(message) as decoded:
             if message.kind in TRANSFORMS:
                 for t in decoded.transforms:
                     transform = transform_of(t.transform.translation, t.transform.rotation)
@@ -210,11 +203,11 @@ class RosRecording(FramedRecording):
                 yield _stamped(message, decoded, getattr(decoded, "child_frame_id", ""), transform)
 
     def scan_of(self, message: EncodedMessage) -> FramedScan:
-        """A scan and its frame. Raises DamageError."""
+        """As in every recording with frames."""
         sensor = self.sensor_of(message.topic)
-        with self._decoder.decoded(message) as decoded:
+        with self._decoded(message) as decoded:
             if not stamp_ns(decoded):
-                self.warn(f"topic '{message.topic}': no stamps in its headers, the time of reception is used")
+                self.warn(f"topic '{message.topic}': its headers have no stamps, the time of reception is used")
             frame = str(decoded.header.frame_id)
             if message.kind == LASER_SCAN:
                 return FramedScan(message.topic, frame, scan_of_laser(decoded, sensor, message.received_ns))
@@ -225,5 +218,5 @@ class RosRecording(FramedRecording):
 
 
 def _stamped(message: EncodedMessage, decoded: Any, child: str, transform: SE3 | None) -> StampedTransform:
-    """A transform with the stamp of its header, or of reception where the header has none."""
+    """A transform with the stamp of its header, or else of its reception."""
     return StampedTransform(stamp_ns(decoded) or message.received_ns, decoded.header.frame_id, child, transform)

@@ -14,22 +14,25 @@ from gridtrack.common.files import LABEL_RULE, is_label
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import MAX_ANGLE_RAD, MAX_BEAMS, MAX_POSITION_M, MAX_RANGE_M, Scan
 
+MAX_DELAY_NS = 1_000_000_000
+MAX_STAMP_NS = 1 << 63
+MAX_SENSORS = 255
 JUMP_PERIODS = 3
-"""A scan later than this many periods is held until the scans after it show whether its stamp is correct."""
+"""A scan that comes later than this many periods is held until later scans show whether its stamp is correct."""
 CONFIRMING_SCANS = 3
-"""So many scans in a row at a later time are a gap; fewer, with earlier scans after them, have damaged stamps."""
+"""This many successive scans at a later time are a gap; fewer, with earlier scans after them, have damaged stamps."""
 FAR_NS, FAR_PERIODS = 10_000_000_000, 10
-"""The first or the last scan of a sensor is damaged where it is further than both from its only neighbour."""
+"""The first or last scan of a sensor is damaged if it is further than both from its only neighbour."""
 NOT_AFTER = "not stamped after the one before, left out"
-FAR_OFF = "whose stamp is far from those before and after, left out"
+FAR_OFF = "with a stamp far from the neighbouring ones, left out"
 
 
 class StampFilter:
-    """Leaves out the scans of one sensor whose stamps are damaged; holds three scans at most.
+    """Leaves out scans of one sensor with damaged stamps; holds three scans at most.
 
-    The order of the scans in the file is taken as correct. A scan stamped later than those after it is damaged, and a
-    scan not stamped after the one before is, too. A stamp ahead of the one before is a gap where the scans after it are
-    later still. `fault` receives each scan that is left out, the reason, and its time in the recording, ns.
+    The order of the scans in the file counts as correct. A stamp is damaged if it is later than the following ones, or
+    not after the preceding one. A jump ahead is a gap if the following stamps are later still. `fault` receives each
+    scan that is left out, the reason, and its time in the recording, ns.
     """
 
     def __init__(self, fault: Callable[[Scan, str, int], None]) -> None:
@@ -39,7 +42,7 @@ class StampFilter:
         self._held: list[Scan] = []
 
     def push(self, scan: Scan) -> list[Scan]:
-        """The scans whose stamps are correct, in order, now that `scan` is the next one of the file."""
+        """Add the next scan of the file; returns the scans that are now known to be correct, in order."""
         if self._last_ns is None:
             self._held.append(scan)
             return self._start() if len(self._held) == CONFIRMING_SCANS else []
@@ -59,13 +62,13 @@ class StampFilter:
         return any(scan.stamp_ns < stamp_ns for scan in self._held)
 
     def release(self) -> list[Scan]:
-        """The scans that are held, without a wait for the scans after them."""
+        """The held scans, without waiting for later ones."""
         accepted = self._start() if self._last_ns is None else []
         held, self._held = self._held, []
         return accepted + self._accept(held)
 
     def flush(self) -> list[Scan]:
-        """The scans that are held at the end of the file, without a last one far after the one before."""
+        """The held scans at the end of the file, without a last one that is far off."""
         accepted = self._start() if self._last_ns is None else []
         far_ns = max(FAR_NS, FAR_PERIODS * self._period_ns)
         if self._held and self._held[-1].stamp_ns - self._before_newest_ns() > far_ns:
@@ -73,7 +76,7 @@ class StampFilter:
         return accepted + self.release()
 
     def _start(self) -> list[Scan]:
-        """The first scans: all where they are in order, else the two of them that are closest in time."""
+        """The first scans: all if they are in order, else the two that are closest in time."""
         held, self._held = self._held, []
         periods = [after.stamp_ns - before.stamp_ns for before, after in pairwise(held)]
         kept = held
@@ -91,7 +94,7 @@ class StampFilter:
         return accepted + [found for scan in kept[2:] for found in self.push(scan)]
 
     def _confirm(self) -> list[Scan]:
-        """The first scan held, and those of the others that follow it closely."""
+        """The first held scan, and others that follow it closely."""
         (first, *others), self._held = self._held, []
         accepted = self._accept([first])
         return accepted + [found for scan in others for found in self.push(scan)]
@@ -115,18 +118,13 @@ class StampFilter:
         self._fault(self._held.pop(), FAR_OFF, at_ns)
 
     def _before_newest_ns(self) -> int:
-        """The stamp before that of the newest scan held."""
+        """The stamp before the newest held scan."""
         assert self._last_ns is not None
         return self._held[-2].stamp_ns if len(self._held) > 1 else self._last_ns
 
 
-MAX_DELAY_NS = 1_000_000_000
-MAX_STAMP_NS = 1 << 63
-MAX_SENSORS = 255
-
-
 class StampOrder:
-    """Merges the sensors of a file by stamp. Scans wait for a second, since those of one sensor may be written late.
+    """Merges the sensors of a file by stamp. Scans wait for a second, since a sensor's scans may be written late.
 
     Scans with a damaged stamp are left out (StampFilter). `warn` receives one line for each kind of fault and sensor,
     with the number of scans and the time of the first.
@@ -171,7 +169,7 @@ class StampOrder:
             yield heapq.heappop(self._waiting)[2]
 
     def flush(self) -> Iterator[Scan]:
-        """Yield the scans that still wait, and report the faults. Raises RecordingError where every scan has one."""
+        """Yield the waiting scans, and report the faults. Raises RecordingError if all scans are faulty."""
         for stamps in self._filters.values():
             self._add(stamps.flush())
         while self._waiting:
@@ -183,7 +181,7 @@ class StampOrder:
             raise RecordingError(f"no scan can be used: {next(iter(self._faults))}")
 
     def _add(self, scans: Iterable[Scan]) -> None:
-        """Let `scans` wait that are accepted. Raises RecordingError for an impossible geometry."""
+        """Let the accepted `scans` wait. Raises RecordingError for an impossible geometry."""
         for scan in map(self._with_finite_range, scans):
             if self._accepts(scan):
                 self._first_ns = scan.stamp_ns if self._first_ns is None else min(self._first_ns, scan.stamp_ns)
@@ -191,16 +189,16 @@ class StampOrder:
                 heapq.heappush(self._waiting, (scan.stamp_ns, next(self._numbers), scan))
 
     def _with_finite_range(self, scan: Scan) -> Scan:
-        """A scan whose range has no end, as `pointcloud_to_laserscan` writes it, with the largest one that there is."""
+        """The scan; an infinite range_max, as `pointcloud_to_laserscan` writes it, becomes MAX_RANGE_M."""
         if scan.range_max != math.inf:
             return scan
-        self._fault(scan, f"whose range_max is infinite, taken as {MAX_RANGE_M:g} m", scan.stamp_ns)
+        self._fault(scan, f"with an infinite range_max, taken as {MAX_RANGE_M:g} m", scan.stamp_ns)
         return replace(scan, range_max=MAX_RANGE_M)
 
     def _accepts(self, scan: Scan) -> bool:
         before = self._before.get(scan.sensor)
         if before is not None and _invalid_pose(scan) is not None:
-            self._fault(scan, "whose pose is not finite, left out", scan.stamp_ns)
+            self._fault(scan, "with a pose that is not finite, left out", scan.stamp_ns)
             return False
         if before is None or _geometry(scan) != _geometry(before):
             problem = _problem_of(scan)
@@ -213,12 +211,12 @@ class StampOrder:
             self._fault(scan, "stamped more than a second before those of other sensors, left out", scan.stamp_ns)
             return False
         if before is not None and before.ranges.size != scan.ranges.size:
-            self._fault(scan, "whose number of beams differs from the one before", scan.stamp_ns)
+            self._fault(scan, "with another number of beams than the one before", scan.stamp_ns)
         self._before[scan.sensor] = scan
         return True
 
-    def _fault(self, scan: Scan, what: str, at_ns: int) -> None:
-        text = f"scans of sensor '{scan.sensor}' {what}"
+    def _fault(self, scan: Scan, fault: str, at_ns: int) -> None:
+        text = f"scans of sensor '{scan.sensor}' {fault}"
         count, first_ns = self._faults.get(text, (0, at_ns))
         self._faults[text] = (count + 1, first_ns)
 
@@ -228,7 +226,7 @@ def _geometry(scan: Scan) -> tuple[float, float, float, float, int]:
 
 
 def _invalid_pose(scan: Scan) -> SE2 | None:
-    """The one of the scan's poses that cannot be that of a sensor."""
+    """The first of the scan's poses that is not finite or too far away."""
     for pose in (scan.world_T_sensor, scan.reference_T_sensor):
         if pose is not None and not (
             abs(pose.x) <= MAX_POSITION_M and abs(pose.y) <= MAX_POSITION_M and math.isfinite(pose.theta)
@@ -238,12 +236,12 @@ def _invalid_pose(scan: Scan) -> SE2 | None:
 
 
 def _problem_of(scan: Scan) -> str:
-    """What of the geometry or the pose cannot be that of a scan; empty where it can."""
+    """The reason why the geometry or the pose of a scan is impossible; else empty."""
     beams = scan.ranges.size
     if not 0.0 <= scan.range_min < scan.range_max <= MAX_RANGE_M:
         return (
-            f"range limits {scan.range_min:g} to {scan.range_max:g} m; expected finite ones up to {MAX_RANGE_M:g} m,"
-            " the lower limit first"
+            f"range limits {scan.range_min:g} to {scan.range_max:g} m; expected finite limits up to {MAX_RANGE_M:g} m,"
+            " the lower one first"
         )
     if beams > MAX_BEAMS:
         return f"{beams} beams; at most {MAX_BEAMS}"

@@ -14,6 +14,9 @@ from gridtrack.common.remote_files import fetched_file, is_url
 from gridtrack.recordings.recording import Recording
 from gridtrack.recordings.recording_info import Stretch, stretch_text
 
+WALL_CLOCK_FROM_NS = 946_684_800 * 1_000_000_000
+"""The year 2000. Later stamps are times of day; earlier ones come from a simulation, or a clock that starts at 0."""
+
 
 def parse_stretch(text: str) -> tuple[Path, Stretch | str | None]:
     """Read `demo.mcap`, `demo.mcap@30s-90s`, `demo.mcap@90s-` or `demo.mcap@test`: a path and a stretch of it.
@@ -66,7 +69,7 @@ def stretch_of(recording: Recording, stretch: Stretch | str | None) -> tuple[Str
     else:
         name, runs, (start_s, end_s) = f"{recording.name}@{stretch_text(stretch)}", "", stretch
     if not duration_s:
-        raise RecordingError(f"{name}{runs}: the recording is a single scan, of which there are no stretches")
+        raise RecordingError(f"{name}{runs}: the recording is a single scan, which has no stretches")
     if start_s > duration_s or (end_s is not None and end_s > math.ceil(duration_s)):
         long = f"{duration_s:.1f} s long" + (f" ({recording.damage})" if recording.damage else "")
         raise RecordingError(f"{name}{runs}: the recording is {long}: name a range inside it ({_whole(recording)})")
@@ -88,10 +91,10 @@ def ticks_in(stretch_s: Stretch, duration_ns: int, period_ns: int) -> range:
 
 
 def fetched(text: str, note: Callable[[str], None]) -> str:
-    """RECORDING[@RANGE] with the local copy of a recording that is named by a URL; another text as it is.
+    """RECORDING[@RANGE] with a local copy in place of a URL; other texts are returned unchanged.
 
-    The copy lies in `$XDG_CACHE_HOME/gridtrack/recordings`, under the file's own name, and is fetched again when the
-    file has changed. `note` receives a line before that. Raises StoreError.
+    The copy lies in `$XDG_CACHE_HOME/gridtrack/recordings` under the file's own name. It is fetched again when the file
+    has changed; `note` receives a line before that. Raises StoreError.
     """
     if not is_url(text):
         return text
@@ -106,13 +109,9 @@ def _without_stretch(text: str) -> tuple[str, str]:
     return (f"{folder}{slash}{name}", f"{at}{stretch}") if at else (text, "")
 
 
-WALL_CLOCK_FROM_NS = 946_684_800 * 1_000_000_000
-"""The year 2000: later stamps are times of the day; a simulation, or a clock that starts with its sensor, is before."""
-
-
 @dataclass(frozen=True, slots=True)
 class RecordedTime:
-    """Time at one `site`: stamps from `start_ns` on, `end_ns` excluded, first recorded in the file `source_sha256`."""
+    """Time at one `site`: stamps from `start_ns` to `end_ns` (excluded), first recorded in the file `source_sha256`."""
 
     source_sha256: str
     site: str
@@ -120,14 +119,14 @@ class RecordedTime:
     end_ns: int
 
     def overlaps(self, other: RecordedTime) -> bool:
-        """Whether both hold a moment in common."""
+        """Whether both have a moment in common."""
         return self.common(other) is not None
 
     def common(self, other: RecordedTime) -> RecordedTime | None:
-        """The part of this time that `other` holds too, or None.
+        """The intersection with `other`, or None.
 
-        Stamps are compared where both come from one source, and at one site where they are times of the day: a file
-        that another program cut has another hash, and two lasers of one site see the same traffic.
+        Stamps of one source are compared; stamps of one site too if they are times of day: a file that another program
+        cut has another hash, and two lasers at one site see the same traffic.
         """
         on_wall_clock = min(self.start_ns, other.start_ns) >= WALL_CLOCK_FROM_NS
         comparable = self.source_sha256 == other.source_sha256 or (self.site == other.site and on_wall_clock)

@@ -6,19 +6,22 @@ import tempfile
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.files import sha256_of, user_cache_folder
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.formats.native import NativeRecording
-from gridtrack.recordings.formats.native_writer import write_native
-from gridtrack.recordings.read_options import ReadOptions
+from gridtrack.recordings.formats.native import NativeRecording, write_native
 from gridtrack.recordings.recording import Recording, Topics
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.recordings.registry import RecordingFormat
-from gridtrack.simulation.tracks_file import read_tracks
+
+if TYPE_CHECKING:
+    from gridtrack.simulation.tracks import Tracks
 
 PARQUET_MAGIC = b"PAR1"
+RENDERING_VERSION = 1
+"""Increases with every change that renders the same tracks to other scans, so that an older rendering is not used."""
 
 
 def is_tracks(path: Path, head: bytes) -> bool:
@@ -26,22 +29,8 @@ def is_tracks(path: Path, head: bytes) -> bool:
     return head.startswith(PARQUET_MAGIC)
 
 
-def open_tracks(path: Path, options: ReadOptions) -> Recording:
-    """The tracks as a recording that is rendered when it is read."""
-    from gridtrack.simulation.recording_format import RenderedRecording
-
-    return RenderedRecording(path, options)
-
-
-TRACKS_FORMAT = RecordingFormat("file of simulated tracks", (".tracks",), is_tracks, open_tracks)
-
-
-RENDERING_VERSION = 1
-"""Increases with every change that renders the same tracks to other scans, so that an older rendering is not used."""
-
-
 class RenderedRecording(Recording):
-    """Tracks whose scans are those of a native recording in the cache, rendered when it is missing or damaged.
+    """Simulated tracks: their scans are rendered into a native recording in the cache when they are first read.
 
     Path, name and hash are those of the file of tracks, so that a run names its input.
     """
@@ -49,7 +38,7 @@ class RenderedRecording(Recording):
     @cached_property
     def info(self) -> RecordingInfo:
         """The metadata in the file of tracks. Raises RecordingError."""
-        return read_tracks(self.path).info.recording
+        return self._read_tracks().info.recording
 
     @property
     def scans_version(self) -> str:
@@ -62,15 +51,20 @@ class RenderedRecording(Recording):
 
     @cached_property
     def rendering(self) -> Path:
-        """The native recording in the cache; its hash is the one in the file beside it."""
+        """The native recording in the cache, rendered again if its hash differs from that in the file beside it."""
         rendering = rendering_folder() / f"{self.sha256[:40]}-{RENDERING_VERSION}.mcap"
         if not rendering.is_file() or sha256_of(rendering) != _expected_sha256(rendering):
             self._render(rendering)
         return rendering
 
+    def _read_tracks(self) -> Tracks:
+        from gridtrack.simulation.tracks_file import read_tracks  # loads pyarrow and Numba
+
+        return read_tracks(self.path)
+
     def _render(self, rendering: Path) -> None:
         """Several processes may render at once: each writes files of its own with equal content and moves them."""
-        tracks = read_tracks(self.path)
+        tracks = self._read_tracks()
         try:
             rendering.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(dir=rendering.parent) as folder:
@@ -95,3 +89,6 @@ def rendering_folder() -> Path:
 def _expected_sha256(rendering: Path) -> str | None:
     checksum = rendering.with_suffix(".sha256")
     return checksum.read_text(errors="replace").strip() if checksum.is_file() else None
+
+
+TRACKS_FORMAT = RecordingFormat("file of simulated tracks", (".tracks",), is_tracks, RenderedRecording)

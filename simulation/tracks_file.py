@@ -15,7 +15,7 @@ from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.files import atomic_write
 from gridtrack.common.untrusted import parse_json
-from gridtrack.recordings.formats.native_writer import write_native
+from gridtrack.recordings.formats.native import write_native
 from gridtrack.simulation.tracks import MAX_USERS_PER_FRAME, ONLY_LASER, Tracks, TracksInfo
 
 STANDING_SCHEMA, TRACKS_SCHEMA, WORLD_SCHEMA = 1, 2, 3

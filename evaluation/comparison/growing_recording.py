@@ -10,9 +10,9 @@ from gridtrack.evaluation.comparison.plan import Trial
 from gridtrack.evaluation.comparison.settings import CompareSettings, check_together
 from gridtrack.evaluation.scoring.referee import WARM_UP
 from gridtrack.recordings import Recording, open_recording
-from gridtrack.recordings.file_reading import FileEnds, Growth
+from gridtrack.recordings.file_reading import DamageError, FileEnds, Growth
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile
-from gridtrack.recordings.recording import DamageError, NoScansError
+from gridtrack.recordings.recording import NoScansError
 from gridtrack.recordings.stretches import parse_stretch
 
 SPARE_FRAMES = 3

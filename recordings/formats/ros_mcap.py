@@ -18,6 +18,7 @@ from google.protobuf.message import DecodeError
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import MAX_BEAMS, Scan
+from gridtrack.recordings.file_reading import DamageError
 from gridtrack.recordings.formats.native import is_native
 from gridtrack.recordings.framed_recording import Content, EncodedMessage
 from gridtrack.recordings.frames.trajectory import FramedScan
@@ -25,7 +26,6 @@ from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import StampedTransform
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile
 from gridtrack.recordings.native_messages import nanoseconds_of
-from gridtrack.recordings.recording import DamageError
 from gridtrack.recordings.registry import RecordingFormat
 from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording, ros2_name
 

@@ -10,7 +10,7 @@ a link that come on several topics, as of several robots, each sensor has those 
 
 from __future__ import annotations
 
-from gridtrack.recordings.frames import notes, problems
+from gridtrack.recordings.frames import problems
 from gridtrack.recordings.frames.chains import Chain, ChainOptions, Chains, FrameLinks, Link, parent_of
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import WORLD_WORDS, Edge, FrameTree, PoseTopic, has_word, is_body
@@ -27,8 +27,8 @@ def chosen_chains(tree: FrameTree, options: ChainOptions) -> Chains:
         return Chains()
     chains = _Choice(tree, options).chains()
     if not chains.problem and not options.stand:
-        chains.notes += tuple(notes.seldom_told(tree, chains.of_topic))
-    chains.faults = tuple(notes.several_topics(options, tree, chains.of_topic))
+        chains.notes += tuple(problems.seldom_told(tree, chains.of_topic))
+    chains.faults = tuple(problems.several_topics(options, tree, chains.of_topic))
     return chains
 
 
@@ -56,7 +56,7 @@ class _Choice:
         if world is None:
             return self._without_world_frame()
         chains = links.chains(world)
-        return Chains(chains, notes=tuple(notes.motion_above(options, links.forest, world, chains)))
+        return Chains(chains, notes=tuple(problems.motion_above(options, links.forest, world, chains)))
 
     def _world_frame(self) -> str | None:
         """The frame in common that does not move: `odom`, else `map`, else the topmost, unless that is a robot's.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.recordings.recording_info import RecordingInfo
-from gridtrack.simulation.junction import demand, layout
+from gridtrack.simulation.junction import layout, road_users
 from gridtrack.simulation.junction.road_users import Patience
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.motion import headings, smoothed, trailing_headings, unbroken_tracks
@@ -94,7 +94,7 @@ def simulate_traffic(frames: int, seed: int, start_s: float) -> Tracks:
         movements = run_sumo(
             Path(folder),
             here / "network.net.xml",
-            demand.routes(),
+            road_users.routes(),
             signals,
             span_s,
             seed,
@@ -152,11 +152,11 @@ def _tracks(info: TracksInfo, movements: Movements, first_step: int) -> Tracks:
     """Smoothed tracks from SUMO's positions; each unbroken part is a track, numbered in the order of the names."""
     poses, users = np.empty((len(movements.user), 3)), np.empty(len(movements.user), np.int64)
     for number, rows in enumerate(unbroken_tracks(movements.user, movements.step)):
-        kind = demand.ROAD_USER_TYPES[movements.kind[movements.user[rows.start]]]
+        kind = road_users.ROAD_USER_TYPES[movements.kind[movements.user[rows.start]]]
         users[rows] = number
         walks = kind.label == "pedestrian"
         poses[rows] = pedestrian_poses(movements, rows) if walks else vehicle_poses(movements, rows, kind)
-    kinds = [demand.ROAD_USER_TYPES[name] for name in movements.kind]
+    kinds = [road_users.ROAD_USER_TYPES[name] for name in movements.kind]
     frame = movements.step - first_step
     kept = (frame >= 0) & (frame < info.frames)
     order = np.lexsort((users[kept], frame[kept]))
@@ -177,7 +177,7 @@ def pedestrian_poses(movements: Movements, rows: slice) -> NDArray[np.float64]:
     return np.column_stack([position, headings(position, STEP_S, WALKING_STD_STEPS)])
 
 
-def vehicle_poses(movements: Movements, rows: slice, kind: demand.RoadUserType) -> NDArray[np.float64]:
+def vehicle_poses(movements: Movements, rows: slice, kind: road_users.RoadUserType) -> NDArray[np.float64]:
     """Poses (n, 3) of the centre, from the front bumper. Vehicles of SUMO turn on the spot: here the rear follows."""
     front = smoothed(movements.position[rows], ROLLING_STD_STEPS)
     heading = trailing_headings(front, WHEELS_BEHIND * kind.length_m, float(movements.heading[rows.start]))

@@ -14,6 +14,7 @@ from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.laser import sweep
 from gridtrack.simulation.sumo import SimulationError, sumo_version
 from gridtrack.simulation.tracks import ONLY_LASER, Tracks
+from gridtrack.simulation.worlds import indoors, outdoors
 from gridtrack.simulation.worlds.compose import CLASSES, WORLD_LICENCE, compose
 from gridtrack.simulation.worlds.people import on_foot
 from gridtrack.simulation.worlds.scenery import Scenery

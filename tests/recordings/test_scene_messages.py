@@ -17,8 +17,8 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.recordings import open_recording
+from gridtrack.recordings.file_reading import DamageError
 from gridtrack.recordings.native_messages import OBJECTS, OUTLINES, SceneReader, SceneWriter
-from gridtrack.recordings.recording import DamageError
 
 CLASSES = ("pedestrian", "car", "static")
 BOX = np.array([[-2, -1], [2, -1], [2, 1], [-2, 1 / 3]], np.float32)

@@ -123,8 +123,8 @@ def test_a_last_scan_a_day_late_adds_no_frames(write: Callable[..., Path], scan:
     stream = open_stream(path)
     assert (len(stream), stream.gaps) == (400, 0)
     (warning,) = stream.recording.warnings
-    assert "whose stamp is far from those before and after, left out: 1 of them, the first 39.900 s after" in warning
-    with pytest.raises(RecordingError, match="far from those before and after"):
+    assert "with a stamp far from the neighbouring ones, left out: 1 of them, the first 39.900 s after" in warning
+    with pytest.raises(RecordingError, match="far from the neighbouring ones"):
         list(open_recording(path, strict=True).scans())
 
 

@@ -25,7 +25,7 @@ from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.scoring.deadline import read_later
 from gridtrack.evaluation.scoring.live_timeline import LiveTimeline
 from gridtrack.evaluation.scoring.samples import SAMPLES, TRACKS_TOPIC
-from gridtrack.recordings.formats import native_writer
+from gridtrack.recordings.formats import native
 from gridtrack.trackers.contract import Forecast, TrackedObject
 
 from scenes import truth_scene
@@ -112,7 +112,7 @@ class Table:
 @pytest.fixture(autouse=True)
 def small_chunks(monkeypatch):
     """A recorder that writes a chunk every second."""
-    monkeypatch.setattr(native_writer, "CHUNK_BYTES", 8000)
+    monkeypatch.setattr(native, "CHUNK_BYTES", 8000)
 
 
 @pytest.fixture

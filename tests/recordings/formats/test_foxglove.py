@@ -194,4 +194,6 @@ def test_a_scan_with_a_place_of_its_laser_that_is_no_number_is_left_out(mcap) ->
     messages[2].pose.position.x = math.nan
     recording = open_recording(mcap([("/front", 100 * k, message) for k, message in enumerate(messages)]))
     assert len(list(recording.scans())) == 4
-    assert any("scans of sensor 'front' whose pose is not finite, left out: 1 of them" in w for w in recording.warnings)
+    assert any(
+        "scans of sensor 'front' with a pose that is not finite, left out: 1 of them" in w for w in recording.warnings
+    )

@@ -23,8 +23,8 @@ from gridtrack.common.errors import ConfigurationError, GridtrackError, Recordin
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.scan import PoseQuality, Scan
 from gridtrack.recordings import RecordingInfo, open_recording
+from gridtrack.recordings.file_reading import DamageError
 from gridtrack.recordings.native_messages import read_beam_times, read_pose_quality
-from gridtrack.recordings.recording import DamageError
 
 
 def test_scans_round_trip_bit_for_bit(write: Callable[..., Path], scan: Callable[..., Scan], same_scans) -> None:
@@ -270,7 +270,7 @@ def test_sensors_written_late_are_merged_up_to_a_second(write: Callable[..., Pat
 def test_a_changing_number_of_beams_is_a_warning(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     recording = open_recording(write(scan(k, beams=30 + 6 * (k // 5)) for k in range(15)))
     assert len(list(recording.scans())) == 15
-    assert "number of beams differs from the one before: 2 of them" in recording.warnings[0]
+    assert "with another number of beams than the one before: 2 of them" in recording.warnings[0]
     assert recording.overview().sensors["scan"].beams == (30, 42)
 
 
@@ -310,7 +310,7 @@ def test_a_scan_with_a_pose_that_is_not_finite_is_left_out_and_refused_as_the_fi
     nowhere = {pose: SE2(math.nan, 0.0, 0.0)}
     recording = open_recording(write([scan(0), replace(scan(1), **nowhere), scan(2)]))
     assert [s.stamp_ns for s in recording.scans()] == [scan(0).stamp_ns, scan(2).stamp_ns]
-    assert "whose pose is not finite, left out: 1 of them" in recording.warnings[0]
+    assert "with a pose that is not finite, left out: 1 of them" in recording.warnings[0]
     with pytest.raises(RecordingError, match="a pose of nan, 0, 0; expected finite numbers"):
         list(open_recording(write([replace(scan(0), **nowhere)])).scans())
 
@@ -323,7 +323,7 @@ def test_a_label_that_is_no_number_of_a_class_is_damage(
     path = altered(write(labelled, classes=["person"]), "/labels", 1, {"intensities": label})
     recording = open_recording(path)
     assert [s.stamp_ns for s in recording.scans()] == [scan(0).stamp_ns]
-    assert f"a label {label:g}, which is no number of a class" in recording.warnings[0]
+    assert f"a label {label:g} is not the number of a class" in recording.warnings[0]
 
 
 def test_a_range_beyond_float32_is_no_return(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
