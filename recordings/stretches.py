@@ -81,15 +81,6 @@ def _whole(recording: Recording) -> str:
     return f"{recording.path}@{stretch_text((0.0, recording.survey.whole_s))}"
 
 
-def ticks_in(stretch_s: Stretch, duration_ns: int, period_ns: int) -> range:
-    """Numbers of the ticks in the stretch: its start included, its end excluded unless the recording ends there."""
-    start_s, end_s = stretch_s
-    end = duration_ns // period_ns + 1
-    if end_s is not None and round(end_s * 1e9) < duration_ns:
-        end = min(end, -(-round(end_s * 1e9) // period_ns))
-    return range(-(-round(start_s * 1e9) // period_ns), end)
-
-
 def fetched(text: str, note: Callable[[str], None]) -> str:
     """RECORDING[@RANGE] with a local copy in place of a URL; other texts are returned unchanged.
 

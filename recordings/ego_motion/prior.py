@@ -1,4 +1,4 @@
-"""The predicted pose of a scan before it is matched: from odometry, or from the last motion."""
+"""The prior of a match: the predicted pose of a scan, from odometry or from the last motion."""
 
 from __future__ import annotations
 
@@ -13,25 +13,34 @@ from gridtrack.recordings.ego_motion.fit import MatchingSettings
 from gridtrack.recordings.ego_motion.returns import PlaneArray
 
 POSITION_FLOOR_M, HEADING_FLOOR_RAD = 0.002, 0.002
-"""Standard deviations of a prior for no motion and no time."""
+"""Minimum standard deviations of a prior."""
 TURN_LEVER_M = 0.5
-"""A turn of one radian adds as much to the position's noise as this distance driven, and a metre as much to heading."""
+"""A turn of one radian adds as much position noise as this distance, and this share of a turn adds to the heading's."""
 MIN_NOISE_S = 0.05
-"""Without odometry the noise of the prior is at least that of so much time: stamps of a log may come in bursts."""
+"""Minimum time for the noise of a prior without odometry: stamps of a log may come in bursts."""
+MIN_VELOCITY_S = 0.04
+"""Minimum time over which the velocity is measured, for the same reason."""
+MAX_COAST_S, MAX_OPEN_S = 1.0, 5.0
+"""The last velocity is used for at most this long while scans cannot be matched, and while a direction is weak; after
+that the sensor is assumed at rest."""
+UNKNOWN_VELOCITY = np.array([3.0, 3.0, 1.0])
+"""Standard deviations at the beginning, m/s and rad/s."""
+MAX_DEVIATION = np.array([10.0, 10.0, 3.0])
+"""Limits of the standard deviations, m/s and rad/s."""
 
 
 class Velocity(NamedTuple):
-    """Of the last motion: `mean` m/s and rad/s in the sensor's frame, and its `covariance` (3, 3)."""
+    """A velocity, sensor frame: `mean` in m/s and rad/s, and its `covariance` (3, 3)."""
 
     mean: SE2
     covariance: PlaneArray
 
 
 class Prior(NamedTuple):
-    """A predicted pose `world_T_sensor`, the motion since the scan before, and its noise.
+    """A predicted pose `world_T_sensor`, the `motion` since the scan before (in its sensor frame), and the noise.
 
-    `motion` is in the frame of the sensor at the scan before. `information` (3, 3) is the inverse covariance of x, y
-    and heading in the sensor's frame; `coarse` where the pose may be off by more than the kernel of a fine match.
+    `information` (3, 3) is the inverse covariance of x, y and heading, sensor frame; `coarse`: the pose may be off by
+    more than the fine kernel.
     """
 
     world_T_sensor: SE2
@@ -41,7 +50,7 @@ class Prior(NamedTuple):
 
 
 def odometry_prior(last: SE2, odometry: SE2, settings: MatchingSettings) -> Prior:
-    """The pose after the motion `odometry` (last_T_sensor as recorded) from the pose `last`."""
+    """The pose after the recorded motion `odometry` (last_T_sensor) from the pose `last`."""
     distance, turn = math.hypot(odometry.x, odometry.y), abs(odometry.theta)
     position = POSITION_FLOOR_M + settings.odometry_drift * (distance + TURN_LEVER_M * turn)
     heading = HEADING_FLOOR_RAD + settings.odometry_turn_drift * (turn + TURN_LEVER_M * distance)
@@ -49,7 +58,7 @@ def odometry_prior(last: SE2, odometry: SE2, settings: MatchingSettings) -> Prio
 
 
 def motion_prior(last: SE2, velocity: Velocity, since_s: float, settings: MatchingSettings) -> Prior:
-    """The pose `since_s` seconds after the pose `last`, at `velocity` and its possible change."""
+    """The pose `since_s` seconds after the pose `last`, by `velocity` and its possible change."""
     mean, noise_s = velocity.mean, max(since_s, MIN_NOISE_S)
     motion = SE2(mean.x * since_s, mean.y * since_s, mean.theta * since_s)
     position = POSITION_FLOOR_M + settings.acceleration * noise_s**2 / 2.0
@@ -59,7 +68,7 @@ def motion_prior(last: SE2, velocity: Velocity, since_s: float, settings: Matchi
 
 
 def inverse(matrix: PlaneArray) -> PlaneArray:
-    """The covariance (3, 3) of an information, or the other way round."""
+    """The covariance (3, 3) of an information, or the information of a covariance."""
     return np.linalg.inv(matrix).astype(np.float64)
 
 
@@ -67,19 +76,8 @@ def _information(position_m: float, heading_rad: float) -> PlaneArray:
     return np.diag([position_m**-2, position_m**-2, heading_rad**-2])
 
 
-MIN_VELOCITY_S = 0.04
-"""The velocity is measured over at least this time: stamps of a log that come in bursts would give any velocity."""
-MAX_COAST_S, MAX_OPEN_S = 1.0, 5.0
-"""The last motion is continued for this long where scans cannot be matched, and where they leave a direction open; then
-the sensor is taken to stand."""
-UNKNOWN_VELOCITY = np.array([3.0, 3.0, 1.0])
-"""Standard deviations at the beginning, m/s and rad/s."""
-MAX_DEVIATION = np.array([10.0, 10.0, 3.0])
-"""They never grow beyond these."""
-
-
 class LastMotion:
-    """The velocity from scan to scan; its covariance grows in each direction until a match constrains it again."""
+    """The velocity from scan to scan; its covariance grows in each direction until a match constrains it."""
 
     def __init__(self, stamp_ns: int, world_T_sensor: SE2, settings: MatchingSettings) -> None:
         self._from = stamp_ns, world_T_sensor
@@ -88,7 +86,7 @@ class LastMotion:
         self._change = np.array([settings.acceleration, settings.acceleration, settings.turn_acceleration])
 
     def velocity(self, stamp_ns: int) -> Velocity:
-        """The velocity with which to predict the pose at a stamp."""
+        """The velocity for the prediction of the pose at a stamp."""
         stands = stamp_ns - self._matched_ns > MAX_COAST_S * 1e9 or stamp_ns - self._constrained_ns > MAX_OPEN_S * 1e9
         return self._velocity._replace(mean=SE2()) if stands else self._velocity
 

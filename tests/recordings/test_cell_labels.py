@@ -38,5 +38,5 @@ def test_cells_of_beams_without_a_label_have_no_class(write: Callable[..., Path]
 
 def test_a_label_without_a_class_is_refused(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
     stream = open_stream(write([labelled(scan(k), 1) for k in range(3)], classes=["car"]))
-    with pytest.raises(RecordingError, match=r"a label names class 1 at .* and the recording has 1 classes"):
+    with pytest.raises(RecordingError, match=r"a label is class 1 at .* but the recording has 1 classes"):
         list(stream.labelled())

@@ -27,7 +27,7 @@ CHAINS = (
     "front_scan: odom -> base_footprint -> base_link -> front_laser; rear_scan: odom -> base_footprint -> base_link ->"
     " rear_laser (mirrored); from /tf, /tf_static; longest gap 0.02 s"
 )
-NO_MOTION = "no motion recorded: taken to stand still (of a robot that drives: recording import --ego-motion kiss-icp)"
+NO_MOTION = "no motion recorded: assumed at rest (if the robot drives: recording import --ego-motion kiss-icp)"
 FRONT_ONLY = [
     *made.scans_of(ROS, 3000, made.FRONT),
     ROS.transforms(0, *made.mounts(made.FRONT), topic="/tf_static"),
@@ -124,7 +124,7 @@ def test_a_gap_in_the_poses_is_a_warning_and_delays_no_scans(tmp_path: Path) -> 
     assert (len(found), found[5], found[80], found[-1]) == (100, 0.0, 0.0, 9.0)
     assert recording.info.poses.endswith("longest gap 9.00 s")
     (warning,) = recording.warnings
-    assert "without poses on /odom (odom -> base_link) within 1 s have the last before them: 79 of them" in warning
+    assert "without poses on /odom (odom -> base_link) within 1 s get the last one before them: 79 of them" in warning
     strict = open_recording(path, mounts=[parse_mount("front_scan=0,0,0")], strict=True)
     with pytest.raises(RecordingError, match="without poses on /odom"):
         list(strict.scans())
@@ -142,7 +142,7 @@ def test_poses_of_another_clock_than_the_scans_are_refused(tmp_path: Path, late_
     poses = [ROS.odometry(at + late_ms, made.robot_at(at)) for at in range(0, 3000, 100)]
     received = [(topic, kind, at - late_ms * made.MS, message) for topic, kind, at, message in poses]
     path = ROS.write(tmp_path / "a.bag", [*FRONT_ONLY, *received])
-    with pytest.raises(RecordingError, match=f"no pose on /odom at the time of a scan: they are stamped {apart}"):
+    with pytest.raises(RecordingError, match=f"no pose on /odom at the time of a scan: their stamps are {apart}"):
         open_recording(path).overview()
 
 
@@ -312,5 +312,5 @@ def test_two_topics_of_one_frame_are_told(tmp_path: Path) -> None:
     twice = [("/filtered", *message[1:]) for message in drive if message[0] == "/front_scan"]
     recording = open_recording(ROS.write(tmp_path / "a.bag", [*drive, *twice]))
     (warning,) = recording.overview().warnings
-    assert "/front_scan and /filtered have scans of one frame, 'front_laser'" in warning
+    assert "/front_scan and /filtered have scans in one frame, 'front_laser'" in warning
     assert "--topic /front_scan`" in warning

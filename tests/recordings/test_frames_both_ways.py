@@ -51,7 +51,7 @@ def test_a_wheel_that_turns_is_no_world(tmp_path: Path) -> None:
     wheel = [ROS.transforms(at, ("base_link", "wheel", SE3.in_plane(SE2(0.0, 0.2, at / 100)))) for at in STAMPS_MS]
     recording = open_recording(written(tmp_path, STATIC, *wheel))
     assert not recording.survey.moves
-    assert "no motion recorded: taken to stand still" in recording.info.poses
+    assert "no motion recorded: assumed at rest" in recording.info.poses
 
 
 @pytest.mark.parametrize("named", [{}, {"pose_topic": "/camera/odom"}])
@@ -98,14 +98,14 @@ def test_two_sources_of_a_transform_are_told(tmp_path: Path) -> None:
     other = [ROS.transforms(at, ("odom", "base_link", SE3())) for at in STAMPS_MS]
     both = [message for pair in zip(transforms("odom", "base_link"), other, strict=True) for message in pair]
     (warning,) = open_recording(written(tmp_path, STATIC, *both)).overview().warnings
-    assert warning.endswith("transforms on /tf of frame 'base_link' differ at one stamp, as of two sources")
+    assert warning.endswith("transforms on /tf of frame 'base_link' differ at one stamp: two sources may send them")
 
 
 def test_scans_before_the_first_pose_have_the_first(tmp_path: Path) -> None:
     late = [ROS.odometry(at, made.robot_at(at)) for at in range(1500, 3100, 20)]
     recording = open_recording(written(tmp_path, STATIC, *late))
     (warning,) = recording.overview().warnings
-    assert "without poses on /odom (odom -> base_link) within 1 s have the first after them: 5 of them" in warning
+    assert "without poses on /odom (odom -> base_link) within 1 s get the first one after them: 5 of them" in warning
     first = made.robot_at(1500) @ made.FRONT.base_T_laser
     moved = first.inverse() @ next(iter(recording.scans())).world_T_sensor
     assert (moved.x, moved.y, moved.theta) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)

@@ -118,7 +118,7 @@ def test_a_tilted_scanner_is_left_out_and_told(tmp_path: Path) -> None:
     more = [*made.scans_of(ROS, 3000, laser), ROS.transforms(0, ("base_link", "tilt_laser", tilt), topic="/tf_static")]
     recording = opened(tmp_path, *more)
     assert walls_stay(recording)
-    told = "scans of sensor 'tilt_scan' tilted by more than 15 deg are left out (where its transforms are wrong,"
+    told = "scans of sensor 'tilt_scan' tilted by more than 15 deg are left out (if its transforms are wrong,"
     assert told in the_warning(recording)
     assert set(recording.survey.sensors) == {"front_scan"}
 
@@ -127,7 +127,7 @@ def test_scans_that_change_their_frame_are_left_out(tmp_path: Path) -> None:
     other = ROS.laser(1250, np.full(181, 2.0, np.float32), made.FRONT, frame="elsewhere")
     recording = opened(tmp_path, other)
     assert walls_stay(recording)
-    assert "topic '/front_scan': scans of another frame than the first are left out" in the_warning(recording)
+    assert "topic '/front_scan': scans in another frame than the first scan are left out" in the_warning(recording)
 
 
 def test_a_transform_that_cannot_be_decoded_is_left_out(tmp_path: Path) -> None:

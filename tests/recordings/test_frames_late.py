@@ -107,7 +107,7 @@ def test_scans_that_are_far_from_one_another_have_their_poses(tmp_path: Path, gr
 
 def test_more_transforms_than_are_kept_are_read_with_the_scans(tmp_path: Path, monkeypatch) -> None:
     path = ROS.write(tmp_path / "a.bag", drive(ROS))
-    monkeypatch.setattr(framed_recording, "MAX_WHOLE", 100)
+    monkeypatch.setattr(framed_recording, "MAX_TRANSFORMS", 100)
     assert walls_stay(open_recording(path))
 
 

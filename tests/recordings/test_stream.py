@@ -249,7 +249,7 @@ def test_a_slow_sensor_that_sets_the_rate_of_all_is_told(write: Callable[..., Pa
     stream = open_stream(path, grid=GRID)
     assert len(stream) == 10
     (warning,) = stream.recording.warnings
-    assert "frames are made at the rate of the slowest sensor: 'rear' has" in warning
+    assert "the slowest sensor sets the rate of the frames: 'rear' has" in warning
     asked = open_stream(path, grid=GRID, rate_hz=1 / stream.period_s)
     assert asked.recording.warnings == []
 
@@ -281,8 +281,8 @@ def test_of_several_sensors_one_that_is_late_or_missing_is_told_and_frames_are_m
     stream = open_stream(write(sorted(front + rear, key=lambda one: one.stamp_ns)), grid=GRID, rate_hz=10.0)
     (told,) = stream.recording.warnings
     assert told.endswith(
-        "sensor 'rear': no scan within half a period of 0.1 s of 4 of 20 frames in 0s-1.9s, the first at 0.70 s; they"
-        " are made of the scans of the other sensors"
+        "sensor 'rear': no scan within 0.05 s of 4 of 20 frames in 0s-1.9s, the first at 0.70 s; they"
+        " are made from the scans of the other sensors"
     )
     returns = [int(frame.occupied.sum()) for frame in stream]
     assert returns == [1 if k in (7, 11, 12, 13) else 2 for k in range(20)]
@@ -403,5 +403,5 @@ def test_the_error_for_a_wrong_label_has_the_time_in_the_recording(
 ) -> None:
     labels = np.full(36, 7, np.uint8)
     path = write([replace(scan(k), labels=labels if k == 25 else None) for k in range(40)], classes=["car"])
-    with pytest.raises(RecordingError, match=r"a label names class 7 at 2\.500 s"):
+    with pytest.raises(RecordingError, match=r"a label is class 7 at 2\.500 s"):
         list(open_stream(f"{path}@2s-", grid=GRID).labelled())

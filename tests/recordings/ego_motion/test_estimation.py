@@ -130,7 +130,7 @@ def test_over_an_empty_field_the_poses_are_those_of_odometry() -> None:
     assert outcomes(found) == {"start": 1, "few-returns": 29}
     for scan, pose in zip(scans, found.matched, strict=True):
         assert same_pose(pose, scan.world_T_sensor)
-    assert "96.7% of them, 2.9 s, have the recorded motion in place of the match" in found.describe("refined")
+    assert "96.7% of them, 2.9 s, use the recorded motion instead of the match" in found.describe("refined")
 
 
 def test_scans_of_another_place_are_not_matched() -> None:
@@ -180,7 +180,7 @@ def test_a_sensor_that_stands_is_given_no_jitter(write: Callable[..., Path], tmp
     source = write(drive(ROOM, still, 60, **({"crowd": one_way} if crowded else {})))
     imported = import_recording(source, tmp_path / "out.mcap", ego_motion="kiss-icp")
     assert not imported.survey.moves
-    assert imported.info.poses.endswith("the sensor stands still")
+    assert imported.info.poses.endswith("the sensor is at rest")
 
 
 def test_an_import_says_where_the_poses_come_from_and_gives_the_same_bytes_again(

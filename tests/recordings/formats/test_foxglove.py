@@ -24,7 +24,7 @@ from gridtrack.recordings.native_messages import timestamp_of
 
 from scenes import drive_bag as made
 
-LIMIT = "topic '/front': its scans have no limits of their ranges; the longest, "
+LIMIT = "topic '/front': its scans do not contain their range limits; the longest range, "
 
 
 def stamp(at_ms: float) -> Any:
@@ -144,7 +144,7 @@ def without_rotation(message: Any) -> Any:
     return message
 
 
-ZEROS = "have a rotation of all zeros, as Protobuf has where none is set: taken as not turned"
+ZEROS = "have a rotation of all zeros, the default of Protobuf: read as no rotation"
 
 
 def test_a_mount_without_a_rotation_is_not_turned_and_told(mcap) -> None:
