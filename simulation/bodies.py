@@ -1,4 +1,4 @@
-"""Outlines of road users at the height of the laser: vehicles, and people who walk."""
+"""Outlines of road users at the height of the laser: vehicles and walking people."""
 
 from __future__ import annotations
 
@@ -20,14 +20,44 @@ FRAME_WIDTH_M = 0.12
 RIDER_LENGTH_M = 0.5
 CUT_M = {"car": 0.25, "bus": 0.3}
 ELLIPSE_CORNERS = 12
+STEP_PER_HEIGHT = 0.4
+"""Length of a step at the preferred speed, as a share of the height."""
+PREFERRED_PER_HEIGHT_HZ = 0.77
+"""Preferred speed in heights per second: 1.35 m/s for 1.75 m."""
+SPEED_EXPONENT = 0.42
+LONGEST_STEP_S = 0.9
+"""Slow walkers make shorter steps rather than slower ones."""
+STANCE = 0.6
+"""Share of its cycle that a foot is on the ground."""
+SPEED_STD_S = 0.15
+HIP_PER_HEIGHT = 0.53
+CROTCH_PER_HEIGHT = 0.47
+"""Above this share of the height the cross-section is one torso."""
+LEG_CORNERS, TORSO_CORNERS = 8, 12
+ARMS_M = (0.7, 1.1)
+"""Heights at which the arms hang beside the torso."""
+Companion = Literal["nothing", "bag", "trolley", "stroller", "wheelchair", "coat"]
+
+
+class Walker(Settings):
+    """A person's build, and what the person carries, wears, pushes or sits in."""
+
+    height_m: float = Field(default=1.75, ge=0.8, le=2.2)
+    apart_m: float = Field(default=0.12, ge=0.0, le=0.6)
+    """Lateral distance between the centres of the feet."""
+    companion: Companion = "nothing"
+    dark: bool = False
+    """Whether the clothes reflect little."""
+    phase: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Phase of the step at the first frame."""
 
 
 @lru_cache(maxsize=4096)
 def body_outline(class_name: str, length_m: float, width_m: float) -> Outline:
     """The outline (N, 2) float32, metres, of a road user, counter-clockwise; the same array for equal arguments.
 
-    Pedestrians are ellipses, cyclists a thin frame with the rider's ellipse on it, cars and buses rectangles with cut
-    corners; any other class is a rectangle.
+    Pedestrians are ellipses, cyclists a thin frame with the ellipse of the rider, cars and buses rectangles with cut
+    corners, and other classes rectangles.
     """
     if class_name == "pedestrian":
         corners = ellipse(length_m, width_m, ELLIPSE_CORNERS)
@@ -41,16 +71,16 @@ def body_outline(class_name: str, length_m: float, width_m: float) -> Outline:
 
 
 def ellipse(length_m: float, width_m: float, corners: int) -> list[tuple[float, float]]:
-    """Corners on an ellipse whose axes lie along x and y."""
+    """Corners on an ellipse with its axes along x and y."""
     angles = [2.0 * math.pi * i / corners for i in range(corners)]
     return [(length_m / 2.0 * math.cos(angle), width_m / 2.0 * math.sin(angle)) for angle in angles]
 
 
 def _cyclist(length_m: float, width_m: float) -> list[tuple[float, float]]:
-    """A thin frame from the rear to the front wheel, with the rider's ellipse around its middle."""
+    """A thin frame from the rear to the front wheel, with the ellipse of the rider around its middle."""
     rider = min(RIDER_LENGTH_M, length_m)
     frame = min(FRAME_WIDTH_M, width_m)
-    # The rider's arc starts where the ellipse leaves the frame.
+    # the arc of the rider starts at the intersection of ellipse and frame
     leave = math.asin(frame / width_m)
     arc = [leave + (math.pi - 2.0 * leave) * i / 4.0 for i in range(5)]
     left = [(rider / 2.0 * math.cos(angle), width_m / 2.0 * math.sin(angle)) for angle in arc]
@@ -69,30 +99,17 @@ def _cut_rectangle(length_m: float, width_m: float, cut_m: float) -> list[tuple[
     ]
 
 
-STEP_PER_HEIGHT = 0.4
-"""Length of a step at the preferred speed, as a share of the height."""
-PREFERRED_PER_HEIGHT_HZ = 0.77
-"""Preferred speed in heights per second: 1.35 m/s for 1.75 m."""
-SPEED_EXPONENT = 0.42
-LONGEST_STEP_S = 0.9
-"""A slow walker makes shorter steps rather than slower ones."""
-STANCE = 0.6
-"""Share of its cycle that a foot is on the ground."""
-SPEED_STD_S = 0.15
-HIP_PER_HEIGHT = 0.53
-
-
 def step_length_m(speed: NDArray[np.float64], height_m: float) -> NDArray[np.float64]:
-    """The length of a step (n,), metres, at speeds (n,) in metres per second."""
+    """The length of a step (n,), metres, at speeds (n,), m/s."""
     relative = np.abs(speed) / (PREFERRED_PER_HEIGHT_HZ * height_m)
     return np.minimum(STEP_PER_HEIGHT * height_m * relative**SPEED_EXPONENT, LONGEST_STEP_S * np.abs(speed))
 
 
 def foot_offset(phase: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How far ahead of the body a foot is (n,), in strides (two steps), at `phase` (n,) of its cycle.
+    """Offset (n,) of a foot ahead of the body, in strides (two steps), at `phase` (n,) of its cycle.
 
-    The cycle is 1 long and begins where the foot is set down. On the ground it stays behind evenly; in the swing it
-    leaves and meets the ground at rest (a cubic with the slope of the stance at both ends).
+    The cycle has the length 1 and begins when the foot is set down. On the ground the offset decreases linearly; the
+    swing is a cubic with the same slope at both ends, so that the foot is at rest when it leaves and meets the ground.
     """
     phase = np.mod(phase, 1.0)
     reach = STANCE / 2.0
@@ -104,10 +121,10 @@ def foot_offset(phase: NDArray[np.float64]) -> NDArray[np.float64]:
 def feet(
     position: NDArray[np.float64], heading: NDArray[np.float64], rate_hz: float, height_m: float, first_phase: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How far the left and the right foot are ahead of the body: (n, 2) each, metres, body frame (x forward, y left).
+    """Offsets of the left and the right foot ahead of the body: (n, 2) each, metres, body frame (x forward, y left).
 
-    `position` (n, 2) and `heading` (n,) are the body's in successive frames; the feet's distance from one another
-    across is not part of the offsets. A body that stands has its feet side by side.
+    `position` (n, 2) and `heading` (n,) are the body's in successive frames. The lateral distance of the feet is not
+    included. The feet of a standing body are side by side.
     """
     if len(position) < 2:
         return np.zeros((len(position), 2)), np.zeros((len(position), 2))
@@ -124,27 +141,6 @@ def feet(
     )
 
 
-CROTCH_PER_HEIGHT = 0.47
-"""Above this share of the height a body is one torso."""
-LEG_CORNERS, TORSO_CORNERS = 8, 12
-Companion = Literal["nothing", "bag", "trolley", "stroller", "wheelchair", "coat"]
-ARMS_M = (0.7, 1.1)
-"""Heights at which the arms hang beside the torso."""
-
-
-class Walker(Settings):
-    """A person's build, and what the person carries, wears, pushes or sits in."""
-
-    height_m: float = Field(default=1.75, ge=0.8, le=2.2)
-    apart_m: float = Field(default=0.12, ge=0.0, le=0.6)
-    """Between the middles of the feet, across."""
-    companion: Companion = "nothing"
-    dark: bool = False
-    """Whether the clothes reflect little."""
-    phase: float = Field(default=0.0, ge=0.0, le=1.0)
-    """Of the step at the first frame."""
-
-
 def outlines_of(
     walker: Walker,
     plane_m: float,
@@ -153,9 +149,9 @@ def outlines_of(
     heading: NDArray[np.float64],
     rate_hz: float,
 ) -> Iterator[tuple[Outline, ...]]:
-    """What a horizontal plane `plane_m` above the ground cuts of a walker in each of n frames, in the body's frame.
+    """The cross-section of a walker in a plane `plane_m` above the ground, in each of n frames, body frame.
 
-    `position` (n, 2) and `heading` (n,) of successive frames; `size_m` are length and width of the torso.
+    `position` (n, 2) and `heading` (n,) are of successive frames; `size_m` are length and width of the torso.
     """
     along = _companion(walker.companion, plane_m, size_m)
     if walker.companion == "wheelchair":
@@ -200,7 +196,7 @@ def _ellipse(length_m: float, width_m: float, corners: int) -> Outline:
 
 @lru_cache(maxsize=1024)
 def _companion(companion: Companion, plane_m: float, size_m: tuple[float, float]) -> tuple[Outline, ...]:
-    """Outlines in the body's frame of what is beside the body; a wheelchair's are the sitting person's too."""
+    """Outlines of the companion, body frame; those of a wheelchair include the sitting person."""
     side = size_m[1] / 2.0
     if companion == "wheelchair":
         return _wheelchair(plane_m)
@@ -215,7 +211,7 @@ def _companion(companion: Companion, plane_m: float, size_m: tuple[float, float]
 
 
 def _wheelchair(plane_m: float) -> tuple[Outline, ...]:
-    """Large wheels and the shins or thighs of who sits in it, or the torso above them."""
+    """Large wheels and the shins or thighs of the person, or above them the torso."""
     if plane_m >= 0.6:
         return (_torso(0.3, 0.46),) if plane_m < 1.3 else ()
     wheels_length_m = 2.0 * math.sqrt(max(0.3**2 - (plane_m - 0.3) ** 2, 0.01))

@@ -1,4 +1,4 @@
-"""Road users of the junction."""
+"""Road users of the junction: their types and demand, and the patience of its drivers."""
 
 from __future__ import annotations
 
@@ -10,9 +10,24 @@ import numpy as np
 HOURS = 24
 ARMS = "NESW"
 CARS, BUSES, CYCLISTS, PEDESTRIANS = 0.17, 0.022, 0.22, 0.25
-"""Road users a second, all routes together."""
+"""Road users per second on all routes together."""
 STRAIGHT_SHARE = {"NS": 2.0, "SN": 2.0, "EW": 3.0, "WE": 3.0}
-"""Relative demand of the straight routes; a turn has 1. The main street runs east-west; buses use only that one."""
+"""Relative demand of the straight routes; that of a turn is 1. Buses use only the main street, east-west."""
+PATIENCE_S = 158.0
+"""More than one and a half signal cycles: every arm had one green phase, and most had two."""
+FROM_S = 464.0
+"""The end of the last short recording in the package: two of them start while traffic is blocked, and must not
+change."""
+OBSERVE_EVERY_S = 4.0
+STANDS_WITHIN_M = 1.0
+"""A pedestrian who moves less between two observations stands; the slowest one walks 2.5 m."""
+AT_JUNCTION_M = 12.0
+CORNER_M = 3.7
+"""Distance from the middle of each street: half a metre off the kerb, outside the paths of all vehicles."""
+WITHIN_SIGHT_M = 100.0
+"""Radius that contains the whole streets."""
+IGNORE = "junctionModel.ignoreIDs"
+Positions = dict[str, tuple[float, float]]
 
 
 class RoadUserType(NamedTuple):
@@ -50,7 +65,7 @@ ROAD_USER_TYPES = {
 
 
 def routes() -> str:
-    """The demand in the XML of SUMO."""
+    """The demand as SUMO's XML."""
     ways = {a + b: STRAIGHT_SHARE.get(a + b, 1.0) for a in ARMS for b in ARMS if a != b}
     whole = sum(ways.values())
     lines = ["<routes>", *road_user_types()]
@@ -63,7 +78,7 @@ def routes() -> str:
 
 
 def road_user_types() -> list[str]:
-    """One distribution of vehicle types for each class, in the XML of SUMO."""
+    """One distribution of vehicle types per class, as SUMO's XML."""
     lines = []
     for label in dict.fromkeys(kind.label for kind in ROAD_USER_TYPES.values()):
         lines.append(f'<vTypeDistribution id="{label}">')
@@ -78,7 +93,7 @@ def road_user_types() -> list[str]:
 
 
 def _flow(label: str, way: str, per_second: float) -> str:
-    """Vehicles at random times, from one arm's inward street to another's outward one."""
+    """Vehicles at random times, from the inward street of one arm to the outward street of another."""
     return (
         f'<flow id="{label}{way}" type="{label}" begin="0" end="{HOURS * 3600}" period="exp({per_second:.6f})"'
         f' from="{way[0]}C" to="C{way[1]}" departLane="best" departSpeed="desired"/>'
@@ -86,7 +101,7 @@ def _flow(label: str, way: str, per_second: float) -> str:
 
 
 def _walks(way: str, per_second: float) -> list[str]:
-    """Pedestrians between two arms, on either pavement at each end."""
+    """Pedestrians between two arms, on both pavements at each end."""
     start, end = way[0], way[1]
     return [
         f'<personFlow id="pedestrian{way}{i}{j}" type="pedestrian" begin="0" end="{HOURS * 3600}"'
@@ -97,28 +112,10 @@ def _walks(way: str, per_second: float) -> list[str]:
     ]
 
 
-PATIENCE_S = 158.0
-"""More than one and a half signal cycles: every arm had one green phase, and most had two."""
-FROM_S = 464.0
-"""The end of the last short recording in the package: two of them start during such a block, and are not changed."""
-OBSERVE_EVERY_S = 4.0
-STANDS_WITHIN_M = 1.0
-"""A pedestrian who moves less between two observations stands; the slowest one walks 2.5 m."""
-AT_JUNCTION_M = 12.0
-CORNER_M = 3.7
-"""Distance from the middle of each street: half a metre off the kerb, outside the paths of all vehicles."""
-WITHIN_SIGHT_M = 100.0
-"""Radius that contains the whole streets."""
-IGNORE = "junctionModel.ignoreIDs"
-
-Positions = dict[str, tuple[float, float]]
-
-
 class Patience:
-    """Observes the traffic; changes nothing until, after FROM_S, a driver has waited for PATIENCE_S.
+    """Observes the traffic, and resolves a block: after FROM_S, when a driver has waited for PATIENCE_S.
 
-    From then on no vehicle gives way to pedestrians who stand at the junction, until all those who stood there at that
-    time have moved.
+    Vehicles then ignore pedestrians who stand at the junction, until all who stood there at that time have moved.
     """
 
     every_s = OBSERVE_EVERY_S

@@ -1,4 +1,4 @@
-"""Worlds: many small places, no two alike, each with its laser and its people, from one seed."""
+"""Worlds: small places, each with its laser and people drawn at random from one seed."""
 
 from __future__ import annotations
 
@@ -31,34 +31,37 @@ INDOORS: dict[str, PlaceGenerator] = {
 }
 OUTDOORS: dict[str, PlaceGenerator] = {"plaza": outdoors.plaza, "car-park": outdoors.car_park}
 STREETS = {"street": False, "crossing": True}
-"""Outdoors too: whether the laser is at a crossing."""
+"""Outdoors; True: the laser is at a crossing."""
 KINDS = (*INDOORS, *OUTDOORS, *STREETS)
 MAX_WORLD_MINUTES = 10.0
 SEED_DOMAIN = 19
-"""Worlds share no random numbers with other simulations of the same seed."""
+"""Keeps the random numbers apart from those of other simulations with the same seed."""
 ATTEMPTS = 40
 LEAST_SEEN = 0.3
-"""A world in which moving road users are seen in fewer of the seconds is made again."""
+"""Minimum `seen_share` of a world; else another one is drawn."""
+EVERY_S = 1.0
+LEAST_BEAMS = 2
+MOVED_M = 1.0
 
 
 def kind_of(seed: int) -> str:
-    """The kind of the world of a seed: all kinds are equally frequent in a row of seeds."""
+    """The kind of the world of a seed; successive seeds cycle through all kinds."""
     return KINDS[seed % len(KINDS)]
 
 
 def world_name(seed: int) -> str:
-    """The name of the world's file, without its suffix."""
+    """The name of the world's file without its suffix."""
     kind = kind_of(seed)
     return f"{'indoors' if kind in INDOORS else 'outdoors'}-{kind}-{seed}"
 
 
 def world_command(seed: int, minutes: float) -> str:
-    """The command line that repeats a world."""
+    """The command line of a world."""
     return f"gridtrack simulate worlds --count 1 --minutes {minutes:g} --seed {seed}"
 
 
 def summary_of(tracks: Tracks) -> str:
-    """Who moves in a world, and what watches it, in a line."""
+    """The road users and the laser of a world in one line."""
     info, seen = tracks.info, tracks.without_carrier()
     _, first = np.unique(seen.track, return_index=True)
     counts = np.bincount(seen.label[first], minlength=len(CLASSES))
@@ -71,7 +74,7 @@ def summary_of(tracks: Tracks) -> str:
 def simulate_world(seed: int, minutes: float) -> Tracks:
     """The world of a seed; same seed and minutes, same tracks.
 
-    Raises ConfigurationError for invalid minutes, SimulationError where no attempt gives a place to move in.
+    Raises ConfigurationError for invalid minutes, SimulationError if no attempt gives a usable place.
     """
     if not 0.0 < minutes <= MAX_WORLD_MINUTES:
         raise ConfigurationError(f"{minutes:g} minutes: expected more than 0 and at most {MAX_WORLD_MINUTES:g}")
@@ -80,7 +83,7 @@ def simulate_world(seed: int, minutes: float) -> Tracks:
             tracks = _attempt(seed, minutes, np.random.default_rng([SEED_DOMAIN, seed, attempt]))
             if seen_share(tracks) >= LEAST_SEEN:
                 return tracks
-            reason = SimulationError("hardly anybody comes by")
+            reason = SimulationError("too few road users in view")
         except SimulationError as error:
             reason = error
     raise SimulationError(f"world {seed}: {reason} in {ATTEMPTS} attempts; take another seed") from reason
@@ -108,15 +111,10 @@ def _attempt(seed: int, minutes: float, random: np.random.Generator) -> Tracks:
     return compose(recording, scenery.at(sensor.plane_m), movers, view, frames, seed, made_with)
 
 
-EVERY_S = 1.0
-LEAST_BEAMS = 2
-MOVED_M = 1.0
-
-
 def seen_share(tracks: Tracks) -> float:
-    """The share of the seconds of a world in which at least LEAST_BEAMS beams end on somebody who moves in it.
+    """The share of the seconds of a world in which at least LEAST_BEAMS beams end on moving road users.
 
-    Who stays in one place all the time, such as a parked car, does not count.
+    Road users that move less than MOVED_M in all, such as parked cars, do not count.
     """
     info = tracks.info
     laser, poses = info.lasers[ONLY_LASER], tracks.sensor_poses(ONLY_LASER)

@@ -1,4 +1,4 @@
-"""People in a place."""
+"""The people in a place: builds, plans, and the paths of everybody who walks, sits, parks or rides."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ from gridtrack.simulation.worlds.sensors import WorldSensor, standing_pose
 from gridtrack.simulation.worlds.vehicles import ride, standing_still
 
 WALKING_M_S = (1.2, 0.25)
-"""Mean and standard deviation of the preferred speed of adults, with U. Weidmann, "Transporttechnik der Fussgänger",
-1993, somewhat slower than his 1.34 m/s: these places are small."""
+"""Mean and standard deviation of the preferred speed of adults: slower than 1.34 m/s (U. Weidmann, "Transporttechnik
+der
+Fussgänger", 1993) because these places are small."""
 COMPANIONS: dict[Companion, float] = {
     "nothing": 0.68,
     "bag": 0.12,
@@ -33,10 +34,19 @@ COMPANIONS: dict[Companion, float] = {
     "wheelchair": 0.02,
 }
 BEHAVIOURS = {"pass": 0.3, "wander": 0.3, "stand": 0.12, "group": 0.14, "turn": 0.07, "pace": 0.07}
+RUN_IN_S, AFTER_S = 10.0, 1.0
+"""Simulated before and after the recording."""
+DRIVING, BY_ODOMETRY = 0.35, 0.5
+"""Share of worlds with a driving laser, and of these with poses from wheel odometry."""
+ROBOT_SIZE_M = (0.5, 0.45)
+SITTING = 0.5
+MOST_PEOPLE = 30
+LANE_CLEARANCE_M = 1.5
+"""Minimum distance of a standing laser from the middle of a lane."""
 
 
 def build(random: np.random.Generator) -> Walker:
-    """Somebody's build; one in eight is a child."""
+    """A random build; one in eight is a child."""
     child = random.random() < 0.12
     height_m = random.uniform(1.0, 1.5) if child else float(np.clip(random.normal(1.71, 0.1), 1.5, 2.0))
     companion: Companion = "nothing" if child else str(random.choice([*COMPANIONS], p=[*COMPANIONS.values()]))  # type: ignore[assignment]
@@ -56,7 +66,7 @@ def torso(walker: Walker, random: np.random.Generator) -> tuple[float, float]:
 
 
 class Planner:
-    """Draws plans for a place: somewhere on `inside` of `ground`, and `doors` by which people come and go."""
+    """Draws plans for a place: stops are on `ground` and `inside`; people come and go by `doors`."""
 
     def __init__(self, ground: Polygon, inside: Polygon, doors: list[Corner], random: np.random.Generator) -> None:
         self._inside = ground.buffer(-0.25).intersection(inside)
@@ -73,7 +83,7 @@ class Planner:
         return (at.x, at.y)
 
     def plans(self, people: int, seconds: float) -> list[Plan]:
-        """Plans for about so many people at a time."""
+        """Plans for about `people` people at a time."""
         found: list[Plan] = []
         while len(found) < people:
             behaviour = str(self._random.choice([*BEHAVIOURS], p=[*BEHAVIOURS.values()]))
@@ -81,7 +91,7 @@ class Planner:
         return found
 
     def _together(self, behaviour: str, seconds: float) -> list[Plan]:
-        """One person, or two or three who walk side by side."""
+        """Plans of one person, or of two or three who walk side by side."""
         random = self._random
         companions = int(random.choice([1, 2, 3], p=[0.75, 0.2, 0.05])) if behaviour in ("pass", "wander") else 1
         speed = float(np.clip(random.normal(*WALKING_M_S), 0.5, 1.9))
@@ -124,7 +134,7 @@ class Planner:
         ]
 
     def _group(self) -> list[Plan]:
-        """People who stand in a circle and talk; some leave after a while."""
+        """Plans of people who stand in a circle and talk; some leave later."""
         random = self._random
         (x, y), size = self.anywhere(), int(random.integers(2, 5))
         radius_m, turned = random.uniform(0.45, 0.8), random.uniform(0.0, math.tau)
@@ -139,7 +149,7 @@ class Planner:
         return found
 
     def _while(self) -> float:
-        """How long somebody stays: often not at all."""
+        """The duration of a stay, often 0."""
         return float(self._random.exponential(6.0)) if self._random.random() < 0.6 else 0.0
 
     def _look(self) -> float | None:
@@ -147,7 +157,7 @@ class Planner:
 
 
 def robot_plan(planner: Planner, random: np.random.Generator, largest_speed: float = 0.9) -> Plan:
-    """A robot that goes about, stops, and turns on the spot."""
+    """The plan of a robot that drives, stops, and turns on the spot."""
     look = [float(random.uniform(-math.pi, math.pi)) if random.random() < 0.5 else None for _ in range(12)]
     stops = tuple(Stop(planner.anywhere(), float(random.choice([0.0, 2.0, 5.0])), facing) for facing in look)
     return Plan(planner.anywhere(), stops, float(random.uniform(0.3, largest_speed)), 0.28)
@@ -157,21 +167,10 @@ def _by(at: Corner, offset: Corner) -> Corner:
     return (at[0] + offset[0], at[1] + offset[1])
 
 
-RUN_IN_S, AFTER_S = 10.0, 1.0
-"""Simulated before and after the recording."""
-DRIVING, BY_ODOMETRY = 0.35, 0.5
-"""Share of worlds whose laser drives, and of these that record the poses of wheel odometry."""
-ROBOT_SIZE_M = (0.5, 0.45)
-SITTING = 0.5
-MOST_PEOPLE = 30
-LANE_CLEARANCE_M = 1.5
-"""Between a laser that stands and the middle of a lane."""
-
-
 def on_foot(
     scenery: Scenery, sensor: WorldSensor, seconds: float, seed: int, random: np.random.Generator
 ) -> tuple[list[Mover], WorldView]:
-    """Who moves during `seconds` from step 0 on, and what watches. Raises SimulationError where there is no room."""
+    """The road users of a place for `seconds` from step 0, and its sensor. Raises SimulationError without room."""
     if scenery.walkable().area < 6.0:
         raise SimulationError("no place to walk in")
     whole_s = RUN_IN_S + seconds + AFTER_S
@@ -187,19 +186,19 @@ def on_foot(
 
 
 def odometry(seed: int, track_width_m: float, random: np.random.Generator) -> WheelOdometry | None:
-    """Errors of wheel odometry of various sizes, or none."""
+    """Wheel odometry with errors of a random size, or None."""
     if random.random() >= BY_ODOMETRY:
         return None
     return WheelOdometry(seed=seed, track_width_m=track_width_m).scaled(round(float(random.uniform(0.3, 2.0)), 2))
 
 
 def from_start(path: MoverPath) -> MoverPath:
-    """The path with step 0 at the recording's first frame."""
+    """The path with step 0 at the first frame of the recording."""
     return MoverPath(path.first - round(RUN_IN_S / CROWD_STEP_S), path.position, path.heading)
 
 
 def _stand(scenery: Scenery, sensor: WorldSensor, random: np.random.Generator) -> SE2:
-    """Where the laser stands: where people could walk, off the lanes."""
+    """The pose of a standing laser on the walkable ground off the lanes."""
     outlines: list[Outline] = [np.array(thing.corners, np.float32) for thing in scenery.at(sensor.plane_m)]
     outlines += [np.array(box(p.pose.x, p.pose.y, *p.size_m, p.pose.theta), np.float32) for p in scenery.parked]
     planner = Planner(scenery.walkable(), scenery.inside, [], random)
@@ -210,7 +209,7 @@ def _stand(scenery: Scenery, sensor: WorldSensor, random: np.random.Generator) -
 
 
 def _people(scenery: Scenery, standing: SE2 | None, seconds: float, random: np.random.Generator) -> list[Mover]:
-    """Those who walk; where no laser is `standing`, the first is the robot that carries it."""
+    """Walking people; if no laser is `standing`, the first mover is the robot that carries it."""
     at: list[Corner] = [] if standing is None else [(standing.x, standing.y)]
     ground = scenery.walkable(*at)
     planner = Planner(ground, scenery.inside, scenery.doors, random)
@@ -229,7 +228,7 @@ def _people(scenery: Scenery, standing: SE2 | None, seconds: float, random: np.r
 
 
 def _sitting(scenery: Scenery, plane_m: float, seconds: float, random: np.random.Generator) -> list[Mover]:
-    """Those who sit: their shins are before the seat."""
+    """Sitting people: at shin height they are in front of the seat."""
     movers = []
     ahead_m = 0.28 if plane_m < 0.5 else 0.0
     for x, y, heading in scenery.seats:
@@ -249,7 +248,7 @@ def _parked(scenery: Scenery, seconds: float) -> list[Mover]:
 
 
 def _riding(scenery: Scenery, present: list[Mover], seconds: float, random: np.random.Generator) -> list[Mover]:
-    """Vehicles on the clear lanes, each giving way to those who are there."""
+    """Vehicles on the clear lanes; each gives way to everybody before it."""
     movers: list[Mover] = []
     others = [mover.path for mover in present]
     for lane in scenery.lanes:

@@ -1,4 +1,4 @@
-"""Streets and crossings."""
+"""Streets and crossings: a random network, its traffic by SUMO, houses, and a laser."""
 
 from __future__ import annotations
 
@@ -31,16 +31,25 @@ from gridtrack.simulation.worlds.scenery import Scenery, wall
 from gridtrack.simulation.worlds.sensors import WorldSensor, standing_pose
 
 FAR_M = 28.0
-"""Road users come from and go to streets this far from the middle."""
+"""Minimum distance of origins and destinations from the middle."""
 BY_M = 12.0
-"""The ways of road users lead that near by the middle."""
+"""Maximum distance at which routes pass the middle."""
 PAIRS = {"car": 8, "bus": 2, "cyclist": 6, "pedestrian": 12}
-"""Pairs of origin and destination of each class."""
+"""Number of origin-destination pairs of each class."""
 VEHICLE_CLASSES = {"car": "passenger", "bus": "bus", "cyclist": "bicycle"}
+FILLING_S, STREET_MARGIN_S = 60.0, 3.0
+"""Time from empty streets to traffic, and the time simulated before and after the recording for the smoothing."""
+USERS_PER_SECOND = {"car": (0.08, 0.45), "bus": (0.0, 0.04), "cyclist": (0.04, 0.25), "pedestrian": (0.15, 0.5)}
+MODELLED_M = 70.0
+"""Radius around the middle with houses."""
+BESIDE_M = (0.3, 2.0)
+"""Minimum distance of a standing laser from objects, and maximum distance from the streets."""
+FREE_M = 0.6
+LEAST_MOVED_M = 5.0
 
 
 class StreetNetwork:
-    """A network that was generated from random numbers, with its streets as SUMO reads them."""
+    """A random street network."""
 
     def __init__(self, folder: Path, random: np.random.Generator) -> None:
         self.path = folder / "network.net.xml"
@@ -68,7 +77,7 @@ class StreetNetwork:
         self.edges: list[Any] = sorted(self._net.getEdges(withInternal=False), key=lambda edge: edge.getID())
 
     def ground(self) -> BaseGeometry:
-        """What lanes, pavements and junctions cover."""
+        """The area of lanes, pavements and junctions."""
         parts = [
             shapely.LineString(lane.getShape()).buffer(lane.getWidth() / 2.0, cap_style="flat")
             for edge in self.edges
@@ -79,7 +88,7 @@ class StreetNetwork:
         return shapely.union_all([part.buffer(0.05) for part in parts])
 
     def middle(self, crossing: bool) -> NDArray[np.float64]:
-        """The junction with the most streets, nearest to the middle; else half-way to its nearest neighbour."""
+        """The most central of the junctions with the most streets, or half-way from it to its nearest neighbour."""
         nodes = sorted(self._net.getNodes(), key=lambda node: node.getID())
         places: NDArray[np.float64] = np.array([node.getCoord()[:2] for node in nodes])
         streets = np.array([min(len(node.getIncoming()), 3) for node in nodes])
@@ -94,7 +103,7 @@ class StreetNetwork:
         return (at + nearest) / 2.0
 
     def demand(self, per_second: dict[str, float], middle: NDArray[np.float64], random: np.random.Generator) -> str:
-        """Road users between far streets, in the XML of SUMO. Raises SimulationError where there are no far streets."""
+        """The demand between far streets as SUMO's XML. Raises SimulationError without far streets."""
         far = [edge for edge in self.edges if _distance(edge, middle) > FAR_M]
         if len(far) < 4:
             raise SimulationError("a network without streets further away")
@@ -108,7 +117,7 @@ class StreetNetwork:
     def _pairs(
         self, far: Sequence[Any], label: str, pairs: int, middle: NDArray[np.float64], random: np.random.Generator
     ) -> list[tuple[Any, Any]]:
-        """Streets between which a class can travel, by way of the middle; people walk as cars drive."""
+        """Pairs of streets with a route of a class past the middle; pedestrians use the routes of cars."""
         found: list[tuple[Any, Any]] = []
         for _ in range(pairs * 12):
             one, other = (far[k] for k in random.integers(len(far), size=2))
@@ -121,7 +130,7 @@ class StreetNetwork:
 
 
 def _shape_options(random: np.random.Generator) -> list[str]:
-    """A grid with displaced nodes, a spider's web or a random network."""
+    """Options for a grid with displaced nodes, a spider network or a random network."""
     kind = random.integers(3)
     if kind == 0:
         length_m = random.uniform(45.0, 80.0)
@@ -168,35 +177,24 @@ def _flow(label: str, number: int, origin: str, end: str, per_second: float) -> 
     )
 
 
-FILLING_S, STREET_MARGIN_S = 60.0, 3.0
-"""From the empty streets to traffic, and simulated before and after the recording for the smoothing."""
-USERS_PER_SECOND = {"car": (0.08, 0.45), "bus": (0.0, 0.04), "cyclist": (0.04, 0.25), "pedestrian": (0.15, 0.5)}
-MODELLED_M = 70.0
-"""Houses are built that far from the middle."""
-BESIDE_M = (0.3, 2.0)
-"""Between a laser that stands and the streets' ground."""
-FREE_M = 0.6
-LEAST_MOVED_M = 5.0
-
-
-class Untouched:
-    """Observes the traffic without acting on it."""
+class PassiveObserver:
+    """Does not act on the traffic."""
 
     every_s = 20.0
 
     def start(self, traffic: Any) -> None:
-        """Nothing."""
+        """Does nothing."""
 
     def observe(self, traffic: Any) -> None:
-        """Nothing."""
+        """Does nothing."""
 
 
 def streets(
     crossing: bool, sensor: WorldSensor, seconds: float, seed: int, random: np.random.Generator
 ) -> tuple[Scenery, list[Mover], WorldView]:
-    """A crossing, or a street between two, its traffic during `seconds`, and what watches.
+    """A crossing or a street between two crossings, its traffic for `seconds`, and a laser.
 
-    Raises SimulationError where no traffic comes by, or nowhere is free for a laser.
+    Raises SimulationError if there is no traffic, or no free place for a laser.
     """
     span_s = (FILLING_S - STREET_MARGIN_S, FILLING_S + seconds + STREET_MARGIN_S)
     with tempfile.TemporaryDirectory() as folder:
@@ -204,7 +202,9 @@ def streets(
         middle = network.middle(crossing)
         rates = {label: float(random.uniform(*ends)) for label, ends in USERS_PER_SECOND.items()}
         demand = network.demand(rates, middle, random)
-        movements = run_sumo(Path(folder), network.path, demand, (), span_s, int(random.integers(1 << 30)), Untouched())
+        movements = run_sumo(
+            Path(folder), network.path, demand, (), span_s, int(random.integers(1 << 30)), PassiveObserver()
+        )
         ground = network.ground()
     movers = _movers(movements, random)
     scenery = _scenery(ground, middle, random)
@@ -217,7 +217,7 @@ def streets(
 
 
 def _movers(movements: Movements, random: np.random.Generator) -> list[Mover]:
-    """The road users, with step 0 at the recording's first frame."""
+    """The road users, with step 0 at the first frame of the recording."""
     found = []
     for rows in unbroken_tracks(movements.user, movements.step):
         kind = ROAD_USER_TYPES[movements.kind[movements.user[rows.start]]]
@@ -235,7 +235,7 @@ def _movers(movements: Movements, random: np.random.Generator) -> list[Mover]:
 
 
 def _scenery(ground: BaseGeometry, middle: NDArray[np.float64], random: np.random.Generator) -> Scenery:
-    """Houses, front gardens and what stands at the edge of the pavement."""
+    """Houses, front gardens, and objects at the edge of the pavement."""
     area = shapely.Point(middle).buffer(MODELLED_M)
     scenery = Scenery(area)
     blocks = area.difference(ground.buffer(random.uniform(0.2, 2.0)))
@@ -254,7 +254,7 @@ def _scenery(ground: BaseGeometry, middle: NDArray[np.float64], random: np.rando
                 else:
                     leaves(scenery, x, y, random.uniform(0.3, 1.0), random)
     _pavement_edge(scenery, ground, random)
-    # Nothing on the ground that road users use.
+    # no things where road users move
     scenery.things = [thing for thing in scenery.things if not Polygon(thing.corners).intersects(ground)]
     return scenery
 
@@ -276,7 +276,7 @@ def _pavement_edge(scenery: Scenery, ground: BaseGeometry, random: np.random.Gen
 
 
 def _lots(blocks: BaseGeometry, middle: NDArray[np.float64], random: np.random.Generator) -> list[Polygon]:
-    """The blocks cut into lots, along a turned grid."""
+    """The blocks divided into lots by a rotated grid."""
     turned = random.uniform(0.0, math.pi / 2)
     sides = random.uniform(7.0, 18.0, 2)
     found = []
@@ -291,7 +291,7 @@ def _lots(blocks: BaseGeometry, middle: NDArray[np.float64], random: np.random.G
 
 
 def _carrier(movers: list[Mover], middle: NDArray[np.float64], seconds: float) -> int:
-    """The pedestrian there all the time who moves and comes nearest to the middle: a robot takes his path."""
+    """The pedestrian who is present all the time, moves, and passes nearest to the middle: replaced by a robot."""
     steps = math.ceil(seconds / CROWD_STEP_S)
     best, best_m = -1, math.inf
     for number, mover in enumerate(movers):
@@ -304,7 +304,7 @@ def _carrier(movers: list[Mover], middle: NDArray[np.float64], seconds: float) -
         if moved_m > LEAST_MOVED_M and nearest_m < best_m:
             best, best_m = number, nearest_m
     if best < 0:
-        raise SimulationError("nobody walks through for so long")
+        raise SimulationError("no pedestrian is present all the time")
     return best
 
 
@@ -316,7 +316,7 @@ def _beside(
     sensor: WorldSensor,
     random: np.random.Generator,
 ) -> SE2:
-    """The pose of a laser at the edge of the streets, near the middle, where nobody comes."""
+    """The pose of a laser at the edge of the streets, near the middle, clear of all road users."""
     outlines: list[Outline] = [np.array(thing.corners, np.float32) for thing in scenery.at(sensor.plane_m)]
     solid = shapely.union_all([Polygon(outline) for outline in outlines])
     everywhere = np.concatenate([mover.path.position for mover in movers])
@@ -331,5 +331,5 @@ def _beside(
         if len(places) == 16:
             break
     if not places:
-        raise SimulationError("nowhere is free for a laser")
+        raise SimulationError("no place is free for a laser")
     return standing_pose(sensor, outlines, places, random)

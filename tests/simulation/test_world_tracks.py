@@ -84,8 +84,8 @@ def test_dark_clothes_and_a_pane_are_not_seen(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"glass": [1]}, "glass or a dark surface that is no static outline"),
-        ({"dark": [-1]}, "glass or a dark surface that is no static outline"),
+        ({"glass": [1]}, "a glass or dark surface without a static outline"),
+        ({"dark": [-1]}, "a glass or dark surface without a static outline"),
         ({"plane_m": 50.0}, "'world.plane_m' = 50.0"),
         ({"walkers": {"4": {"height_m": 9.0}}}, "height_m' = 9.0"),
         ({"walkers": {"4": {"companion": "elephant"}}}, "companion"),

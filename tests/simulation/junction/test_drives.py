@@ -188,7 +188,7 @@ def test_the_same_seed_gives_the_same_drive() -> None:
 def test_nobody_who_drives_for_so_long_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drives, "simulate_traffic", lambda frames, seed, start_s: drive().traffic)
     assert simulate_drive(0.15, 3, 60.0, "car").track == 0
-    with pytest.raises(SimulationError, match=r"no car goes through .* in a stretch of 0\.4 minutes with seed 3"):
+    with pytest.raises(SimulationError, match=r"no car drives through .* for 0\.4 minutes with seed 3"):
         simulate_drive(0.4, 3, 60.0, "car")
 
 
