@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +16,7 @@ def labelled(scan: Scan, label: int) -> Scan:
     return replace(scan, labels=np.full(scan.ranges.size, label, np.uint8))
 
 
-def test_frames_have_the_class_of_every_occupied_cell(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_frames_have_the_class_of_every_occupied_cell(write, scan) -> None:
     scans = [labelled(scan(k), k % 2) if k < 6 else scan(k) for k in range(9)]
     stream = open_stream(write(scans, classes=["car", "wall"]))
     found = list(stream.labelled())
@@ -29,14 +27,14 @@ def test_frames_have_the_class_of_every_occupied_cell(write: Callable[..., Path]
         assert labels.dtype == np.uint8
 
 
-def test_cells_of_beams_without_a_label_have_no_class(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_cells_of_beams_without_a_label_have_no_class(write, scan) -> None:
     half = labelled(scan(0), 0)
     half.labels[: half.labels.size // 2] = 255
     frame, cells, _ = next(open_stream(write([half, scan(1)], classes=["car"])).labelled())
     assert 0 < cells.size < frame.occupied.sum()
 
 
-def test_a_label_without_a_class_is_refused(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_a_label_without_a_class_is_refused(write, scan) -> None:
     stream = open_stream(write([labelled(scan(k), 1) for k in range(3)], classes=["car"]))
     with pytest.raises(RecordingError, match=r"a label is class 1 at .* but the recording has 1 classes"):
         list(stream.labelled())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -117,7 +116,7 @@ def test_transforms_that_come_later_are_told(tmp_path: Path) -> None:
 
 
 def test_native_frames_come_when_their_scans_are_written(
-    write: Callable[..., Path], scan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    write, scan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(native, "CHUNK_BYTES", 2000)
     finished = write(scan(k) for k in range(100))

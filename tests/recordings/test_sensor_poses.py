@@ -12,7 +12,6 @@ import pytest
 
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.grid import GridSpec, window_about
-from gridtrack.common.scan import Scan
 from gridtrack.recordings.stream import frame_digest, open_stream
 
 GRID = GridSpec(60, 0.2)
@@ -26,7 +25,7 @@ def robot_at(k: float) -> SE2:
 
 
 @pytest.fixture
-def drive(write: Callable[..., Path], scan: Callable[..., Scan]) -> Callable[..., Path]:
+def drive(write, scan) -> Callable[..., Path]:
     """`drive(front, rear)`: a drive whose sensors have the scans of these numbers, the rear one 20 ms later."""
 
     def drive(front: Container[int], rear: Container[int] = range(SCANS)) -> Path:
@@ -75,9 +74,7 @@ def test_stretches_are_slices_of_the_whole_where_sensors_miss_scans(drive: Calla
         ]
 
 
-def test_a_sensor_without_scans_stays_where_the_others_stand(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_a_sensor_without_scans_stays_where_the_others_stand(write, scan) -> None:
     place, other = SE2(3.3, -1.1, 0.7), SE2(-7.77, 1.3, -2.9)
     scans = [
         s for k in range(9) for s in (scan(k, "front", place), scan(k, "rear", other, 1)) if k < 4 or s.sensor == "rear"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -58,7 +57,7 @@ def test_an_invalid_stretch_is_refused(text: str) -> None:
         parse_stretch(text)
 
 
-def test_frames_are_the_scans_cast_into_the_grid(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_frames_are_the_scans_cast_into_the_grid(write, scan) -> None:
     scans = [scan(k) for k in range(12)]
     stream = open_stream(write(scans), grid=GRID)
     frames = list(stream)
@@ -72,7 +71,7 @@ def test_frames_are_the_scans_cast_into_the_grid(write: Callable[..., Path], sca
         assert frame.stamp_ns == source.stamp_ns
 
 
-def test_every_iteration_starts_at_the_first_frame(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_every_iteration_starts_at_the_first_frame(write, scan) -> None:
     stream = open_stream(write(scan(k) for k in range(12)))
     begun = iter(stream)
     next(begun)
@@ -81,7 +80,7 @@ def test_every_iteration_starts_at_the_first_frame(write: Callable[..., Path], s
     assert [frame_digest(f) for f in begun] == once[1:]
 
 
-def test_a_stretch_is_a_slice_of_the_whole(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_a_stretch_is_a_slice_of_the_whole(write, scan) -> None:
     stretches = {"train": (0.0, 1.5), "validation": (1.5, 2.04), "test": (2.04, None)}
     path = write((scan(k, offset_ns=(k * 7919) % 30_000_000) for k in range(40)), stretches=stretches)
     whole = [frame_digest(f) for f in open_stream(path, rate_hz=10.0)]
@@ -91,7 +90,7 @@ def test_a_stretch_is_a_slice_of_the_whole(write: Callable[..., Path], scan: Cal
     assert [frame_digest(f) for f in open_stream(f"{path}@1.5s-2.04s", rate_hz=10.0)] == whole[15:21]
 
 
-def test_the_stream_has_the_metadata_of_the_recording(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_the_stream_has_the_metadata_of_the_recording(write, scan) -> None:
     path = write(
         (scan(k) for k in range(30)),
         site="hall",
@@ -108,9 +107,7 @@ def test_the_stream_has_the_metadata_of_the_recording(write: Callable[..., Path]
     assert stream.sha256 == open_recording(path).sha256
 
 
-def test_without_metadata_the_grid_is_the_default_and_the_rate_the_median(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_without_metadata_the_grid_is_the_default_and_the_rate_the_median(write, scan) -> None:
     stream = open_stream(write(scan(k, offset_ns=-k * 300_000) for k in range(30)))
     assert stream.grid == GridSpec(100, 0.2)
     assert stream.period_s == 0.1
@@ -125,15 +122,13 @@ def test_without_metadata_the_grid_is_the_default_and_the_rate_the_median(
         ("@1.01s-1.02s", "no frame at 10 Hz"),
     ],
 )
-def test_a_stretch_outside_the_recording_is_refused(
-    stretch: str, message: str, write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_a_stretch_outside_the_recording_is_refused(stretch: str, message: str, write, scan) -> None:
     path = write((scan(k) for k in range(30)), stretches={"test": (1.0, None)})
     with pytest.raises(GridtrackError, match=message):
         open_stream(f"{path}{stretch}")
 
 
-def test_an_invalid_rate_is_refused(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_an_invalid_rate_is_refused(write, scan) -> None:
     path = write([scan(0)])
     with pytest.raises(RecordingError, match="give one with --rate"):
         open_stream(path)
@@ -141,7 +136,7 @@ def test_an_invalid_rate_is_refused(write: Callable[..., Path], scan: Callable[.
         open_stream(path, rate_hz=-1.0)
 
 
-def test_gaps_are_counted_and_their_frames_empty(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_gaps_are_counted_and_their_frames_empty(write, scan) -> None:
     path = write(scan(k) for k in range(40) if not 10 <= k < 15 and k != 20)
     stream = open_stream(path)
     frames = list(stream)
@@ -158,9 +153,7 @@ def test_gaps_are_counted_and_their_frames_empty(write: Callable[..., Path], sca
     assert open_stream(f"{path}@2s-3s").gaps == 0
 
 
-def test_the_window_of_a_turned_sensor_has_the_axes_of_the_world(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_the_window_of_a_turned_sensor_has_the_axes_of_the_world(write, scan) -> None:
     pose = SE2(10.05, 20.0, math.pi / 2)
     frames = list(open_stream(write(one_beam(scan(k), 3.1, world_T_sensor=pose) for k in range(3)), grid=GRID))
     for frame in frames:
@@ -169,9 +162,7 @@ def test_the_window_of_a_turned_sensor_has_the_axes_of_the_world(
         np.testing.assert_allclose(frame.points, [[0.1, 3.1]], atol=1e-6)
 
 
-def test_the_window_follows_a_sensor_by_whole_cells_and_never_turns(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_the_window_follows_a_sensor_by_whole_cells_and_never_turns(write, scan) -> None:
     wall_x = 4.1
     poses = [SE2(0.07 * k, -0.05 * k, 0.1 * k) for k in range(12)]
     beams = [one_beam(scan(k), wall_x - pose.x, world_T_sensor=pose) for k, pose in enumerate(poses)]
@@ -187,17 +178,13 @@ def test_the_window_follows_a_sensor_by_whole_cells_and_never_turns(
     assert {bool(shift_between(a.world_T_grid, b.world_T_grid, 0.2)) for a, b in pairwise(frames)} == {True, False}
 
 
-def test_a_stretch_that_starts_in_a_gap_has_the_window_of_the_last_scan(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_a_stretch_that_starts_in_a_gap_has_the_window_of_the_last_scan(write, scan) -> None:
     path = write(scan(k, pose=SE2(0.5 * k)) for k in range(40) if not 10 <= k < 20)
     whole = [frame_digest(frame) for frame in open_stream(path, grid=GRID)]
     assert [frame_digest(frame) for frame in open_stream(f"{path}@1.5s-", grid=GRID)] == whole[15:]
 
 
-def test_the_window_of_degraded_scans_follows_the_recorded_poses(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_the_window_of_degraded_scans_follows_the_recorded_poses(write, scan) -> None:
     stream = open_stream(write(scan(k, pose=SE2(0.07 * k)) for k in range(12)), grid=GRID)
     jittered = stream.degraded(degrader(parse_degradation("pose-jitter=0.5"), 0))
     for frame, degraded in zip(stream, jittered, strict=True):
@@ -206,7 +193,7 @@ def test_the_window_of_degraded_scans_follows_the_recorded_poses(
 
 
 def test_reference_poses_place_the_window_of_a_frame_and_change_no_frame(
-    write: Callable[..., Path], scan: Callable[..., Scan], monkeypatch: pytest.MonkeyPatch
+    write, scan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stream = open_stream(write(scan(k, pose=SE2(0.07 * k)) for k in range(12)), grid=GRID)
     frames = [frame_digest(frame) for frame in stream]
@@ -221,7 +208,7 @@ def test_reference_poses_place_the_window_of_a_frame_and_change_no_frame(
         assert np.count_nonzero(again.visible != observation.frame.visible) < 5, "equal but for rounding"
 
 
-def two_sensors(scan: Callable[..., Scan]) -> list[Scan]:
+def two_sensors(scan) -> list[Scan]:
     """A front sensor at the origin, and 2 m behind it one that faces backwards; each has one return at 1.1 m."""
     scans = []
     for k in range(5):
@@ -231,7 +218,7 @@ def two_sensors(scan: Callable[..., Scan]) -> list[Scan]:
     return scans
 
 
-def test_several_sensors_share_the_frame_of_the_first(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_several_sensors_share_the_frame_of_the_first(write, scan) -> None:
     path = write(two_sensors(scan))
     for points in ("centres", "raw"):
         for frame in open_stream(path, grid=GRID, points=points, rate_hz=10.0):
@@ -242,7 +229,7 @@ def test_several_sensors_share_the_frame_of_the_first(write: Callable[..., Path]
             assert frame.point_origin.dtype == np.uint8
 
 
-def test_a_slow_sensor_that_sets_the_rate_of_all_is_told(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_a_slow_sensor_that_sets_the_rate_of_all_is_told(write, scan) -> None:
     behind = SE2(-1.0, 0.0, 0.0)
     rear = [one_beam(scan(k, "rear", offset_ns=1), 1.1, world_T_sensor=behind) for k in range(0, 40, 4)]
     path = write(sorted([*(scan(k) for k in range(40)), *rear], key=lambda one: one.stamp_ns))
@@ -254,9 +241,7 @@ def test_a_slow_sensor_that_sets_the_rate_of_all_is_told(write: Callable[..., Pa
     assert asked.recording.warnings == []
 
 
-def test_two_sensors_half_a_period_apart_are_both_in_every_frame_for_all_their_jitter(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_two_sensors_half_a_period_apart_are_both_in_every_frame_for_all_their_jitter(write, scan) -> None:
     behind, jitter = SE2(-2.0, 0.0, math.pi), np.random.default_rng(5).integers(-4_000_000, 4_000_000, 2 * 40)
     front = [one_beam(scan(k, "front", offset_ns=4_000_000 + int(jitter[k])), 1.1) for k in range(40)]
     rear = [
@@ -268,9 +253,7 @@ def test_two_sensors_half_a_period_apart_are_both_in_every_frame_for_all_their_j
     assert [int(frame.occupied.sum()) for frame in frames[1:-1]] == [2] * (len(frames) - 2)
 
 
-def test_of_several_sensors_one_that_is_late_or_missing_is_told_and_frames_are_made_of_the_others(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_of_several_sensors_one_that_is_late_or_missing_is_told_and_frames_are_made_of_the_others(write, scan) -> None:
     behind = SE2(-2.0, 0.0, math.pi)
     front = [one_beam(scan(k, "front"), 1.1) for k in range(20)]
     rear = [
@@ -289,9 +272,7 @@ def test_of_several_sensors_one_that_is_late_or_missing_is_told_and_frames_are_m
     assert all(frame.origins.shape == (2, 2) for frame in stream)
 
 
-def test_a_cell_that_one_sensor_sees_occupied_and_another_sees_through_is_occupied(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_a_cell_that_one_sensor_sees_occupied_and_another_sees_through_is_occupied(write, scan) -> None:
     """Like a cell that some beams of one scan end in and others pass: a laser sees surfaces."""
     ends = one_beam(scan(0, "front"), 1.1)
     passes = one_beam(scan(0, "rear", offset_ns=1), 4.0, world_T_sensor=SE2(-2.0, 0.0, 0.0))
@@ -301,9 +282,7 @@ def test_a_cell_that_one_sensor_sees_occupied_and_another_sees_through_is_occupi
     assert frame.point_origin.tolist() == [0, 1]
 
 
-def test_raw_points_are_the_returns_and_centres_those_of_the_occupied_cells(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_raw_points_are_the_returns_and_centres_those_of_the_occupied_cells(write, scan) -> None:
     path = write([scan(0), scan(1)])
     (raw, *_), (centres, *_) = open_stream(path, grid=GRID, points="raw"), open_stream(path, grid=GRID)
     np.testing.assert_array_equal(raw.occupied, centres.occupied)
@@ -315,7 +294,7 @@ def test_raw_points_are_the_returns_and_centres_those_of_the_occupied_cells(
     assert len(centres.point_origin) == len(centres.points) == centres.occupied.sum()
 
 
-def test_a_digest_changes_with_every_part_of_a_frame(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_a_digest_changes_with_every_part_of_a_frame(write, scan) -> None:
     (frame,) = open_stream(write([scan(0)]), rate_hz=10.0)
 
     def changed(**fields: object) -> GridFrame:
@@ -349,9 +328,7 @@ def test_the_demo_recording_has_its_known_frames() -> None:
     assert isinstance(GridStream(stream.recording, (0.0, 75.0)), GridStream)
 
 
-def test_several_sensors_without_known_mounting_are_refused_with_the_topics(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_several_sensors_without_known_mounting_are_refused_with_the_topics(write, scan) -> None:
     path = write([scan(k, sensor) for k in range(5) for sensor in ("front", "rear")])
     with pytest.raises(
         RecordingError,
@@ -362,7 +339,7 @@ def test_several_sensors_without_known_mounting_are_refused_with_the_topics(
     assert "several sensors (front, rear)" in open_recording(path).overview().warnings[0]
 
 
-def moving(scan: Callable[..., Scan], rest: range) -> list[Scan]:
+def moving(scan, rest: range) -> list[Scan]:
     """Forty seconds of a sensor that moves except while its scan is in `rest`, where it trembles."""
     x, scans = 0.0, []
     for k in range(400):
@@ -371,15 +348,13 @@ def moving(scan: Callable[..., Scan], rest: range) -> list[Scan]:
     return scans
 
 
-def test_a_stretch_knows_when_its_window_first_moves(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_a_stretch_knows_when_its_window_first_moves(write, scan) -> None:
     path = write(moving(scan, range(100, 300)))
     assert open_stream(f"{path}@5s-30s").first_move_s == pytest.approx(5.2)
     assert open_stream(f"{path}@10.1s-29.7s").first_move_s is None
 
 
-def test_a_tracker_for_sensors_at_rest_is_told_a_stretch_in_which_the_sensor_rests(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_a_tracker_for_sensors_at_rest_is_told_a_stretch_in_which_the_sensor_rests(write, scan) -> None:
     path = write(moving(scan, range(100, 300)))
     hint = (
         r"made\.mcap@5s-30s: the sensor moves at 5\.200 s, and 'mine' follows only a sensor at rest \(moving_sensor is"
@@ -390,17 +365,13 @@ def test_a_tracker_for_sensors_at_rest_is_told_a_stretch_in_which_the_sensor_res
     refuse_moving(open_stream(f"{path}@{str(error.value).rpartition('@')[2]}"), "mine")
 
 
-def test_of_a_sensor_that_never_rests_no_stretch_is_suggested(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_of_a_sensor_that_never_rests_no_stretch_is_suggested(write, scan) -> None:
     path = write(moving(scan, range(100, 150)))
     with pytest.raises(RecordingError, match=r"moves at 0\.100 s, .*, and this one is at rest nowhere for 10 s$"):
         refuse_moving(open_stream(path), "mine")
 
 
-def test_the_error_for_a_wrong_label_has_the_time_in_the_recording(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_the_error_for_a_wrong_label_has_the_time_in_the_recording(write, scan) -> None:
     labels = np.full(36, 7, np.uint8)
     path = write([replace(scan(k), labels=labels if k == 25 else None) for k in range(40)], classes=["car"])
     with pytest.raises(RecordingError, match=r"a label is class 7 at 2\.500 s"):

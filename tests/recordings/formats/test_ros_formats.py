@@ -122,7 +122,7 @@ def float32(value: float) -> float:
 
 
 @pytest.fixture
-def scans(scan: Callable[..., Scan]) -> list[Scan]:
+def scans(scan) -> list[Scan]:
     """Scans of two sensors whose fields are exact in the 32 bits that ROS gives them."""
     made = []
     for k in range(40):
