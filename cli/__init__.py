@@ -13,7 +13,7 @@ from gridtrack.cli import recordings, regress, report, runs, simulate, trackers
 from gridtrack.cli.completion import words_as_typed
 from gridtrack.cli.options import DEBUG_OPTION, print_note, with_defaults
 from gridtrack.common.errors import ConfigurationError, GridtrackError
-from gridtrack.common.names import check_utf8
+from gridtrack.common.files import check_utf8
 
 
 def _print_version(requested: bool) -> None:

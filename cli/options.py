@@ -29,7 +29,7 @@ EXAMPLES = "For example demo.mcap@30s-90s, or s3://bucket/demo.mcap"
 
 def fetch_recordings(given: Any) -> Any:
     """A callback: of recordings that are named by URLs the local copies. Raises RecordingError."""
-    from gridtrack.recordings.fetching import fetched
+    from gridtrack.recordings.stretches import fetched
 
     if given is None:
         return None

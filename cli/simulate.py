@@ -73,7 +73,7 @@ def junction_command(
     from gridtrack.simulation.junction import ONE_CORNER, TWO_CORNERS, WARM_UP_S
     from gridtrack.simulation.junction import simulate_junction as simulate
     from gridtrack.simulation.junction.drives import MAX_ODOMETRY_NOISE, simulate_drive
-    from gridtrack.simulation.writing import check_suffix, write_recording
+    from gridtrack.simulation.tracks_file import check_suffix, write_recording
 
     check_suffix(out)
     start_s = WARM_UP_S if start is None else seconds(start)
@@ -99,7 +99,7 @@ def simulate_junction_set(
     """The whole junction set as tracks: 65 minutes to train on, 5 to choose thresholds on, 20 times one to test."""
     from gridtrack.simulation.junction import JUNCTION_SET
     from gridtrack.simulation.junction import simulate_junction as simulate
-    from gridtrack.simulation.writing import write_recording
+    from gridtrack.simulation.tracks_file import write_recording
 
     for name, (minutes, seed, start_s) in JUNCTION_SET.items():
         tracks = simulate(minutes, seed, start_s)
@@ -113,7 +113,7 @@ def simulate_drive_set(out: Annotated[Path, typer.Option(help="Folder of the set
     and the junction's test minutes with lasers on two corners.
     """
     from gridtrack.simulation.junction.drives import drive_set
-    from gridtrack.simulation.writing import write_recording
+    from gridtrack.simulation.tracks_file import write_recording
 
     for name, tracks in drive_set():
         write_recording(out / f"{name}.tracks", tracks)
@@ -132,8 +132,7 @@ def simulate_worlds(
     Each world depends on its own seed only. A world that is already in the folder is kept.
     """
     from gridtrack.common.errors import RecordingError
-    from gridtrack.simulation.tracks_file import read_tracks
-    from gridtrack.simulation.writing import write_recording
+    from gridtrack.simulation.tracks_file import read_tracks, write_recording
 
     try:
         from gridtrack.simulation import worlds
@@ -175,7 +174,7 @@ def simulate_tracks(
     """
     from gridtrack.common.config import validated
     from gridtrack.simulation.stanford import Video, read_stanford
-    from gridtrack.simulation.writing import check_suffix, write_recording
+    from gridtrack.simulation.tracks_file import check_suffix, write_recording
 
     if layout != SDD:
         raise ConfigurationError(f"--format {layout}: known is {SDD}, the Stanford Drone Dataset's")

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from gridtrack.common.errors import ConfigurationError, did_you_mean
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.runs.summary import OutputDescription, ScoreDescription
 from gridtrack.reports.answer import lead_of
 from gridtrack.reports.differences import DifferenceTable, difference_table

@@ -19,7 +19,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.common.scene import UNLABELLED
 from gridtrack.evaluation.referee.samples import HEIGHT_M, KeptObject
-from gridtrack.recordings.scene_messages import CLASS_COLOURS
+from gridtrack.recordings.native_messages import CLASS_COLOURS
 
 if TYPE_CHECKING:
     import rerun as rr

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.runs.finished import HEADLINE_HORIZONS_S, HEADLINE_STRATA
 from gridtrack.evaluation.runs.summary import (
     UNKNOWN,

@@ -25,8 +25,8 @@ from gridtrack.evaluation.scores.cells import CLIP
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.recordings.truth import static_cells
+from gridtrack.simulation.expected_scan import true_ranges
 from gridtrack.simulation.laser import with_noise
-from gridtrack.simulation.range_errors import true_ranges
 
 from studies.support.results_file import measured_table
 from studies.support.shipped import JUNCTION

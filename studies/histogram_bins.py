@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.metrics import average_precision_score
 
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.referee.referee import Delivery, scored_forecasts
 from gridtrack.evaluation.referee.splits import Sampling, plan_split
 from gridtrack.evaluation.referee.targets import SEEN_OCCUPIED

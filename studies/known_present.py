@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import GridFrame, nearest_step
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.evaluation.referee.motion import FollowedBodies
 from gridtrack.evaluation.referee.referee import Delivery, TrackerLike, scored_forecasts

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.recordings import open_recording
-from gridtrack.simulation.odometry import WheelOdometry
+from gridtrack.simulation.motion import WheelOdometry
 
 LONGEST_S = 2.0
 TURNS_RAD = (0.0, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.referee.samples import SAMPLES, Sample, read_samples
 from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.reports.moments import FrameScore, frame_scores

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import ConfigurationError, PluginError
+from gridtrack.common.files import LABEL_RULE, is_label
 from gridtrack.common.grid import GridFrame
-from gridtrack.common.names import LABEL_RULE, is_label
 from gridtrack.evaluation.hosting.dialogue import Dialogue, Request
 from gridtrack.evaluation.hosting.host import shielded_environment
 from gridtrack.evaluation.hosting.limits import SCRATCH, Limits

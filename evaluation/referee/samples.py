@@ -30,14 +30,13 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import atomic_write
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, Mask
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import GridFrame, GridSpec, Mask, nearest_step
 from gridtrack.evaluation.referee.referee import Schedule, ScoredForecast
 from gridtrack.evaluation.referee.strata import PARTS
 from gridtrack.evaluation.referee.targets import NOT_SCORED, Target
+from gridtrack.recordings.file_reading import ReadBudget
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile
-from gridtrack.recordings.read_budget import ReadBudget
-from gridtrack.recordings.scene_messages import WORLD
+from gridtrack.recordings.native_messages import WORLD
 from gridtrack.trackers.contract import TrackedObject
 
 SAMPLES = "forecasts.mcap"

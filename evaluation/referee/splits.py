@@ -8,17 +8,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
-from gridtrack.common.grid import GridSpec, Points
-from gridtrack.common.horizons import nearest_step
-from gridtrack.common.names import NAME_RULE, is_name
+from gridtrack.common.files import NAME_RULE, is_name
+from gridtrack.common.grid import GridSpec, Points, nearest_step
 from gridtrack.evaluation.referee.kinds import Regions, regions_of
 from gridtrack.evaluation.referee.referee import WARM_UP, Schedule
 from gridtrack.evaluation.referee.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.recordings import Recording, Stretch, open_recording
-from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.recording_info import stretch_text
 from gridtrack.recordings.stream import GridStream
-from gridtrack.recordings.stretches import parse_stretch
+from gridtrack.recordings.stretches import RecordedTime, parse_stretch
 from gridtrack.trackers.training.card import TrainingData
 
 ORACLE = "oracle"

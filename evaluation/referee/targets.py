@@ -14,8 +14,7 @@ from gridtrack.common.raycast import directions_of, end_cells, turned
 from gridtrack.common.scene import UNLABELLED
 from gridtrack.evaluation.referee.motion import BodyMotions, body_of_returns
 from gridtrack.evaluation.referee.strata import RANGES, REGIONS, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, RegionMaps
-from gridtrack.recordings.cell_labels import check_labels, labelled_returns
-from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.observation import Observation, check_labels, labelled_returns
 from gridtrack.recordings.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth_grid
 
 SEEN_FREE, SEEN_OCCUPIED, HIDDEN_FREE, HIDDEN_OCCUPIED, NOT_SCORED = range(5)

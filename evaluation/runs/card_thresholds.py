@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.files import sha256_of
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.referee.kinds import CellKinds, Regions
 from gridtrack.evaluation.referee.referee import WARM_UP, Delivery

@@ -40,7 +40,7 @@ from gridtrack.evaluation.runs.summary import RunSummary
 from gridtrack.evaluation.runs.trial import error_with_location, failed
 from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.growth import Growth
+from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.stream import frame_digest
 from gridtrack.recordings.stretches import parse_stretch
 

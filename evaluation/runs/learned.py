@@ -19,8 +19,8 @@ from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import sha256_of, user_data_folder
 from gridtrack.evaluation.referee.splits import EvaluationSplit, common_with
 from gridtrack.evaluation.runs.run_record import WeightsUsed
-from gridtrack.recordings.recorded_time import RecordedTime
 from gridtrack.recordings.stream import GridStream
+from gridtrack.recordings.stretches import RecordedTime
 from gridtrack.trackers.selection import CardKind
 from gridtrack.trackers.training.card import GENERAL, Card, TrainingData
 from gridtrack.trackers.training.weights import ARRAYS_SUFFIX, arrays_content, read_card

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import shift_between
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step, shift_between
 from gridtrack.evaluation.referee.deadline import read_later
 from gridtrack.evaluation.referee.kinds import CellKinds, KindsOfOutlines, KindsOfWindow, ObservedCounts, Regions
 from gridtrack.evaluation.referee.motion import ObservedMotion

@@ -30,8 +30,7 @@ from gridtrack.evaluation.scores.thresholds import Thresholds, best_thresholds, 
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.truth import OUTLINE, truth_grid
-from gridtrack.simulation.expected_scan import ExpectedScan
-from gridtrack.simulation.range_errors import RangeErrors, measure_range_errors, true_ranges
+from gridtrack.simulation.expected_scan import ExpectedScan, RangeErrors, measure_range_errors, true_ranges
 from gridtrack.trackers.contract import Forecast
 
 ORACLE_REPLACES = (OUTCOME_FILE, *SCORE_FILES)

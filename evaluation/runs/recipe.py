@@ -16,7 +16,7 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import read_bounded
 from gridtrack.common.remote_files import local_folder
 from gridtrack.common.untrusted import parse_toml
-from gridtrack.recordings.fetching import fetched
+from gridtrack.recordings.stretches import fetched
 from gridtrack.trackers.training.weights import read_card
 
 MAX_RECIPE_BYTES = 1 << 20

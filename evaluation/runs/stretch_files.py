@@ -17,9 +17,9 @@ from gridtrack.common.cache import FileCache
 from gridtrack.common.grid import GridFrame, LabelledFrame
 from gridtrack.evaluation.runs.fit_regions import StoredKinds, StretchRegions, cell_kinds_for, store_regions
 from gridtrack.recordings import Recording
-from gridtrack.recordings.cell_labels import check_labels, labelled_returns
+from gridtrack.recordings.observation import check_labels, labelled_returns
 from gridtrack.recordings.stream import GridStream
-from gridtrack.recordings.survey_file import recall_survey, write_survey
+from gridtrack.recordings.survey import recall_survey, write_survey
 from gridtrack.trackers import messages
 from gridtrack.trackers.contract import stream_of
 from gridtrack.trackers.training.progress import Progress

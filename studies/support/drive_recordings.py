@@ -14,7 +14,7 @@ from gridtrack.common.files import atomic_write
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import Recording, open_recording
-from gridtrack.recordings.formats.native_writer import write_native
+from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.importing import import_recording
 from gridtrack.recordings.recording_info import RecordingInfo
 

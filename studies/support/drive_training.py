@@ -14,7 +14,7 @@ from pathlib import Path
 from gridtrack.simulation.junction import WARM_UP_S
 from gridtrack.simulation.junction.drives import CARRIERS, Drive, simulate_drive
 from gridtrack.simulation.tracks import Tracks
-from gridtrack.simulation.writing import write_recording
+from gridtrack.simulation.tracks_file import write_recording
 
 VALIDATION_SEEDS, TRAINING_SEEDS = range(401, 405), range(301, 321)
 """None is a seed of the drives that trackers are compared on, 201 to 220, or of another recording of the junction."""

@@ -7,7 +7,6 @@ import shutil
 import struct
 import tracemalloc
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 
 import lz4.frame
@@ -18,9 +17,9 @@ import zstandard
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.formats.native_layout import METADATA_NAME, NATIVE_SCHEMA
+from gridtrack.recordings.file_reading import FREE_BYTES, FREE_RECORDS, NOT_A_RECORDING
 from gridtrack.recordings.mcap_file import MCAP_MAGIC
-from gridtrack.recordings.read_budget import FREE_BYTES, FREE_RECORDS, NOT_A_RECORDING
+from gridtrack.recordings.native_messages import METADATA_NAME, NATIVE_SCHEMA
 
 from scenes.drive_bag import FRONT, Ros, mounts, scans_of
 
@@ -137,7 +136,7 @@ def test_metadata_of_a_ros_2_bag_that_repeats_itself(yaml: str, reason: str, ros
     assert reason in refusal(ros2_folder)
 
 
-def test_a_recording_of_a_scene_without_any_change_is_no_bomb(tmp_path: Path, write: Callable[..., Path]) -> None:
+def test_a_recording_of_a_scene_without_any_change_is_no_bomb(tmp_path: Path, write) -> None:
     ranges = np.full(360, 2.5, np.float32)
     path = write((Scan(k * 10**8, ranges, -1.0, 0.01, 0.05, 5.0) for k in range(20_000)), "still.mcap")
     recording = open_recording(path)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import struct
 import tracemalloc
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +96,7 @@ def test_random_damage_gives_no_wrong_scan_and_only_our_errors(
     assert numbers == list(range(len(numbers)))
 
 
-def test_memory_does_not_grow_with_the_length(tmp_path: Path, write: Callable[..., Path]) -> None:
+def test_memory_does_not_grow_with_the_length(tmp_path: Path, write) -> None:
     def peak_of(scans: int) -> int:
         ranges = np.random.default_rng(0).uniform(0.1, 5.0, 360).astype(np.float32)
         path = write((Scan(k * 10**8, ranges, -1.0, 0.01, 0.05, 5.0) for k in range(scans)), f"{scans}.mcap")

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from gridtrack.common.errors import RecordingError
-from gridtrack.common.scan import Scan
 from gridtrack.recordings import CloudSlice, import_recording, open_recording
 from gridtrack.recordings.stream import open_stream
 
@@ -85,9 +84,7 @@ def test_an_option_that_the_format_cannot_use_is_refused(install_formats, csv_fi
         open_recording(csv_file, cloud_slice=CloudSlice(low_m=0.0, high_m=1.0))
 
 
-def test_a_broken_format_is_reported_and_does_not_stop_the_others(
-    install_formats, csv_file: Path, write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_a_broken_format_is_reported_and_does_not_stop_the_others(install_formats, csv_file: Path, write, scan) -> None:
     install_formats(
         {
             "absent": "csv_scans:ABSENT",
@@ -119,7 +116,7 @@ def test_a_format_that_fails_to_open_is_one_error_with_its_reason(install_format
 
 
 def test_of_two_formats_of_one_name_neither_is_used_and_the_others_are(
-    install_formats, csv_file: Path, write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
+    install_formats, csv_file: Path, write, scan, tmp_path: Path
 ) -> None:
     install_formats({"carmen": "csv_scans:FORMAT"})
     recording = open_recording(write([scan(0)]))
@@ -134,9 +131,7 @@ def test_of_two_formats_of_one_name_neither_is_used_and_the_others_are(
             open_recording(path)
 
 
-def test_a_format_loads_its_libraries_only_when_a_file_of_it_is_opened(
-    tmp_path: Path, write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_a_format_loads_its_libraries_only_when_a_file_of_it_is_opened(tmp_path: Path, write, scan) -> None:
     def loaded(statement: str) -> list[str]:
         program = f"import gridtrack.recordings, json, sys\n{statement}\nprint(json.dumps(sorted(sys.modules)))"
         done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
@@ -151,9 +146,7 @@ def test_a_format_loads_its_libraries_only_when_a_file_of_it_is_opened(
 
 
 @pytest.mark.parametrize("folder", ["exp[1]", "a*b", "who?", "two words", "café"])
-def test_a_path_is_never_read_as_a_pattern(
-    folder: str, tmp_path: Path, write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_a_path_is_never_read_as_a_pattern(folder: str, tmp_path: Path, write, scan) -> None:
     for place, scans in (("exp1", 9), ("aXb", 9), ("whom", 9), ("twowords", 9), (folder, 3)):
         (tmp_path / place).mkdir(exist_ok=True)
         write((scan(k) for k in range(scans)), f"{place}/rec [1]*?.mcap")

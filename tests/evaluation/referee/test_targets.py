@@ -88,5 +88,5 @@ def test_beams_of_all_sensors_vote_together():
 
 def test_a_label_without_a_class_is_refused():
     observation = Observation(frame(np.ones((5, 5), bool), np.ones((5, 5), bool)), (fan([2]),), (SE2(2.5, 2.1),))
-    with pytest.raises(RecordingError, match=r"names class 2 at 0\.000 s, and the recording has 2 classes"):
+    with pytest.raises(RecordingError, match=r"is class 2 at 0\.000 s, but the recording has 2 classes"):
         target_of(observation, GRID, NAMES, NO_MOTION)

@@ -112,7 +112,7 @@ class Table:
 @pytest.fixture(autouse=True)
 def small_chunks(monkeypatch):
     """A recorder that writes a chunk every second."""
-    monkeypatch.setattr(native_writer, "CHUNK_BYTES", 8000)
+    monkeypatch.setattr(native, "CHUNK_BYTES", 8000)
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from gridtrack.evaluation.runs.summary import read_summary
 from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.recordings import RecordingInfo, import_recording, write_native
-from gridtrack.recordings.recorded_time import WALL_CLOCK_FROM_NS
+from gridtrack.recordings.stretches import WALL_CLOCK_FROM_NS
 from tests.evaluation.conftest import RATE_HZ, SECONDS, scan
 
 

@@ -12,7 +12,7 @@ from gridtrack.evaluation.runs.oracle import expected_grid, range_errors, run_or
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.scores.cells import CLIP
 from gridtrack.recordings.stream import open_stream
-from gridtrack.simulation.range_errors import true_ranges
+from gridtrack.simulation.expected_scan import true_ranges
 
 from scenes import truth_scene
 
