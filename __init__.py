@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gridtrack.cli.notebook import Run, compare
+    from gridtrack.reports.python_api import Run, compare
     from gridtrack.common.config import Settings
     from gridtrack.common.errors import ConfigurationError, GridtrackError
     from gridtrack.common.geometry import SE2
@@ -45,12 +45,12 @@ _HOMES = {
     "GridFrame": "common.grid",
     "GridSpec": "common.grid",
     "GridtrackError": "common.errors",
-    "Run": "cli.notebook",
+    "Run": "reports.python_api",
     "Settings": "common.config",
     "StreamSpec": "trackers.contract",
     "TrackedObject": "trackers.contract",
     "Tracker": "trackers.contract",
-    "compare": "cli.notebook",
+    "compare": "reports.python_api",
     "open_recording": "recordings",
     "open_stream": "recordings.stream",
     "packaged_recording": "recordings",

@@ -22,11 +22,16 @@ from gridtrack.evaluation.processes.supervisor import (
 _lock = threading.Lock()
 _leaders: set[int] = set()
 """Children of this process that lead a session of their own."""
+_adopting = threading.Event()
 
 
-def adopt_orphans() -> None:
-    """Make this process the parent of what its descendants leave behind: for a program that is gridtrack alone."""
-    prctl(PR_SET_CHILD_SUBREAPER, 1)
+def adopt_orphans(adopt: bool = True) -> None:
+    """Make this process the parent of what its descendants leave behind: for a program that is gridtrack alone.
+
+    In another program, such as a notebook, a child in a session of its own may be the user's, and is left alone.
+    """
+    prctl(PR_SET_CHILD_SUBREAPER, int(adopt))
+    (_adopting.set if adopt else _adopting.clear)()
 
 
 def start_leader(start: Callable[[], Popen[Any]]) -> Popen[Any]:
@@ -45,7 +50,7 @@ def forget_leader(leader: Popen[Any], orderly: bool) -> None:
     with _lock:
         _leaders.discard(leader.pid)
         give_up = time.monotonic() + GIVE_UP_S
-        while not orderly and (adopted := _adopted()) and time.monotonic() < give_up:
+        while not orderly and _adopting.is_set() and (adopted := _adopted()) and time.monotonic() < give_up:
             for pid in adopted:
                 _end(pid)
             time.sleep(0.002)
