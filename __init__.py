@@ -9,13 +9,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gridtrack.reports.python_api import Run, compare
     from gridtrack.common.config import Settings
     from gridtrack.common.errors import ConfigurationError, GridtrackError
     from gridtrack.common.geometry import SE2
     from gridtrack.common.grid import GridFrame, GridSpec
     from gridtrack.recordings import open_recording, packaged_recording
     from gridtrack.recordings.stream import open_stream
+    from gridtrack.reports.python_api import Run, compare
     from gridtrack.trackers.contract import Forecast, StreamSpec, TrackedObject, Tracker
 
     __version__: str

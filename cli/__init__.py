@@ -95,7 +95,7 @@ def _shield(arguments: list[str]) -> AbstractContextManager[None]:
     """Hide the arguments of this process from trackers that it starts."""
     if not arguments or arguments[0] not in STARTS_TRACKERS:
         return nullcontext()
-    from gridtrack.evaluation.processes.shielding import shielded_host
+    from gridtrack.evaluation.hosting.shielding import shielded_host
 
     return shielded_host(f"gridtrack {arguments[0]}", alone=True)
 

@@ -7,7 +7,7 @@ from typing import Any
 import typer
 
 from gridtrack.cli.options import JsonOption, command_line, print_note, settings_options
-from gridtrack.evaluation.comparison.settings import CompareSettings
+from gridtrack.evaluation.runs.settings import CompareSettings
 
 app = typer.Typer(add_completion=False)
 

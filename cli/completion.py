@@ -85,8 +85,8 @@ def _complete_selection(incomplete: str, own: Mapping[str, Sequence[str]]) -> It
 def _options_of(name: str) -> dict[str, Sequence[str]]:
     """The options of a tracker with the values of those that have few; none where it cannot say."""
     from gridtrack.common.errors import GridtrackError
-    from gridtrack.evaluation.processes.limits import Limits
-    from gridtrack.evaluation.processes.tracker_process import describe
+    from gridtrack.evaluation.hosting.limits import Limits
+    from gridtrack.evaluation.hosting.tracker_process import describe
     from gridtrack.trackers.selection import launch
 
     try:

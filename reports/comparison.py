@@ -19,14 +19,14 @@ from gridtrack.common.config import validated
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, printable
 from gridtrack.common.options import option_words
 from gridtrack.common.remote_files import URL, is_url, local_folder
-from gridtrack.evaluation.comparison.following import following
-from gridtrack.evaluation.comparison.measurements import missing_measurements
-from gridtrack.evaluation.comparison.plan import ComparisonPlan, resolve
-from gridtrack.evaluation.comparison.runner import run
-from gridtrack.evaluation.comparison.settings import CompareSettings
-from gridtrack.evaluation.comparison.stored_run import stored_run
 from gridtrack.evaluation.results.summary import RunSummary
 from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.runs.following import following
+from gridtrack.evaluation.runs.measurements import missing_measurements
+from gridtrack.evaluation.runs.plan import ComparisonPlan, resolve
+from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.settings import CompareSettings
+from gridtrack.evaluation.runs.stored_run import stored_run
 from gridtrack.recordings.fetching import fetched
 from gridtrack.reports.live_table import LiveTable
 from gridtrack.reports.page import render_report

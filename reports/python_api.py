@@ -13,7 +13,7 @@ from rich.console import Console
 
 from gridtrack.common.errors import printable
 from gridtrack.common.remote_files import folder_name, is_url, local_folder
-from gridtrack.evaluation.processes.shielding import shielded_host
+from gridtrack.evaluation.hosting.shielding import shielded_host
 from gridtrack.evaluation.results.run_record import RunRecord
 from gridtrack.evaluation.results.summary import RunSummary
 from gridtrack.reports.comparison import comparison

@@ -11,7 +11,7 @@ import argparse
 from collections.abc import Mapping
 from pathlib import Path
 
-from gridtrack.evaluation.comparison.recipe import read_recipe
+from gridtrack.evaluation.runs.recipe import read_recipe
 from gridtrack.trackers.weights import read_card
 
 from studies.support.comparison import compare_at_junction, train

@@ -9,7 +9,7 @@ from pathlib import Path
 from textwrap import fill
 
 from gridtrack.common.files import write_text
-from gridtrack.evaluation.processes.contract_clauses import CLAUSES, Clause
+from gridtrack.evaluation.hosting.contract_clauses import CLAUSES, Clause
 
 PAGE = Path(__file__).parents[1] / "docs" / "contract.md"
 WIDTH = 120

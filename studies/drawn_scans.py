@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.common.raycast import cast_scan
-from gridtrack.evaluation.comparison.oracle import expected_grid, range_errors
+from gridtrack.evaluation.runs.oracle import expected_grid, range_errors
 from gridtrack.evaluation.scoring.counting import CLIP
 from gridtrack.evaluation.scoring.strata import CELL_KINDS, cell_kinds_around
 from gridtrack.recordings.observation import Observation

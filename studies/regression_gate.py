@@ -26,9 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from gridtrack.evaluation.comparison.plan import resolve
-from gridtrack.evaluation.comparison.runner import run
-from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.regression.criteria import row_tests
 from gridtrack.evaluation.regression.measurement import Baseline
 from gridtrack.evaluation.regression.measuring import measure_run
@@ -36,6 +33,9 @@ from gridtrack.evaluation.regression.rows import PairedRow, paired_rows
 from gridtrack.evaluation.regression.settings import MARGIN
 from gridtrack.evaluation.regression.significance import FAMILY_LEVEL, swap_test
 from gridtrack.evaluation.regression.spread import beyond_spread
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.statistics.jackknife import holm, ratio_differences
 from gridtrack.evaluation.statistics.training_spread import PRIOR_FREEDOM, spread_between, value_of
 

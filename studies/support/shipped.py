@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TypeVar
 
-from gridtrack.evaluation.comparison.learned import find_weights
+from gridtrack.evaluation.runs.learned import find_weights
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
