@@ -36,7 +36,9 @@ class LazyCommand(TyperCommand):
 
     def load(self) -> Any:
         """The command itself, or the group of commands."""
-        return typer.main.get_command(import_module(f"gridtrack.cli.{self.name}").app)
+        command = typer.main.get_command(import_module(f"gridtrack.cli.{self.name}").app)
+        command.help = command.help or self.help
+        return command
 
     def make_context(self, *arguments: Any, **named: Any) -> Any:
         """The context of the command itself: parsing, help and completion start from it."""

@@ -88,14 +88,9 @@ def _parameter(name: str, option: OptionField) -> inspect.Parameter:
     }
     flag = f"--{option.name}/--no-{option.name}" if field.default is True else f"--{option.name}"
     made = typer.Argument(**shown) if option.argument else typer.Option(flag, **shown)
-    default: Any = None
-    if field.is_required():
-        default = inspect.Parameter.empty
-    else:
-        annotation = annotation | None
-    return inspect.Parameter(
-        name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[annotation, made]
-    )
+    default = inspect.Parameter.empty if field.is_required() else None
+    optional = annotation if field.is_required() else annotation | None
+    return inspect.Parameter(name, KEYWORD_ONLY, default=default, annotation=Annotated[optional, made])
 
 
 def _types(field: FieldInfo) -> tuple[Any, Any]:
@@ -114,8 +109,8 @@ def _types(field: FieldInfo) -> tuple[Any, Any]:
 
 def _default_text(option: OptionField) -> str:
     """The end of the help of an option: its default, if it has one."""
-    default = option.field.default
-    if option.field.is_required() or default is None or default is False or default in ("", ()):
+    default = option.field.get_default(call_default_factory=True)
+    if option.field.is_required() or default is None or default is False or default in ("", (), {}):
         return ""
     text = f"{default:g}s" if option.metavar == "SECONDS" else str(default)
     return rf" \[default: {text}]"
@@ -162,7 +157,7 @@ WeightsOption = Annotated[
     ),
 ]
 TrackersTomlOption = Annotated[
-    Path | None, typer.Option(help="File that names trackers of other environments, and programs")
+    Path | None, typer.Option(metavar="FILE", help="File that names trackers of other environments, and programs")
 ]
 SandboxOption = Annotated[
     bool,

@@ -1,14 +1,13 @@
-"""`recording info | import | view | layout`: what a recording holds, converting it to a native one, viewing it."""
+"""`recording info | import | view | layout`: the content of a recording, its import as a native one, and viewing it."""
 
 from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
-from gridtrack.cli.completion import complete_cloud_slice
 from gridtrack.cli.options import (
     GridOption,
     JsonOption,
@@ -16,120 +15,61 @@ from gridtrack.cli.options import (
     RecordingArgument,
     WholeRecordingArgument,
     print_note,
+    settings_options,
 )
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, printable
+from gridtrack.common.grid import GridSpec
+from gridtrack.recordings import ReadOptions, Recording, import_recording, open_recording
+from gridtrack.recordings.stream import open_stream
+from gridtrack.recordings.stretches import parse_named_stretch
 
-if TYPE_CHECKING:
-    from gridtrack.recordings import Recording
-
-PoseTopicOption = Annotated[
-    str | None,
-    typer.Option(help="Topic with the poses of the robot, where the transforms are not right; none: it stands still"),
-]
-MountsOption = Annotated[
-    list[str] | None,
-    typer.Option("--mount", metavar="SENSOR=X,Y,ANGLE", help="Place of a sensor: front_laser=0.4,0.2,45deg[,mirrored]"),
-]
-
-ZeroRange = Annotated[
-    Literal["free", "unknown"] | None,
-    typer.Option(help="The meaning of a range of exactly 0.0: free up to the maximum range (no return), or unknown"),
-]
-
-app = typer.Typer(no_args_is_help=True, help="Recordings: info, import, view, layout.")
+app = typer.Typer(add_completion=False, no_args_is_help=True)
 
 
 @app.command("info")
-def recording_info(
-    recording: WholeRecordingArgument,
-    topic: str | None = None,
-    pose_topic: PoseTopicOption = None,
-    mount: MountsOption = None,
-    zero_range: ZeroRange = None,
-    strict: bool = False,
-    as_json: JsonOption = False,
-) -> None:
+@settings_options(ReadOptions)
+def recording_info(values: dict[str, Any], recording: WholeRecordingArgument, as_json: JsonOption = False) -> None:
     """The content of a recording: topics, sensors, rate, gaps, range limits, and warnings."""
-    from gridtrack.recordings import open_recording, parse_mount
-
-    opened = open_recording(
-        Path(recording),
-        topic=topic,
-        pose_topic=pose_topic,
-        mounts=[parse_mount(text) for text in mount or ()],
-        zero_range=zero_range,
-        strict=strict,
-    )
-    _print_overview(opened, as_json)
+    _print_overview(open_recording(recording, **values), as_json)
 
 
 def _print_overview(recording: Recording, as_json: bool) -> None:
-    """Print what a recording holds."""
     overview = recording.overview()
     typer.echo(overview.model_dump_json(indent=1) if as_json else "\n".join(map(printable, str(overview).split("\n"))))
 
 
 @app.command("import")
+@settings_options(ReadOptions)
 def recording_import(
+    values: dict[str, Any],
     source: WholeRecordingArgument,
-    out: Annotated[Path, typer.Option(help="The .mcap to write")],
-    topic: Annotated[str | None, typer.Option(help="Of a bag with several")] = None,
-    site: Annotated[str | None, typer.Option(help="The site of the sensor")] = None,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The .mcap to write")],
+    site: Annotated[str | None, typer.Option(metavar="SITE", help="The site of the sensor")] = None,
     grid: GridOption = None,
     rate: RateOption = None,
-    stretch: Annotated[list[str] | None, typer.Option(metavar="NAME=RANGE", help="e.g. train=0s-75s")] = None,
-    licence: str = "",
-    credit: str = "",
-    labels: Annotated[Path | None, typer.Option(help="CSV of per-beam classes")] = None,
-    cloud_slice: Annotated[
-        str | None,
-        typer.Option(
-            metavar="KEY=VALUE,...",
-            help="Of point clouds: low_m=0.2,high_m=1.0; bearings without points are free up to range_max_m, or"
-            " unknown with empty=unknown",
-            autocompletion=complete_cloud_slice,
-        ),
+    stretch: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=RANGE", help="Stretch, such as train=0s-75s; repeat for several")
     ] = None,
-    pose_topic: PoseTopicOption = None,
-    mount: MountsOption = None,
-    zero_range: ZeroRange = None,
+    licence: Annotated[str, typer.Option(metavar="TEXT", help="Licence of the recording")] = "",
+    credit: Annotated[str, typer.Option(metavar="TEXT", help="Authors of the recording")] = "",
+    labels: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV of the class of each beam")] = None,
     ego_motion: Annotated[
-        Literal["recorded", "kiss-icp", "refined"] | None,
+        Literal["recorded", "kiss-icp", "refined"],
         typer.Option(
-            help="Where the poses come from: recorded, as they are (the default); kiss-icp, from the scans alone;"
-            " refined, from the scans with the recorded motion as a prior"
+            metavar="SOURCE",
+            help="Source of the poses: recorded; kiss-icp, from the scans alone; refined, from the scans with the"
+            " recorded motion as a prior",
         ),
-    ] = None,
-    strict: bool = False,
-    overwrite: Annotated[bool, typer.Option(help="Replace the file OUT where it exists")] = False,
+    ] = "recorded",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file OUT if it exists")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a recording of any format (ROS 1 or 2 bag, ROS or Foxglove MCAP, CARMEN log, ...) as a native one."""
-    from gridtrack.common.config import parse_pairs, validated
-    from gridtrack.recordings import CloudSlice, import_recording, parse_mount
-    from gridtrack.recordings.stretches import parse_named_stretch
-
-    where = "--cloud-slice"
+    given = {"site": site, "grid": grid, "rate_hz": rate, "licence": licence, "credit": credit, "labels": labels}
+    stretches = dict(parse_named_stretch(text) for text in stretch or ())
+    how = {"ego_motion": ego_motion, "overwrite": overwrite}
     try:
-        recording = import_recording(
-            Path(source),
-            out,
-            topic=topic,
-            site=site,
-            grid=grid,
-            rate_hz=rate,
-            stretches=dict(parse_named_stretch(text) for text in stretch or ()),
-            licence=licence,
-            credit=credit,
-            labels=labels,
-            cloud_slice=validated(CloudSlice, parse_pairs(cloud_slice, where), where) if cloud_slice else None,
-            pose_topic=pose_topic,
-            mounts=[parse_mount(text) for text in mount or ()],
-            zero_range=zero_range,
-            ego_motion=ego_motion or "recorded",
-            strict=strict,
-            overwrite=overwrite,
-        )
+        recording = import_recording(Path(source), out, stretches=stretches, **given, **how, **values)
     except KeyboardInterrupt:
         print_note(f"interrupted: {out} is as it was before, or written whole")
         raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
@@ -139,7 +79,9 @@ def recording_import(
 @app.command("view")
 def recording_view(
     recording: RecordingArgument,
-    out: Annotated[Path | None, typer.Option(help="The .rrd to write; default: named as the recording, here")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The .rrd to write; default: named as the recording, here")
+    ] = None,
     grid: GridOption = None,
     rate: RateOption = None,
 ) -> None:
@@ -147,8 +89,6 @@ def recording_view(
     from rich.console import Console
     from rich.progress import Progress
 
-    from gridtrack.common.grid import GridSpec
-    from gridtrack.recordings.stream import open_stream
     from gridtrack.reports.rerun_recording import default_name, write_rerun_recording
 
     stream = open_stream(recording, grid=GridSpec.parse(grid) if grid else None, rate_hz=rate)

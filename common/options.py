@@ -86,6 +86,11 @@ def from_text(parse: Callable[[str], Any]) -> BeforeValidator:
     return BeforeValidator(lambda value: parse(value) if isinstance(value, str) else value)
 
 
+def from_texts(parse: Callable[[str], tuple[str, Any]]) -> BeforeValidator:
+    """In the annotation of a mapping: a list of texts is read by `parse`, each as a key and a value."""
+    return BeforeValidator(lambda value: dict(map(parse, value)) if isinstance(value, list | tuple) else value)
+
+
 def seconds(text: str) -> float:
     """`2.5s` or `2.5` in seconds. Raises ConfigurationError."""
     try:

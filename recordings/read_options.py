@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from gridtrack.common.config import Settings
+from gridtrack.common.config import Settings, parse_pairs, validated
+from gridtrack.common.options import Option, from_text
 from gridtrack.common.scan import MAX_RANGE_M
-from gridtrack.recordings.mounts import Mount
+from gridtrack.recordings.mounts import Mount, parse_mount
 
 NO_POSES = "none"
 """The pose topic of a recording whose sensors stand still."""
@@ -37,19 +38,25 @@ class CloudSlice(Settings):
         return self
 
 
-class ReadOptions(Settings):
-    """How a recording is read. An option that the format of the file cannot use is refused when the file is opened."""
+def parse_cloud_slice(text: str) -> CloudSlice:
+    """Read `low_m=0.2,high_m=1.0,...`. Raises ConfigurationError."""
+    return validated(CloudSlice, parse_pairs(text, "--cloud-slice"), "--cloud-slice")
 
-    topic: str | None = None
-    """Read the scans of this topic only."""
+
+class ReadOptions(Settings):
+    """How a recording is read. Opening a file refuses options that its format cannot use."""
+
+    topic: Annotated[str | None, Option(metavar="TOPIC")] = None
+    """Read the scans of this topic only, if the recording has several"""
     strict: bool = False
-    """Raise RecordingError for what otherwise is a warning."""
-    cloud_slice: CloudSlice | None = None
-    """How a point cloud becomes a scan."""
-    pose_topic: str | None = None
-    """The topic with the poses of what carries the sensors; "none" where they stand still."""
-    mounts: tuple[Mount, ...] = ()
-    """The places of sensors on what carries them."""
+    """Refuse a recording with a fault, instead of giving a warning"""
+    cloud_slice: Annotated[CloudSlice | None, Option(metavar="KEY=VALUE,..."), from_text(parse_cloud_slice)] = None
+    """How a point cloud becomes a scan: low_m=0.2,high_m=1.0; bearings without points are free up to range_max_m, or
+    unknown with empty=unknown"""
+    pose_topic: Annotated[str | None, Option(metavar="TOPIC")] = None
+    """Topic with the poses of the robot, where the transforms are not right; none: it stands still"""
+    mounts: Annotated[tuple[Annotated[Mount, from_text(parse_mount)], ...], Option("mount", "SENSOR=X,Y,ANGLE")] = ()
+    """Place of a sensor on the robot: laser=0.4,0.2,45deg, with ,mirrored if it is upside down; repeat for several"""
     zero_range: Literal["free", "unknown"] | None = None
-    """The meaning of a range of exactly 0.0, in every format: no return ("free" up to the maximum range) or invalid
-    ("unknown"). Without it such a range is as any other: invalid below the minimum range."""
+    """Meaning of a range of exactly 0.0: free up to the maximum range (no return), or unknown (invalid); default: as
+    any range, invalid below the minimum range"""

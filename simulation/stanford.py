@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.options import Option, from_text
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.motion import headings, smoothed, unbroken_tracks
@@ -45,18 +47,27 @@ MAX_ANNOTATION_LINES, MAX_PIXELS, MAX_FRAME = 5_000_000, 1e6, 5_000_000
 
 
 class Video(Settings):
-    """Values that the annotations do not contain: metres to a pixel, site and rate of the recording, position of the
-    laser, metres, x right and y up from the image's upper left corner."""
+    """Values that the annotations do not contain."""
 
-    scale: float = Field(gt=0.0, le=10.0)
+    scale: Annotated[float, Option(metavar="METRES")] = Field(gt=0.0, le=10.0)
+    """Metres per pixel"""
     site: str = Field(min_length=1)
+    """Site of the recording"""
     rate_hz: float = Field(default=8.0, gt=0.0, le=VIDEO_HZ)
-    grid: str = "100x0.2"
-    laser_at: tuple[float, float] | None = None
-    """None: the position nearest to the median of all paths that every road user stays CLEARANCE_M away from."""
+    """Scans per second"""
+    grid: Annotated[str, Option(metavar="CELLSxMETRES[@X,Y]")] = "100x0.2"
+    """Grid around the laser"""
+    laser_at: Annotated[tuple[float, float] | None, Option(metavar="X,Y"), from_text(lambda text: text.split(","))] = (
+        None
+    )
+    """Position of the laser, metres from the image's upper left corner, x right and y up; default: the position nearest
+    to the median of all paths that stays clear of every road user"""
     seed: int = Field(default=0, ge=0)
-    licence: str = ""
-    credit: str = ""
+    """Seed of the range noise"""
+    licence: Annotated[str, Option(metavar="TEXT")] = ""
+    """Licence of the recording"""
+    credit: Annotated[str, Option(metavar="TEXT")] = ""
+    """Authors of the annotations"""
 
 
 @dataclass(frozen=True)
