@@ -86,7 +86,7 @@ def main() -> None:
         for argument in sys.argv[1:]:
             check_utf8(argument, ConfigurationError)
         with _shield(arguments), words_as_typed():
-            app(arguments)
+            app(arguments, prog_name="gridtrack")
     except GridtrackError as error:
         _fail(error, str(error))
     except OSError as error:

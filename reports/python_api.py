@@ -102,7 +102,7 @@ def compare(*recordings: str | Path, trackers: str | Sequence[str] = (), **setti
     }
     # a notebook asks for colours, and bars would come as control characters
     console = Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
-    with shielded_host("gridtrack compare"), comparison(values, _print_note, console=console) as done:
+    with shielded_host("gridtrack compare", alone=False), comparison(values, _print_note, console=console) as done:
         interrupted, out = done.interrupted, done.out
     if interrupted:
         raise KeyboardInterrupt
