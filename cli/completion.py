@@ -9,12 +9,9 @@ from __future__ import annotations
 import io
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
-from typing import TYPE_CHECKING, Any, get_args
-
-if TYPE_CHECKING:
-    from gridtrack.common.config import Settings
+from typing import Any, get_args
 
 BREAKS = frozenset(":=@")
 """Characters at which bash ends a word; a completion takes the place of what follows the last of them."""
@@ -106,13 +103,6 @@ def _values_of(schema: Mapping[str, Any]) -> Sequence[str]:
     return [value for value in schema.get("enum", ()) if isinstance(value, str)]
 
 
-def complete_engine() -> Sequence[str]:
-    """What can run the trials of a comparison."""
-    from gridtrack.evaluation.runs.settings import EngineName
-
-    return get_args(EngineName)
-
-
 def complete_format() -> Sequence[str]:
     """The formats of a report."""
     from gridtrack.reports.formats import FORMAT_NAMES
@@ -120,31 +110,17 @@ def complete_format() -> Sequence[str]:
     return FORMAT_NAMES
 
 
-def complete_degradation(incomplete: str) -> Iterator[str]:
-    """The kinds of degraded input, as KIND=."""
-    from gridtrack.recordings.degradation import Degradation
+def complete_values(kind: Any, values: Sequence[str]) -> Callable[[str], Iterable[str]] | None:
+    """A completion among a fixed set of `values`, or of KEY=VALUE,... for the settings `kind`; None: there is neither.
 
-    return _complete_keys(incomplete, Degradation)
+    Typer keeps the values that begin with the typed text.
+    """
+    from gridtrack.common.config import Settings, field_names
 
-
-def complete_slurm(incomplete: str) -> Iterator[str]:
-    """What a trial can ask of Slurm, as KEY=."""
-    from gridtrack.evaluation.engines.slurm_cluster import SlurmSettings
-
-    return _complete_keys(incomplete, SlurmSettings)
-
-
-def complete_cloud_slice(incomplete: str) -> Iterator[str]:
-    """The settings of a slice of point clouds, as KEY=."""
-    from gridtrack.recordings import CloudSlice
-
-    return _complete_keys(incomplete, CloudSlice)
-
-
-def _complete_keys(incomplete: str, model: type[Settings]) -> Iterator[str]:
-    from gridtrack.common.config import field_names
-
-    return _complete_pairs(incomplete, dict.fromkeys(field_names(model), ()))
+    if isinstance(kind, type) and issubclass(kind, Settings):
+        keys = dict.fromkeys(field_names(kind), ())
+        return lambda incomplete: _complete_pairs(incomplete, keys)
+    return (lambda incomplete: values) if values else None
 
 
 def _complete_pairs(incomplete: str, values: Mapping[str, Iterable[str]]) -> Iterator[str]:

@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.options import Option
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.motion import headings, smoothed, unbroken_tracks
@@ -49,14 +51,18 @@ class Video(Settings):
     scale: float = Field(gt=0.0, le=10.0)
     """Metres per pixel."""
     site: str = Field(min_length=1)
+    """Site of the recording"""
     rate_hz: float = Field(default=8.0, gt=0.0, le=VIDEO_HZ)
     grid: str = "100x0.2"
     laser_at: tuple[float, float] | None = None
     """Metres, x right and y up from the upper left corner of the image. None: the position nearest to the median of all
     paths with CLEARANCE_M to every road user."""
     seed: int = Field(default=0, ge=0)
-    licence: str = ""
-    credit: str = ""
+    """Seed of the range noise"""
+    licence: Annotated[str, Option(metavar="TEXT")] = ""
+    """Licence of the recording"""
+    credit: Annotated[str, Option(metavar="TEXT")] = ""
+    """Authors of the annotations"""
 
 
 @dataclass(frozen=True)

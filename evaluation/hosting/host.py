@@ -10,36 +10,55 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from subprocess import Popen
 from typing import Any
 
-from gridtrack.evaluation.hosting.supervisor import GIVE_UP_S, PR_SET_CHILD_SUBREAPER, make_unreadable, prctl
+from gridtrack.evaluation.hosting.supervisor import (
+    GIVE_UP_S,
+    PR_SET_CHILD_SUBREAPER,
+    PR_SET_DUMPABLE,
+    make_unreadable,
+    prctl,
+)
 
+PR_GET_DUMPABLE = 3
 ARG_START, ARG_END = 45, 46
 """Positions in /proc/self/stat, after the name in parentheses, of the command line's addresses (proc(5), 48 and 49)."""
 
 _lock = threading.Lock()
+_adopting = threading.Event()
 _leaders: set[int] = set()
 """Children of this process that lead a session of their own."""
 
 
-def shield_host(title: str) -> None:
-    """Replace the command line of this process by `title`, and make its /proc entries unreadable for other processes.
+@contextmanager
+def shielded_host(title: str, *, alone: bool) -> Iterator[None]:
+    """In the block this process has `title` as its command line, and its /proc entries are unreadable for others.
 
-    It also becomes the parent of orphans of its trackers. On systems other than Linux nothing changes.
+    A program that is gridtrack `alone` also becomes the parent of orphans of its trackers. On systems other than
+    Linux nothing changes.
     """
     if sys.platform != "linux":
+        yield
         return
     fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
-    start, size = int(fields[ARG_START]), int(fields[ARG_END]) - int(fields[ARG_START])
-    if start and size > 1:
+    start = int(fields[ARG_START])
+    size = int(fields[ARG_END]) - start if start else 0
+    command_line, readable = ctypes.string_at(start, size), ctypes.CDLL(None).prctl(PR_GET_DUMPABLE, 0, 0, 0, 0)
+    if size > 1:
         # the last byte stays 0: else the kernel takes the environment for a part of the command line
         ctypes.memmove(start, title.encode()[: size - 1].ljust(size, b"\0"), size)
     make_unreadable()
-    adopt_orphans()
+    adopt_orphans(alone)
+    try:
+        yield
+    finally:
+        adopt_orphans(False)
+        prctl(PR_SET_DUMPABLE, readable)
+        ctypes.memmove(start, command_line, size)
 
 
 def shielded_environment(recordings: Iterable[Path]) -> dict[str, str]:
@@ -49,9 +68,13 @@ def shielded_environment(recordings: Iterable[Path]) -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if not any(text in value for text in hidden)}
 
 
-def adopt_orphans() -> None:
-    """Become the parent of processes whose parents, below this process, end: for a program that is gridtrack alone."""
-    prctl(PR_SET_CHILD_SUBREAPER, 1)
+def adopt_orphans(adopt: bool = True) -> None:
+    """Become the parent of processes whose parents, below this process, end: for a program that is gridtrack alone.
+
+    In another program, such as a notebook, a child in a session of its own may be the user's, and is left alone.
+    """
+    prctl(PR_SET_CHILD_SUBREAPER, int(adopt))
+    (_adopting.set if adopt else _adopting.clear)()
 
 
 def start_leader(start: Callable[[], Popen[Any]]) -> Popen[Any]:
@@ -70,7 +93,7 @@ def forget_leader(leader: Popen[Any], orderly: bool) -> None:
     with _lock:
         _leaders.discard(leader.pid)
         give_up = time.monotonic() + GIVE_UP_S
-        while not orderly and (adopted := _adopted()) and time.monotonic() < give_up:
+        while not orderly and _adopting.is_set() and (adopted := _adopted()) and time.monotonic() < give_up:
             for process in adopted:
                 _end(process)
             time.sleep(0.002)

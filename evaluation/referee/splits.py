@@ -40,6 +40,8 @@ class Sampling:
     every_s: float
     grid: GridSpec | None = None
     rate_hz: float | None = None
+    format: str | None = None
+    """The recording format of another package, as of `ReadOptions`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +108,7 @@ class EvaluationSplit:
 
 def plan_splits(texts: Iterable[str], validation: str | None, sampling: Sampling) -> tuple[EvaluationSplit, ...]:
     """The split of each RECORDING[@range], as of `plan_split`; `validation` is opened once."""
-    opened = open_recording(parse_stretch(validation)[0]) if validation else None
+    opened = open_recording(parse_stretch(validation)[0], format=sampling.format) if validation else None
     return tuple(plan_split(text, validation, sampling, opened) for text in texts)
 
 
@@ -120,7 +122,7 @@ def plan_split(
     horizon or the stretches do not fit.
     """
     path, stretch = parse_stretch(text)
-    recording = open_recording(path)
+    recording = open_recording(path, format=sampling.format)
     if stretch is None and TEST in recording.info.stretches:
         return split_of(recording, path.stem, TEST, validation, sampling, opened)
     name = path.stem if stretch is None else f"{path.stem}@{text.rpartition('@')[2]}"
@@ -144,6 +146,8 @@ def split_of(
     every = max(1, round(sampling.every_s / test.period_s))
     if not Schedule(len(test), steps, every).expected:
         raise ConfigurationError(f"{_too_short(test, steps)}: name a longer stretch, or a shorter --horizon")
+    if validation is not None and opened is None:
+        opened = open_recording(parse_stretch(validation)[0], format=sampling.format)
     chosen_on, notices = _validation_stretch(test, validation, steps, opened)
     poses = (f"{path}: poses: {recording.info.poses}",) if recording.info.poses else ()
     warnings = (*recording.warnings, *(chosen_on.recording.warnings if chosen_on else ()))
@@ -183,8 +187,8 @@ def _validation_stretch(
     A stretch that cannot be used is an error where it was requested, and a notice where the recording names it.
     """
     if requested is not None:
-        path, named = parse_stretch(requested)
-        stretch = GridStream(opened or open_recording(path), named, grid=test.grid, rate_hz=1e9 / test.period_ns)
+        assert opened is not None  # with `requested`
+        stretch = GridStream(opened, parse_stretch(requested)[1], grid=test.grid, rate_hz=1e9 / test.period_ns)
     elif VALIDATION in test.recording.info.stretches and test.recording.growth is None:
         stretch = own_validation(test)
     else:

@@ -25,9 +25,8 @@ from gridtrack.evaluation.runs.run_record import (
     TrialIdentity,
     read_run_record,
 )
-from gridtrack.evaluation.runs.settings import missing_measurements
 from gridtrack.evaluation.runs.sums import ScoredFrames, TrialSums
-from gridtrack.evaluation.runs.trial_record import TrialRecord, read_trial_record
+from gridtrack.evaluation.runs.trial_record import TrialRecord, missing_measurements, read_trial_record
 from gridtrack.evaluation.scores.definition import ScoreDefinition
 from gridtrack.evaluation.scores.registry import built_in
 from gridtrack.evaluation.statistics.units import UnitRule

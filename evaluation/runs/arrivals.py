@@ -43,7 +43,7 @@ def open_growing(path: Path, settings: CompareSettings, more: Callable[[], bool]
     while True:
         if _has_begun(path):
             growth = Growth()
-            recording = open_recording(path, growth=growth)
+            recording = open_recording(path, growth=growth, format=settings.format)
             held_s, needed_s = _held_s(recording), _needed_s(recording, settings)
             if held_s >= needed_s or not growth.cut:
                 growth.sensors = frozenset(recording.survey.sensors)

@@ -76,7 +76,8 @@ class Following:
         assert self._recording.growth is not None
         self._growth: Growth = self._recording.growth
         self._sampling = sampling_of(settings)
-        self._validation = open_recording(parse_stretch(settings.validation)[0]) if settings.validation else None
+        validation, form = settings.validation, settings.format
+        self._validation = open_recording(parse_stretch(validation)[0], format=form) if validation else None
         self._split = self._split_of(settings)
         self._plan = with_copied_weights(resolve(settings, (self._split,)), folder)
         refuse_raw(self._plan.trials)

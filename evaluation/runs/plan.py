@@ -174,7 +174,7 @@ def with_copied_weights(plan: ComparisonPlan, folder: Path) -> ComparisonPlan:
 def sampling_of(settings: CompareSettings) -> Sampling:
     """Horizon, interval, grid and rate as `settings` give them. Raises ConfigurationError."""
     grid = GridSpec.parse(settings.grid) if settings.grid else None
-    return Sampling(settings.horizon_s, settings.every_s, grid, settings.rate_hz)
+    return Sampling(settings.horizon_s, settings.every_s, grid, settings.rate_hz, settings.format)
 
 
 def segmented(whole: EvaluationSplit, settings: CompareSettings) -> Iterable[EvaluationSplit]:

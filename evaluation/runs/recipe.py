@@ -7,13 +7,14 @@ import re
 import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import read_bounded
+from gridtrack.common.options import Option
 from gridtrack.common.remote_files import local_folder
 from gridtrack.common.untrusted import parse_toml
 from gridtrack.recordings.stretches import fetched
@@ -26,27 +27,33 @@ class Recipe(Settings):
     """One training of one tracker. Paths are relative to the working directory, as on the command line; recordings and
     weights may be named by URLs.
 
-    `recordings` and `validation` as RECORDING[@range], or a folder for all recordings in it; without `validation` the
-    recordings' own validation stretches are used. `grid` as CELLSxMETRES[@X,Y]; without `grid` and `rate_hz` those of
-    the recordings are used. `out` is the folder of weights. A recipe file may leave `tracker` and `recordings` to the
-    command line.
+    A recipe file may leave `tracker` and `recordings` to the command line, and name no `validation`, `grid` or
+    `rate_hz`: they are then those of the recordings.
     """
 
     tracker: str = ""
     options: dict[str, Any] = Field(default_factory=dict)
+    """Options of the tracker"""
     recordings: tuple[str, ...] = ()
-    validation: tuple[str, ...] = ()
+    """To train on: RECORDING[@range], or a folder for all recordings in it"""
+    validation: Annotated[tuple[str, ...], Option(metavar="RECORDING[@RANGE]")] = ()
+    """Recording, or folder of recordings, to validate on; repeat for several; default: the validation stretch of each
+    recording"""
+    out: Annotated[Path | None, Option(metavar="FOLDER")] = None
+    """Folder of weights to write to; default: your own"""
     seed: int = Field(1, ge=0, lt=2**31)
-    out: Path | None = None
-    grid: str | None = None
+    """Seed of the training; without it, the seed of the recipe or the card"""
+    grid: Annotated[str | None, Option(metavar="CELLSxMETRES[@X,Y]")] = None
+    """Grid, such as 100x0.2; default: the grid of the recordings"""
     rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
+    """Frames per second; default: the rate of the recordings"""
     general: bool = False
-    """Learn for any place, from recordings of many places."""
-    weights: str | None = None
-    """Folder in which general weights to start from are searched first, as by `compare`. A general training starts from
-    general weights only if it names one."""
+    """Learn for any site, from recordings of many sites"""
+    weights: Annotated[str | None, Option(metavar="FOLDER")] = None
+    """Folder of general weights to start from, or its URL, searched before your own and the shipped ones; a general
+    training starts from general weights only if this names them"""
     from_scratch: bool = False
-    """Do not start from general weights."""
+    """Do not start from general weights"""
 
     @model_validator(mode="after")
     def _one_start(self) -> Recipe:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, Protocol
 
 from pydantic import Field
 
@@ -13,6 +13,7 @@ from gridtrack.evaluation.hosting.outcome import Outcome
 from gridtrack.evaluation.runs.passes import Deadline, Followed, Latency, Robustness
 from gridtrack.evaluation.runs.result_files import Line, ResultModel, RunError, read_model, write_model
 from gridtrack.evaluation.scores.thresholds import Thresholds
+from gridtrack.recordings.degradation import Degradation
 from gridtrack.trackers.contract import ComparedPart, Role
 
 TRIAL_SCHEMA: Final = 3
@@ -145,3 +146,34 @@ def read_trial_record(folder: Path) -> TrialRecord | None:
         )
     except FileNotFoundError:
         return None
+
+
+class RequestedMeasurements(Protocol):
+    """The options `--latency`, `--deadline` and `--degrade` of `compare`."""
+
+    @property
+    def latency(self) -> bool:
+        """Whether to time each tracker alone."""
+
+    @property
+    def deadline(self) -> bool:
+        """Whether to score each tracker on a simulated clock."""
+
+    @property
+    def degrade(self) -> Degradation | None:
+        """The degradation of a second, degraded input; None: no such input."""
+
+
+def missing_measurements(requested: RequestedMeasurements, record: TrialRecord) -> Iterator[str]:
+    """A line for each requested measurement that is missing in the record of a complete trial."""
+    missing = {
+        "--latency": requested.latency and record.latency_ms is None,
+        "--deadline": requested.deadline and record.deadline is None,
+        "--degrade": requested.degrade is not None
+        and (record.robustness is None or record.robustness.degradation != requested.degrade),
+    }
+    for option in (option for option, is_missing in missing.items() if is_missing):
+        yield (
+            f"{record.label}@{record.recording}: {option} was requested and failed (reason: `notices` in summary.json):"
+            " compare again with --resume"
+        )

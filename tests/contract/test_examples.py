@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridtrack.cli.template import new_tracker
+from gridtrack.cli.trackers import new_tracker
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting.contract_scene import scene

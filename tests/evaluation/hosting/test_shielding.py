@@ -26,8 +26,11 @@ def drop_tracing() -> None:
         ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, right, 0, 0, 0)
 
 
+PYTHON = "import gridtrack; gridtrack.compare({path!r}, trackers={selection!r}, out={out!r})"
+
+
 @pytest.mark.parametrize(
-    ("command", "tracker"), [(("compare",), "nosy-in-trial"), (("train",), "nosy")], ids=("compare", "train")
+    ("command", "tracker"), [("compare", "nosy-in-trial"), ("train", "nosy"), ("python", "nosy-in-trial")]
 )
 def test_no_argument_environment_or_descriptor_names_the_recording(command, tracker, record, install, tmp_path):
     install(
@@ -37,8 +40,11 @@ def test_no_argument_environment_or_descriptor_names_the_recording(command, trac
     )
     path, found = record("hidden-name"), tmp_path / "found.json"
     selection = f"{tracker}:found={found},secret=eman-neddih"
-    options = [selection, str(path)] if command == ("train",) else [str(path), "--tracker", selection]
-    argv = [sys.executable, "-m", "gridtrack.cli", *command, *options, "--out", str(tmp_path / "out")]
+    options = [selection, str(path)] if command == "train" else [str(path), "--tracker", selection]
+    words = ["-m", "gridtrack.cli", command, *options, "--out", str(tmp_path / "out")]
+    if command == "python":
+        words = ["-c", PYTHON.format(path=str(path), selection=selection, out=str(tmp_path / "out"))]
+    argv = [sys.executable, *words]
     subprocess.run(
         argv, check=True, stdout=subprocess.DEVNULL, env=os.environ | {"RECORDING": str(path)}, preexec_fn=drop_tracing
     )
