@@ -4,7 +4,7 @@ The difference of two trackers is that of the mean scores of their trainings. It
 over units (the jackknife of the difference of means, with the effective number of units less one as its degrees of
 freedom) and the variances of both means over trainings, s² / K; the degrees of freedom of the sum are Satterthwaite's
 (Biometrics Bulletin 2, 1946). The part of the variance that units and trainings share is in both terms: intervals are a
-little too long rather than too short (`studies/training_intervals.py`).
+little too long rather than too short (`studies/coverage.py`).
 """
 
 from __future__ import annotations
