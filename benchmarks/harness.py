@@ -16,10 +16,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.comparison.plan import resolve
-from gridtrack.evaluation.comparison.runner import run
-from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.results.summary import RunSummary
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.recordings import open_recording, write_native
 
 from studies.support.progress import NoProgress

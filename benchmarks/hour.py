@@ -19,7 +19,7 @@ from pathlib import Path
 
 import psutil
 
-from gridtrack.evaluation.comparison.learned import find_weights, weights_in
+from gridtrack.evaluation.runs.learned import find_weights, weights_in
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Tracker, stream_of

@@ -29,7 +29,7 @@ import psutil
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.processes.orphans import adopt_orphans
+from gridtrack.evaluation.hosting.orphans import adopt_orphans
 from gridtrack.recordings import RecordingInfo, write_native
 
 from studies.support.results_file import ResultSection, ResultTable, measured_table, read_sections, write_section

@@ -61,7 +61,7 @@ def main() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     arguments = [argument for argument in sys.argv[1:] if argument != DEBUG_OPTION]
     if arguments and arguments[0] in STARTS_TRACKERS:
-        from gridtrack.evaluation.processes.shielding import shield_host
+        from gridtrack.evaluation.hosting.shielding import shield_host
 
         shield_host(f"gridtrack {arguments[0]}")
     try:

@@ -88,8 +88,8 @@ def _complete_selection(incomplete: str, own: Mapping[str, Sequence[str]]) -> It
 def _options_of(name: str) -> dict[str, Sequence[str]]:
     """The options of a tracker with the values of those that have few; none where it cannot say."""
     from gridtrack.common.errors import GridtrackError
-    from gridtrack.evaluation.processes.limits import Limits
-    from gridtrack.evaluation.processes.tracker_process import describe
+    from gridtrack.evaluation.hosting.limits import Limits
+    from gridtrack.evaluation.hosting.tracker_process import describe
     from gridtrack.trackers.selection import launch
 
     try:
@@ -108,7 +108,7 @@ def _values_of(schema: Mapping[str, Any]) -> Sequence[str]:
 
 def complete_engine() -> Sequence[str]:
     """What can run the trials of a comparison."""
-    from gridtrack.evaluation.comparison.settings import EngineName
+    from gridtrack.evaluation.runs.settings import EngineName
 
     return get_args(EngineName)
 

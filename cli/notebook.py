@@ -33,7 +33,7 @@ ERROR_PREFIX = "gridtrack: "
 FORCES_COLOUR = ("FORCE_COLOR", "CLICOLOR_FORCE")
 """A notebook sets them; the progress would come as control characters in place of lines."""
 ENDS_WITH_THE_NOTEBOOK = f"""
-from gridtrack.evaluation.processes.supervisor import PR_SET_PDEATHSIG, prctl
+from gridtrack.evaluation.hosting.supervisor import PR_SET_PDEATHSIG, prctl
 prctl(PR_SET_PDEATHSIG, {signal.SIGTERM:d})
 from gridtrack.cli import main
 main()

@@ -177,7 +177,7 @@ def _judge(run: Path, baseline: Path, settings: GateSettings, confirm: bool, bas
 
 
 def _timed_in_turns(run: Path, bases: Mapping[str, Launch], settings: GateSettings) -> tuple[TurnsRow, ...]:
-    from gridtrack.evaluation.processes.shielding import shield_host
+    from gridtrack.evaluation.hosting.shielding import shield_host
     from gridtrack.evaluation.regression.turns import timed_in_turns
 
     shield_host("gridtrack regress")
@@ -224,7 +224,7 @@ def _remember(folder: Path | None, earlier: History, baseline: Path, result: Ver
 def _confirmed(
     verdict: Verdict, baseline: Baseline, measured: Measurement, settings: GateSettings, run: Path
 ) -> Verdict:
-    from gridtrack.evaluation.processes.shielding import shield_host
+    from gridtrack.evaluation.hosting.shielding import shield_host
     from gridtrack.evaluation.regression.confirmation import confirmed
     from gridtrack.evaluation.regression.rerun import Trials, run_again
     from gridtrack.reports.run_progress import RunProgress

@@ -42,9 +42,9 @@ from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, printable
 from gridtrack.common.remote_files import is_url
 
 if TYPE_CHECKING:
-    from gridtrack.evaluation.comparison.plan import ComparisonPlan
-    from gridtrack.evaluation.comparison.settings import CompareSettings
     from gridtrack.evaluation.results.summary import RunSummary
+    from gridtrack.evaluation.runs.plan import ComparisonPlan
+    from gridtrack.evaluation.runs.settings import CompareSettings
 
 INCOMPLETE = 3
 
@@ -136,7 +136,7 @@ def _folder_of_run(out: str | None, settings: CompareSettings) -> AbstractContex
     """The local folder in which a run is made; that of a run in a store is uploaded at the end."""
     if out is None or not is_url(out):
         return nullcontext(settings.out)
-    from gridtrack.evaluation.comparison.stored_run import stored_run
+    from gridtrack.evaluation.runs.stored_run import stored_run
 
     again = command_line() if settings.resume else f"{command_line()} --resume"
     return stored_run(out, resume=settings.resume, again=None if settings.follow else again, note=print_note)
@@ -149,9 +149,9 @@ def _seconds(text: str | None) -> float | None:
 def _settings(given: dict[str, Any], limits: dict[str, Any], degrade: str | None, slurm: str | None) -> CompareSettings:
     """The settings with the values that the user gave; None is an option that was not given."""
     from gridtrack.common.config import validated
-    from gridtrack.evaluation.comparison.settings import CompareSettings
     from gridtrack.evaluation.engines.slurm_settings import parse_slurm
-    from gridtrack.evaluation.processes.limits import Limits
+    from gridtrack.evaluation.hosting.limits import Limits
+    from gridtrack.evaluation.runs.settings import CompareSettings
     from gridtrack.recordings.degradation import parse_degradation
 
     values = {key: value for key, value in given.items() if value is not None}
@@ -183,8 +183,8 @@ class _Compared(NamedTuple):
 
 def _run(settings: CompareSettings) -> _Compared:
     """Run a comparison of finished recordings."""
-    from gridtrack.evaluation.comparison.plan import resolve
-    from gridtrack.evaluation.comparison.runner import run
+    from gridtrack.evaluation.runs.plan import resolve
+    from gridtrack.evaluation.runs.runner import run
     from gridtrack.reports.run_progress import RunProgress
 
     plan = resolve(settings)
@@ -195,7 +195,7 @@ def _run(settings: CompareSettings) -> _Compared:
 
 def _followed(settings: CompareSettings) -> _Compared:
     """Follow a recording that is still being written, and score what was seen."""
-    from gridtrack.evaluation.comparison.following import following
+    from gridtrack.evaluation.runs.following import following
     from gridtrack.reports.live_table import LiveTable
     from gridtrack.reports.run_progress import RunProgress
 
@@ -223,8 +223,8 @@ def _print_result(out: Path, compared: _Compared, as_json: bool) -> Path:
 
 def compare_defaults() -> dict[str, str]:
     """The default of each option of `compare`, as text."""
-    from gridtrack.evaluation.comparison.settings import CompareSettings
-    from gridtrack.evaluation.processes.limits import Limits
+    from gridtrack.evaluation.hosting.limits import Limits
+    from gridtrack.evaluation.runs.settings import CompareSettings
 
     return {
         "out": str(default_of(CompareSettings, "out")),
@@ -255,8 +255,8 @@ def compare_helps() -> dict[str, str]:
 
 def _warn_of_missing(plan: ComparisonPlan) -> bool:
     """Print the requested measurements that a complete trial lacks; whether there are any."""
-    from gridtrack.evaluation.comparison.measurements import missing_measurements
     from gridtrack.evaluation.results.trial_record import read_trial_record
+    from gridtrack.evaluation.runs.measurements import missing_measurements
 
     records = [read_trial_record(plan.settings.out / trial.name) for trial in plan.trials]
     complete = [record for record in records if record and record.outcome == "ok"]

@@ -69,8 +69,8 @@ def train_command(
     from_scratch: Annotated[bool, typer.Option("--from-scratch", help="Do not start from general weights")] = False,
 ) -> None:
     """Train a tracker for a site or, with --general, for any: a card with the command that repeats the training."""
-    from gridtrack.evaluation.comparison.recipe import complete_recipe
-    from gridtrack.evaluation.comparison.train import train_tracker
+    from gridtrack.evaluation.runs.recipe import complete_recipe
+    from gridtrack.evaluation.runs.train import train_tracker
 
     given = {
         **_tracker_and_recordings(arguments or [], named_elsewhere=bool(recipe or like)),
@@ -96,7 +96,7 @@ def _print_line(text: str) -> None:
 
 def train_defaults() -> dict[str, str]:
     """The default of each option of `train`, as text."""
-    from gridtrack.evaluation.comparison.recipe import Recipe
+    from gridtrack.evaluation.runs.recipe import Recipe
 
     return {"seed": str(default_of(Recipe, "seed"))}
 
@@ -125,7 +125,7 @@ def _tracker_and_recordings(arguments: list[str], *, named_elsewhere: bool) -> d
 
 def _base_recipe(recipe: Path | None, like: Path | None) -> Any:
     """The recipe that the command line overrides. Raises ConfigurationError where both are given."""
-    from gridtrack.evaluation.comparison.recipe import Recipe, read_recipe, recipe_like
+    from gridtrack.evaluation.runs.recipe import Recipe, read_recipe, recipe_like
 
     if recipe and like:
         raise ConfigurationError("--recipe and --like: give one of them")
@@ -158,7 +158,7 @@ def list_trackers(
 
 def _listed(name: str, origin: str, external: Any, weights: Path | None) -> dict[str, str]:
     """The row of one tracker; `sites` are those that it has weights for, "" for one that needs none."""
-    from gridtrack.evaluation.comparison.learned import sites_with_weights
+    from gridtrack.evaluation.runs.learned import sites_with_weights
     from gridtrack.trackers import registry
 
     row = {"name": name, "from": origin}
@@ -177,8 +177,8 @@ def _first_line(text: str) -> str:
 
 
 def _describe(name: str, external: Any = None) -> Any:
-    from gridtrack.evaluation.processes.limits import Limits
-    from gridtrack.evaluation.processes.tracker_process import describe
+    from gridtrack.evaluation.hosting.limits import Limits
+    from gridtrack.evaluation.hosting.tracker_process import describe
     from gridtrack.trackers.selection import launch
 
     return describe(launch(name, external), {}, Limits())
@@ -232,9 +232,9 @@ def check_command(
     as_json: JsonOption = False,
 ) -> None:
     """Give a verdict on each clause of the plugin contract, and what to mend. Exit code 1 unless all are kept."""
-    from gridtrack.evaluation.comparison.learned import find_weights
-    from gridtrack.evaluation.processes.contract_suite import ClauseResult, check_tracker
-    from gridtrack.evaluation.processes.limits import Limits
+    from gridtrack.evaluation.hosting.contract_suite import ClauseResult, check_tracker
+    from gridtrack.evaluation.hosting.limits import Limits
+    from gridtrack.evaluation.runs.learned import find_weights
     from gridtrack.reports.contract import clause_lines, contract_line
     from gridtrack.trackers.selection import launch, read_trackers_toml
 
@@ -294,7 +294,7 @@ def _tracker_alone(text: str) -> Any:
 
 def _refuse_untrained(launched: Any, options: Any, limits: Any, site: str) -> None:
     """Raises ConfigurationError for a tracker without the weights that it needs: nothing can be checked."""
-    from gridtrack.evaluation.processes.tracker_process import describe
+    from gridtrack.evaluation.hosting.tracker_process import describe
 
     where = f"of site '{site}'" if site else "here"
     with suppress(PluginError):  # a tracker that cannot be loaded fails the first check

@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from gridtrack.common.errors import printable
-from gridtrack.evaluation.comparison.live_scores import LiveRow, LiveStatus
+from gridtrack.evaluation.runs.live_scores import LiveRow, LiveStatus
 
 SHOW_EVERY_S = 0.5
 SHOW_LINE_EVERY_S = 10.0

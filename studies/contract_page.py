@@ -9,7 +9,7 @@ from pathlib import Path
 from textwrap import fill
 
 from gridtrack.common.files import write_text
-from gridtrack.evaluation.processes.contract_clauses import CLAUSES, Clause
+from gridtrack.evaluation.hosting.contract_clauses import CLAUSES, Clause
 
 from studies.support.results_file import study_parser
 

@@ -23,9 +23,9 @@ import psutil
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.processes.limits import Limits
-from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.evaluation.hosting.limits import Limits
+from gridtrack.evaluation.hosting.outcome import TrialEnded
+from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.registry import TRACKER_GROUP
 from gridtrack.trackers.selection import launch

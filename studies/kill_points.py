@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from gridtrack.evaluation.processes.orphans import adopt_orphans
+from gridtrack.evaluation.hosting.orphans import adopt_orphans
 from gridtrack.evaluation.results.trial_record import read_trial_record
 
 from studies.support.results_file import ResultSection, measured_table, read_sections, study_parser, write_section

@@ -20,7 +20,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.common.horizons import nearest_step
 from gridtrack.common.scene import Scene, SceneObject
-from gridtrack.evaluation.comparison.oracle import Oracle, expected_grid
+from gridtrack.evaluation.runs.oracle import Oracle, expected_grid
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.body_motions import FollowedBodies
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from gridtrack.evaluation.comparison.recipe import read_recipe
+from gridtrack.evaluation.runs.recipe import read_recipe
 from gridtrack.trackers.weights import read_card
 
 from studies.kept_summary import SHOWN, RunScores

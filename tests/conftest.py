@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from gridtrack.evaluation.processes.supervisor import PR_SET_CHILD_SUBREAPER, prctl
+from gridtrack.evaluation.hosting.supervisor import PR_SET_CHILD_SUBREAPER, prctl
 
 from studies.support.plugins import every_class, write_distribution
 

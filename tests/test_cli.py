@@ -15,10 +15,10 @@ import pytest
 import typer
 
 from gridtrack.cli import app
-from gridtrack.evaluation.comparison.recipe import Recipe
-from gridtrack.evaluation.comparison.settings import CompareSettings
-from gridtrack.evaluation.processes.limits import Limits
+from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.regression.settings import MARGIN, SPEED_MARGIN, TURNS_MARGIN
+from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.degradation import Degradation
 

@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import sha256_of
-from gridtrack.evaluation.comparison.general_start import general_start
-from gridtrack.evaluation.comparison.recipe import Recipe
+from gridtrack.evaluation.runs.general_start import general_start
+from gridtrack.evaluation.runs.recipe import Recipe
 from gridtrack.recordings import packaged_recording
 from gridtrack.trackers.weights import read_card
 
@@ -180,7 +180,7 @@ def test_weights_for_a_tracker_that_starts_from_none_are_not_ignored_in_silence(
 
 
 def test_without_general_weights_a_training_is_from_scratch_and_its_command_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.evaluation.comparison.learned._folders", lambda override: iter(()))
+    monkeypatch.setattr("gridtrack.evaluation.runs.learned._folders", lambda override: iter(()))
     options = ",".join(f"{key}={value}" for key, value in (SEARCHED | {"particles": 200}).items())
     text = gridtrack("train", f"dogma:{options}", *TEN_SECONDS, "--out", tmp_path)
     card = read_card(tmp_path / "dogma" / "leg_tracker.toml")

@@ -82,8 +82,9 @@ REPOSITORY_ONLY = re.compile(r"drives/|weights/[^/]*/junction\.")
 
 def test_the_built_wheel_compares_its_own_demo_recording_without_the_repository(tmp_path):
     source, site = tmp_path / "source", tmp_path / "site"
+    built = shutil.ignore_patterns(".[!g]*", ".git", "build", "*.egg-info", "__pycache__")
     shutil.copytree(
-        ROOT, source, ignore=shutil.ignore_patterns(".[!g]*", ".git", "runs", "build", "*.egg-info", "__pycache__")
+        ROOT, source, ignore=lambda folder, names: built(folder, names) | ({"runs"} if Path(folder) == ROOT else set())
     )
     python(
         "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", str(tmp_path), str(source)

@@ -10,7 +10,7 @@ from typing import get_args
 
 import pytest
 
-from gridtrack.evaluation.comparison.settings import EngineName
+from gridtrack.evaluation.runs.settings import EngineName
 from gridtrack.reports.formats import FORMATS, PAGE
 
 OTHER_KINDS = ("beam-dropout", "range-noise", "frame-drop")

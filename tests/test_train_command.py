@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.comparison.general_start import general_start
-from gridtrack.evaluation.comparison.progress_lines import ProgressLines
-from gridtrack.evaluation.comparison.recipe import Recipe
-from gridtrack.evaluation.comparison.train import train_tracker
+from gridtrack.evaluation.runs.general_start import general_start
+from gridtrack.evaluation.runs.progress_lines import ProgressLines
+from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.weights import read_card
@@ -56,7 +56,7 @@ def asked(monkeypatch):
     """The recipes of the trainings that the command line asks for; none is run."""
     recipes = []
     monkeypatch.setattr(
-        "gridtrack.evaluation.comparison.train.train_tracker", lambda recipe, report: recipes.append(recipe) or "card"
+        "gridtrack.evaluation.runs.train.train_tracker", lambda recipe, report: recipes.append(recipe) or "card"
     )
     return recipes
 
@@ -83,7 +83,7 @@ def test_a_folder_of_general_weights_and_from_scratch_contradict_each_other(tmp_
 
 
 def test_a_training_from_scratch_looks_for_no_general_weights(monkeypatch, tmp_path):
-    monkeypatch.setattr("gridtrack.evaluation.comparison.general_start.find_weights", None)
+    monkeypatch.setattr("gridtrack.evaluation.runs.general_start.find_weights", None)
     told = []
     assert general_start(Recipe(tracker="dogma", from_scratch=True), [], tmp_path, told.append, can_start=True) is None
     assert told == ["from scratch, not from general weights"]
@@ -99,7 +99,7 @@ def test_regions_for_the_thresholds_are_those_of_the_training_and_not_of_the_res
 
 def test_choosing_thresholds_tells_how_far_it_is(monkeypatch, tmp_path):
     often = partial(ProgressLines, every_s=0.02)
-    monkeypatch.setattr("gridtrack.evaluation.comparison.train.ProgressLines", often)
+    monkeypatch.setattr("gridtrack.evaluation.runs.train.ProgressLines", often)
     told: list[str] = []
     recipe = {"recordings": [f"{DEMO}@0s-20s"], "validation": [f"{DEMO}@75s-81s", f"{DEMO}@81s-90s"], "out": tmp_path}
     train_tracker(Recipe(tracker="static-map", from_scratch=True, **recipe), told.append)

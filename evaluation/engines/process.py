@@ -11,7 +11,7 @@ from pathlib import Path
 from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.engines.attempt import INTERRUPTED, Attempt, AttemptProgress, Reply
 from gridtrack.evaluation.engines.engine import WAKE_S, Interrupted, Work
-from gridtrack.evaluation.processes.supervisor import make_unreadable
+from gridtrack.evaluation.hosting.supervisor import make_unreadable
 from gridtrack.evaluation.results.trial_record import TrialRecord
 
 PROGRESS_S = 1.0

@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 from tempfile import mkdtemp
 
-from gridtrack.evaluation.processes.tracker_process import SCRATCH
+from gridtrack.evaluation.hosting.tracker_process import SCRATCH
 
 
 def new_scratch(run_folder: Path) -> Path:

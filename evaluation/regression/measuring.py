@@ -11,13 +11,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.comparison.measurements import missing_measurements
 from gridtrack.evaluation.regression.measurement import Measurement, Speed, SplitKey, Unmeasured
 from gridtrack.evaluation.regression.units import ScoredTrial, read_scored_trial, units_by_recording
 from gridtrack.evaluation.results.files import RunError
 from gridtrack.evaluation.results.recording import RecordingIdentity
 from gridtrack.evaluation.results.run_record import RUN_FILE, RunRecord, RunSettings, TrialIdentity, read_run_record
 from gridtrack.evaluation.results.trial_record import TrialRecord, read_trial_record
+from gridtrack.evaluation.runs.measurements import missing_measurements
 from gridtrack.evaluation.statistics.score_intervals import Scope
 from gridtrack.evaluation.statistics.units import UnitRule, enough_sources
 

@@ -8,15 +8,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from gridtrack.common.config import validated
-from gridtrack.evaluation.comparison.plan import ComparisonPlan, resolve
-from gridtrack.evaluation.comparison.provenance import versions
-from gridtrack.evaluation.comparison.runner import run
-from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.engines.engine import RunObserver
 from gridtrack.evaluation.regression.measurement import Measurement, Unmeasured
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.results.run_record import RunRecord, read_run_record
 from gridtrack.evaluation.results.trial_record import code_differs, read_trial_record
+from gridtrack.evaluation.runs.plan import ComparisonPlan, resolve
+from gridtrack.evaluation.runs.provenance import versions
+from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.settings import CompareSettings
 
 Trials = Mapping[str, frozenset[str]]
 """The names of recordings by label."""

@@ -7,8 +7,8 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from gridtrack.evaluation.processes.clock import Clock
-from gridtrack.evaluation.processes.latency import TWENTIETHS
+from gridtrack.evaluation.hosting.clock import Clock
+from gridtrack.evaluation.hosting.latency import TWENTIETHS
 from gridtrack.evaluation.results.values import Curves, ResultModel
 from gridtrack.recordings.degradation import Degradation
 

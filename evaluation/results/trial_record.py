@@ -9,7 +9,7 @@ from typing import Final, Literal
 from pydantic import Field
 
 from gridtrack.common.files import sha256_of
-from gridtrack.evaluation.processes.outcome import Outcome
+from gridtrack.evaluation.hosting.outcome import Outcome
 from gridtrack.evaluation.results.files import RunError, read_model, write_model
 from gridtrack.evaluation.results.passes import Deadline, Followed, Latency, Robustness
 from gridtrack.evaluation.results.values import Line, ResultModel

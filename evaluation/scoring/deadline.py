@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Shift, rolled, shift_between
-from gridtrack.evaluation.processes.clock import Clock
+from gridtrack.evaluation.hosting.clock import Clock
 from gridtrack.evaluation.scoring.referee import Schedule, TrackerLike
 from gridtrack.trackers.contract import Forecast
 

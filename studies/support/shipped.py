@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.comparison.learned import find_weights
+from gridtrack.evaluation.runs.learned import find_weights
 from gridtrack.recordings import ReadOptions, Recording, packaged_recording
 from gridtrack.recordings.recording import Topics
 from gridtrack.recordings.stream import GridStream

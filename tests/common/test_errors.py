@@ -6,7 +6,7 @@ import pytest
 
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import MAX_LINE_CHARS, ConfigurationError, GridtrackError, bounded_line, did_you_mean
-from gridtrack.evaluation.processes.outcome import TrialEnded
+from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.regression.measurement import Unmeasured
 
 HOSTILE = "\x1b[31m\u202e\u2066\ud800\r\nred"

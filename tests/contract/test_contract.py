@@ -10,11 +10,11 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.comparison.learned import find_weights
-from gridtrack.evaluation.processes.contract_checks import CHECKS
-from gridtrack.evaluation.processes.contract_clauses import CLAUSES
-from gridtrack.evaluation.processes.contract_scene import drive, empty_stream, scene
-from gridtrack.evaluation.processes.contract_suite import ClauseResult, check_tracker
+from gridtrack.evaluation.hosting.contract_checks import CHECKS
+from gridtrack.evaluation.hosting.contract_clauses import CLAUSES
+from gridtrack.evaluation.hosting.contract_scene import drive, empty_stream, scene
+from gridtrack.evaluation.hosting.contract_suite import ClauseResult, check_tracker
+from gridtrack.evaluation.runs.learned import find_weights
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.registry import entries
 from gridtrack.trackers.selection import launch

@@ -17,10 +17,10 @@ import pytest
 from gridtrack.cli.template import new_tracker
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.processes.contract_scene import scene
-from gridtrack.evaluation.processes.contract_suite import check_tracker
-from gridtrack.evaluation.processes.limits import Limits
-from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.evaluation.hosting.contract_scene import scene
+from gridtrack.evaluation.hosting.contract_suite import check_tracker
+from gridtrack.evaluation.hosting.limits import Limits
+from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.recordings import packaged_recording
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch, launch, read_trackers_toml

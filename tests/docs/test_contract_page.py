@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from gridtrack.evaluation.processes.contract_clauses import CLAUSES
+from gridtrack.evaluation.hosting.contract_clauses import CLAUSES
 
 from studies.contract_page import PAGE, filled
 

@@ -17,7 +17,6 @@ from fuzz.containers import (
 )
 from fuzz.damage import Choices, damaged_json, damaged_text, damaged_value, dumped, one_of
 from fuzz.reader import CLASSES, GRID, Reader, on_file
-from gridtrack.evaluation.comparison.recipe import read_recipe
 from gridtrack.evaluation.regression.baseline import digest_of, read_baseline
 from gridtrack.evaluation.regression.history import append_entry, read_history
 from gridtrack.evaluation.regression.measuring import measure_run
@@ -26,6 +25,7 @@ from gridtrack.evaluation.results.run_record import RunConfiguration, RunRecord,
 from gridtrack.evaluation.results.summary import RunSummary, TrackerSummary
 from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.results.trial_summary import TrialSummary
+from gridtrack.evaluation.runs.recipe import read_recipe
 from gridtrack.evaluation.scoring.histograms import read_tally
 from gridtrack.evaluation.scoring.samples import read_samples
 from gridtrack.evaluation.scoring.score_store import read_label_free, read_losses

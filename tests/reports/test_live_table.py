@@ -7,7 +7,7 @@ import math
 
 from rich.console import Console
 
-from gridtrack.evaluation.comparison.live_scores import LiveRow, LiveStatus
+from gridtrack.evaluation.runs.live_scores import LiveRow, LiveStatus
 from gridtrack.reports.live_table import LiveTable
 
 STATUS = LiveStatus(

@@ -12,7 +12,7 @@ import psutil
 
 from gridtrack.evaluation.engines.cluster import TaskEnd
 
-CARRY_OUT = "import sys; from gridtrack.evaluation.comparison.worker import carry_out; carry_out(sys.argv[1])"
+CARRY_OUT = "import sys; from gridtrack.evaluation.runs.worker import carry_out; carry_out(sys.argv[1])"
 
 
 class ProcessCluster:

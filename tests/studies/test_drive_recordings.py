@@ -9,7 +9,7 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.comparison.recipe import read_recipe
+from gridtrack.evaluation.runs.recipe import read_recipe
 from gridtrack.recordings import Recording, open_recording
 from gridtrack.recordings.formats.native_writer import write_native
 from gridtrack.recordings.recording_info import RecordingInfo

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gridtrack.evaluation.comparison.oracle import Oracle
+from gridtrack.evaluation.runs.oracle import Oracle
 from gridtrack.evaluation.scoring.metrics import f1_score
 from gridtrack.evaluation.scoring.splits import Sampling, plan_split
 

@@ -17,7 +17,7 @@ from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import sha256_of
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.comparison.learned import LearnedWeights
+from gridtrack.evaluation.runs.learned import LearnedWeights
 from gridtrack.trackers.card import Card, CardThresholds, card_for
 from gridtrack.trackers.contract import FitOutput, FrameSource, StreamSpec
 from gridtrack.trackers.weights import MAX_ARRAYS_BYTES, array, load_weights, read_card, save_weights

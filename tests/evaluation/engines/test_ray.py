@@ -10,11 +10,11 @@ import psutil
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.comparison.plan import resolve
-from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.engines.attempt import Attempt
 from gridtrack.evaluation.results.summary import read_summary
 from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.runner import run
 
 from scenes.agreement import assert_agree, counted, wait_until
 

@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.comparison import orders, runner
-from gridtrack.evaluation.comparison.engine_choice import engine_of
-from gridtrack.evaluation.comparison.plan import resolve
-from gridtrack.evaluation.comparison.recipe import Recipe
-from gridtrack.evaluation.comparison.runner import run
-from gridtrack.evaluation.comparison.shared_inputs import SharedInputs
-from gridtrack.evaluation.comparison.shared_thresholds import SharedThresholds
-from gridtrack.evaluation.comparison.train import train_tracker
-from gridtrack.evaluation.comparison.works import TrialWork
 from gridtrack.evaluation.engines.attempt import EngineError
 from gridtrack.evaluation.engines.cluster import TaskEnd
 from gridtrack.evaluation.engines.remote import RETRIES, RemoteEngine
 from gridtrack.evaluation.results.columns import PROBABILITY_BINS
 from gridtrack.evaluation.results.run_record import read_run_record
 from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.runs import orders, runner
+from gridtrack.evaluation.runs.engine_choice import engine_of
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.shared_inputs import SharedInputs
+from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
+from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.evaluation.runs.works import TrialWork
 from gridtrack.evaluation.scoring.strata import STRATA
 from gridtrack.evaluation.scoring.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation

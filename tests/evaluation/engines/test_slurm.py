@@ -9,9 +9,6 @@ import sys
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.comparison.plan import resolve
-from gridtrack.evaluation.comparison.runner import run
-from gridtrack.evaluation.comparison.worker import carry_out
 from gridtrack.evaluation.engines import slurm_cluster
 from gridtrack.evaluation.engines.attempt import Attempt, EngineError
 from gridtrack.evaluation.engines.remote import RemoteEngine
@@ -19,6 +16,9 @@ from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmTask
 from gridtrack.evaluation.engines.slurm_settings import SlurmSettings, parse_slurm
 from gridtrack.evaluation.results.summary import read_summary
 from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.worker import carry_out
 
 from scenes.agreement import assert_agree, counted, wait_until
 from studies.support.slurm_machine import missing_programs, slurm_machine

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from gridtrack.evaluation.comparison.worker import carry_out
 from gridtrack.evaluation.engines import slurm_cluster, slurm_job
 from gridtrack.evaluation.engines.cluster import TaskEnd
 from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmTask
 from gridtrack.evaluation.engines.slurm_job import Taken, in_a_job, taken, write_array
 from gridtrack.evaluation.engines.slurm_settings import SlurmSettings
+from gridtrack.evaluation.runs.worker import carry_out
 
 pytest.importorskip("submitit", reason="submitit is not installed: pip install 'gridtrack[slurm]'")
 DONE = TaskEnd(lost=False, reason="")

@@ -7,9 +7,6 @@ from xml.etree import ElementTree
 
 import pytest
 
-from gridtrack.evaluation.comparison.plan import resolve
-from gridtrack.evaluation.comparison.runner import run
-from gridtrack.evaluation.comparison.settings import CompareSettings
 from gridtrack.evaluation.regression.confirmation import confirmed
 from gridtrack.evaluation.regression.criteria import row_tests
 from gridtrack.evaluation.regression.judging import judged_row
@@ -18,6 +15,9 @@ from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.regression.rows import paired_rows
 from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.evaluation.regression.verdict import compare_with_baseline
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.settings import CompareSettings
 
 MOODY = '''
 from pathlib import Path

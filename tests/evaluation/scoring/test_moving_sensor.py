@@ -8,8 +8,8 @@ import pytest
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.comparison.oracle import Oracle
 from gridtrack.evaluation.results.columns import BEAM_ERROR_BINS
+from gridtrack.evaluation.runs.oracle import Oracle
 from gridtrack.evaluation.scoring import metrics
 from gridtrack.evaluation.scoring.beam_errors import beam_errors
 from gridtrack.evaluation.scoring.counting import Tally, count_forecast

@@ -4,11 +4,11 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError, PluginError, RecordingError, WeightsError
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.comparison.learned import find_weights, user_weights_folder, weights_in, weights_path
-from gridtrack.evaluation.comparison.plan import resolve
-from gridtrack.evaluation.comparison.recipe import Recipe
-from gridtrack.evaluation.comparison.settings import CompareSettings
-from gridtrack.evaluation.comparison.train import train_tracker
+from gridtrack.evaluation.runs.learned import find_weights, user_weights_folder, weights_in, weights_path
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.settings import CompareSettings
+from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.evaluation.scoring.splits import Sampling, common_with, plan_split
 from gridtrack.evaluation.scoring.strata import CELL_KINDS
 from gridtrack.recordings import import_recording

@@ -293,7 +293,7 @@ def test_without_weights_the_error_names_the_training_command() -> None:
 
 STARTED_AND_FED = """
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.processes.contract_scene import scene
+from gridtrack.evaluation.hosting.contract_scene import scene
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.dogma import forecast, moments, particles
 from gridtrack.trackers.dogma.tracker import DogmaTracker
