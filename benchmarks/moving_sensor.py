@@ -3,7 +3,7 @@
 `python -m benchmarks.moving_sensor [TRACKER...] [--out FILE]` (two minutes). Aim: making a frame of two moving sensors,
 and moving the cells that a tracker keeps, take together at most 0.5 ms more than a frame of one standing sensor.
 
-Frames are made by the grid stream from scans in memory, those of a drive: at its poses, or all at the first one; the
+Frames are made by the grid stream from the scans of a drive, in memory: at its poses, or all at the first one; the
 second sensor has the same ranges, looks back and stands a metre behind. A roll is an update with a window that has
 moved by one cell, less an update of the same scan with a fixed window. All take turns, and the least processor time of
 each frame counts, so that other work on the machine affects the caches only.

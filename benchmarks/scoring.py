@@ -137,7 +137,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ms = median_ms(lambda: count_classes(semantics, observed, matching), runs)
     print(f"count its classes ({CLASSES}): {ms:.2f} ms")
     ms = median_ms(lambda: count_found(occupancy, observed, region_maps.cell_kinds, thresholds, CLASSES), runs)
-    print(f"count what it found of each class: {ms:.2f} ms")
+    print(f"count its recall of each class: {ms:.2f} ms")
     ours = median_ms(lambda: count_forecast(forecasts["spread thin"], observed, region_maps, ages), runs)
     peers = median_ms(lambda: with_scikit_learn(forecasts["spread thin"], observed, region_maps, ages), fewest)
     print(f"the same scores by scikit-learn: {peers:.0f} ms, {peers / ours:.0f} x as long")

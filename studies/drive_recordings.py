@@ -1,4 +1,4 @@
-"""Drives at the junction: those to learn from and to choose thresholds on, and every drive with poses of each kind.
+"""Drives at the junction: to learn from, to choose thresholds on, and every drive with poses of each kind.
 
 `python -m studies.drive_recordings [--out runs/drives]` (ten minutes on an idle core; needs the extra `sim`) simulates
 the drives to learn from and for validation: the junction with other seeds. A seed gives a minute with a laser on a car
@@ -30,7 +30,7 @@ from gridtrack.simulation.writing import write_recording
 from studies.support.results_file import study_parser
 
 VALIDATION_SEEDS, TRAINING_SEEDS = range(401, 405), range(301, 321)
-"""Other seeds than those of the drives that trackers are compared on, 201 to 220, and of the junction's recordings."""
+"""Seeds that no other recording of the junction has; trackers are compared on the drives 201 to 220."""
 RECORDED = {"perfect": "", "odometry": "-odometry", "beside": "-beside"}
 """Suffix of the file name, by kind of poses, of the drives that are simulated with them."""
 KINDS = ("perfect", "odometry", "kiss-icp", "ignored", "beside")

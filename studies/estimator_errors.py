@@ -1,4 +1,4 @@
-"""Errors of the Kalman filter and the factor graph as estimators of an object's motion, by what the object does.
+"""Errors of the Kalman filter and the factor graph as estimators of an object's motion, by manoeuvre.
 
 `python -m studies.estimator_errors [--runs 200] [--out FILE]` (ten minutes). Beside them a Kalman filter that ignores
 measurements beyond the gate of the factor graph, and each estimator in two regimes, as tracks use it. RMS errors over

@@ -34,7 +34,7 @@ BANDS = {"short": 0.3, "middle": 0.0, "long": -0.5}
 """Step bands, and their addition to the log odds."""
 CORRELATED = 20.0
 MARKED = ("F1", "dynamic", "middle")
-"""The row whose F1 is lowered by a given amount."""
+"""The row with a fall in F1 of a given size."""
 SETTINGS = GateSettings()
 COMMAND = "python -m studies.gate_power"
 CRITERIA = ("significant", "large", "collapse")
@@ -163,8 +163,8 @@ def confirmed_cases() -> Iterator[tuple[str, Runs, Fall]]:
         yield f"no change, {runs.name}", runs, Fall()
     for f1 in (0.005, 0.01, 0.02):
         yield f"{f1:g} F1 in all recordings", SEEDS, Fall(share_for(f1))
-    for share, what in ((1.0, "no answer"), (0.5, "half of the hits")):
-        yield f"{what} on 1 recording", SEEDS, Fall(share, 1)
+    for share, name in ((1.0, "no answer"), (0.5, "half of the hits")):
+        yield f"{name} on 1 recording", SEEDS, Fall(share, 1)
 
 
 def cases() -> Iterator[tuple[str, str, Runs, Fall]]:
@@ -175,9 +175,9 @@ def cases() -> Iterator[tuple[str, str, Runs, Fall]]:
             yield "no change", name, Runs(name, runs.of_recording, runs.of_run, trainings), Fall()
     for f1 in (0.005, 0.01, 0.02, 0.04):
         yield "all recordings", f"{f1:g} F1", SEEDS, Fall(share_for(f1))
-    for share, what in ((1.0, "no answer"), (0.5, "half of the hits")):
+    for share, name in ((1.0, "no answer"), (0.5, "half of the hits")):
         for recordings in range(1, 6):
-            yield "few recordings", f"{what} on {recordings}", SEEDS, Fall(share, recordings)
+            yield "few recordings", f"{name} on {recordings}", SEEDS, Fall(share, recordings)
 
 
 def stated_falls(runs: Runs, comparisons: int) -> Iterator[list[str]]:

@@ -1,4 +1,4 @@
-"""Kills of gridtrack, of a tracker and of a supervisor at random moments: what is lost, and what is left behind?
+"""Kills of gridtrack, a tracker and a supervisor at random moments: are results lost, are processes or files left?
 
 `python -m studies.kill_points [--points 102] [--engine local]` compares three trackers on two stretches of a hall, once
 undisturbed, then once for each kill: a process is killed (SIGKILL) at a random moment of the undisturbed duration, the

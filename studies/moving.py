@@ -80,7 +80,7 @@ class Comparison:
         return {stratum: found.column(strata.index(stratum)) for stratum in STRATA}
 
     def less_beyond_floor(self, other: Comparison, tracker: str) -> dict[str, PairedDifferences]:
-        """The same, less what FLOOR loses: the floor knows nothing but the view."""
+        """The same, less the loss of FLOOR, which knows nothing but the view."""
         counts, strata = self._by_drive(*((kind, row) for kind in (self, other) for row in (tracker, FLOOR)))
         own, floor, others, others_floor = map(jackknifed, counts)
         found = own.minus(floor).less(others.minus(others_floor))
@@ -210,8 +210,8 @@ def _differences(found: Mapping[str, Mapping[str, PairedDifferences]], perfect: 
 
 
 def difference_text(found: PairedDifferences) -> str:
-    value, low, high = (float(one) for one in (found.value, found.low, found.high))
-    return score_text(value, *(() if math.isnan(low) else (low, high)), signed=True)
+    """One difference with its interval."""
+    return score_text(*map(float, (found.value, found.low, found.high)), signed=True)
 
 
 def pair_section(perfect: Comparison) -> ResultSection:

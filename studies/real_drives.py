@@ -3,7 +3,7 @@
 `python -m studies.real_drives DATA FOLDER [--out FILE]` (ten minutes): DATA has the folders datmo, radish and ual
 (docs/results/real); FOLDER gets the imported recordings, the runs with their reports, and the pictures. `persistence`
 is compared with poses from each source, every tracker with refined ones. The last table counts the confirmed tracks of
-`kalman`, those faster than MOVING_MPS, and those of a velocity that is not zero at a confidence of 99.9 %.
+`kalman`, the tracks faster than MOVING_MPS, and of these the ones with a velocity that is not zero at 99.9 %.
 """
 
 from __future__ import annotations

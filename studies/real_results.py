@@ -3,7 +3,7 @@
 `python -m studies.real_results DATA` compares every tracker with general weights on each of the recordings `REAL`
 (studies/support/real_recordings.py), and writes the numbers and the chart of docs/results/real; DATA has the folders
 leg_tracker, datmo, radish and ual. A sensor that moves gets refined poses (docs/importing.md), in recordings that are
-written once beside the folder of the run. Thresholds are those of the cards. An interrupted comparison resumes with the
+written once beside the folder of the run. Thresholds come from the cards. An interrupted comparison resumes with the
 same rows. On one idle core the poses need ten minutes, each network twenty.
 """
 

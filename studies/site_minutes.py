@@ -55,7 +55,7 @@ def train_missing(tracker: str, minutes: Sequence[int], general: Path, trainings
 
 
 def run(rows: Mapping[str, str], general: str, out: Path, options: Sequence[str]) -> None:
-    """Compare on the test minutes with thresholds of the site, and the `general` row with those of its card."""
+    """Compare on the test minutes with thresholds of the site, and the `general` row also with its card's."""
     tests = sorted(RECORDINGS.glob("test-*.tracks"))
     compare(tests, VALIDATION, [REFERENCE, *rows.values()], out / SITE_THRESHOLDS, "--resume", *options)
     compare(tests, None, [REFERENCE, rows[general]], out / CARD_THRESHOLDS, "--resume", *options)

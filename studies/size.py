@@ -1,7 +1,7 @@
 """Size of the repository: lines, files, files with one importer, repeated names, words of Markdown, glossary entries.
 
-`python -m studies.size [REV]` (two seconds) counts the tracked files of the working tree; with REV also those of that
-revision, in a column before.
+`python -m studies.size [REV]` (two seconds) counts the tracked files of the working tree; with REV also the files of
+that revision, in a column before.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def imported(path: str, product: Texts, trees: Mapping[str, ast.Module]) -> set[
 
 
 def _modules(node: ast.AST) -> Iterator[str]:
-    """The names that an import names: each may be a module, or what a module defines."""
+    """The imported names; each may be a module, or a definition in one."""
     if isinstance(node, ast.Import):
         yield from (alias.name for alias in node.names)
     elif isinstance(node, ast.ImportFrom) and node.module and not node.level:

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -51,7 +50,14 @@ from gridtrack.simulation.junction import TWO_CORNERS, seen
 from gridtrack.simulation.tracks_file import read_tracks
 from gridtrack.trackers.contract import Tracker
 
-from studies.support.results_file import ResultSection, ResultTable, measured_table, study_parser, write_section
+from studies.support.results_file import (
+    ResultSection,
+    ResultTable,
+    measured_table,
+    score_text,
+    study_parser,
+    write_section,
+)
 from studies.support.shipped import JUNCTION, STEPS, HeldRecording, junction_tests, shipped_tracker
 
 TRACKERS = ("persistence", "kalman", "factor-graph", "dogma", "dilated-convgru", "deep-tracking-rnn")
@@ -162,18 +168,9 @@ def counts_of(tally: Tally, bins: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.concatenate([tally.confusion(bins), sums], axis=-1)
 
 
-def short(value: float, *, signed: bool = False) -> str:
-    return f"{value:{'+' if signed else ''}.3f}"
-
-
-def with_interval(value: float, low: float, high: float, *, signed: bool = False) -> str:
-    """`0.534 [0.501, 0.567]`; without an interval if there are too few minutes."""
-    text = partial(short, signed=signed)
-    return text(value) if np.isnan(low) else f"{text(value)} [{text(low)}, {text(high)}]"
-
-
 def difference(found: PairedDifferences) -> str:
-    return with_interval(float(found.value), float(found.low), float(found.high), signed=True)
+    """One difference with its interval."""
+    return score_text(*map(float, (found.value, found.low, found.high)), signed=True)
 
 
 def score_table(counts: Mapping[str, NDArray[np.float64]], stratum: str, sides: tuple[int, int]) -> ResultTable:
@@ -183,7 +180,7 @@ def score_table(counts: Mapping[str, NDArray[np.float64]], stratum: str, sides: 
         row = [name]
         for step in range(len(HORIZONS)):
             one, two = (of_tracker[side][:, step, k] for side in sides)
-            row += [short(float(pooled(each, "f1"))) for each in (one, two)]
+            row += [score_text(float(pooled(each, "f1"))) for each in (one, two)]
             row.append(difference(differences(two, one, "f1")))
         rows.append(row)
     columns = ["tracker", *(f"{side}, {at}" for at in HORIZONS for side in ("one", "two", "difference"))]
@@ -203,7 +200,7 @@ def hidden_table(cells: NDArray[np.int64]) -> ResultTable:
             part, rest = (of_side[:, STRATA.index(name)] for name in (hidden, visible))
             sides.append((part, part + rest))
             value = part.sum() / (part + rest).sum()
-            row.append(with_interval(value, *map(float, ratio_interval(part, part + rest))))
+            row.append(score_text(value, *map(float, ratio_interval(part, part + rest))))
         rows.append([*row, difference(ratio_differences(sides[1], sides[0]))])
     return measured_table(("hidden share of the", "one laser", "two lasers", "difference"), rows)
 

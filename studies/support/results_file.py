@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -89,10 +90,10 @@ def measured_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Res
 def score_text(
     value: float, low: float | None = None, high: float | None = None, *, signed: bool = False, decimals: int = 3
 ) -> str:
-    """A score or difference, with its 95 % interval if it has one: `0.693 [.670, .713]`, `-0.012 [-.020, -.004]`."""
+    """A score or difference: `0.693 [.670, .713]`, `-0.012 [-.020, -.004]`; no interval if that is None or NaN."""
     shown = f"{'+' if signed else ''}.{decimals}f"
     text = format(value, shown)
-    if low is None or high is None:
+    if low is None or high is None or math.isnan(low):
         return text
     ends = (re.sub(r"^([+-]?)0\.", r"\1.", format(end, shown)) for end in (low, high))
     return f"{text} [{', '.join(ends)}]"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gridtrack.evaluation.results.recording import RecordingSummary
+from gridtrack.evaluation.results.recording import RecordingDescription
 from gridtrack.evaluation.results.summary import (
     ORACLE,
     PairFamily,
@@ -92,7 +92,7 @@ def pair_text(test: PairTest, decimals: int = 3) -> str:
 class PlaceScores:
     """The scores of a comparison, pooled over some of its recordings, at HORIZONS_S as far as it forecasts."""
 
-    def __init__(self, recordings: Mapping[str, RecordingSummary], trials: Sequence[FinishedTrial]) -> None:
+    def __init__(self, recordings: Mapping[str, RecordingDescription], trials: Sequence[FinishedTrial]) -> None:
         """Raises SystemExit if a trial is not complete: every score is of all recordings."""
         for trial in trials:
             if not trial.complete:
