@@ -14,7 +14,7 @@ import functools
 import importlib.util
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -240,11 +240,11 @@ def compared(found: dict[str, Any], operations: int, rate: float, rounds: int) -
     return Comparison(medians_ms, at_best_ms)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/recurrent.json")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     torch.set_num_threads(1)
     by_network = {}
     with torch.inference_mode():

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any, get_args
@@ -53,11 +54,11 @@ def training_rate(kind: type[RecurrentTracker], precision: Precision, threads: i
     return rate
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/recurrent.json")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     cases = list(product(get_args(Precision), given.threads))
     rows, values = [], {}
     for kind in (DilatedConvGRUTracker, DeepTrackingRNNTracker):

@@ -7,7 +7,6 @@ stratum and step); 5 ms for the sums over neighbourhoods without truth, and 5 ms
 
 from __future__ import annotations
 
-import argparse
 import math
 import tempfile
 from collections.abc import Sequence
@@ -52,6 +51,7 @@ from gridtrack.recordings.observation import Observation
 from gridtrack.trackers.contract import MAX_FUTURES
 
 from benchmarks.timing import median_ms
+from studies.support.results_file import study_parser
 
 STEPS, SIZE, CLASSES = 20, 100, 5
 GRID = GridSpec(SIZE, 0.2, (-10.0, 0.0))
@@ -67,7 +67,7 @@ def street(strata: tuple[str, ...]) -> RegionMaps:
 
 
 def targets(rng: np.random.Generator, truth: bool) -> list[Target]:
-    """Frames in which half of the cells are seen, in shadows that turn; of the rest a tenth is inside something."""
+    """Frames with half of the cells visible, in rotating shadows; a tenth of the others is not scored."""
     x, y = GRID.cell_centres(np.ones(GRID.shape, bool)).T.reshape(2, *GRID.shape)
     bearing, nothing = np.arctan2(y - 1.0, x), np.zeros((0, 2), np.float32)
     found, dynamic = [], street(STRATA).dynamic
@@ -103,10 +103,10 @@ def with_scikit_learn(
                 np.histogram(p, PROBABILITY_EDGES)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--runs", type=int, default=200, help="of each call, fewer of the slow ones")
-    runs = parser.parse_args().runs
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__)
+    parser.add_argument("--runs", type=int, default=200, help="of each call, fewer of slow ones")
+    runs = parser.parse_args(arguments).runs
     fewer, few, fewest = (math.ceil(runs / share) for share in (2, 40, 80))
     rng = np.random.default_rng(0)
     ages = rng.integers(0, 5, (10, 10)).repeat(10, axis=0).repeat(10, axis=1).astype(np.uint8)
@@ -143,7 +143,7 @@ def main() -> None:
     ms = median_ms(lambda: count_classes(semantics, observed, matching), runs)
     print(f"count its classes ({CLASSES}): {ms:.2f} ms")
     ms = median_ms(lambda: count_found(occupancy, observed, region_maps.cell_kinds, thresholds, CLASSES), runs)
-    print(f"count what it found of each class: {ms:.2f} ms")
+    print(f"count its recall of each class: {ms:.2f} ms")
     ours = median_ms(lambda: count_cells(forecasts["spread thin"], observed, region_maps, ages), runs)
     peers = median_ms(lambda: with_scikit_learn(forecasts["spread thin"], observed, region_maps, ages), fewest)
     print(f"the same scores by scikit-learn: {peers:.0f} ms, {peers / ours:.0f} x as long")

@@ -1,7 +1,7 @@
 """Intervals of scores, and paired differences of two trackers, by the jackknife over statistical units.
 
 A unit is a whole recording, or a block of time longer than the autocorrelation of the frames (`units`). How the
-method was chosen, and its coverage: docs/statistics.md, `studies/intervals.py`.
+method was chosen, and its coverage: docs/statistics.md, `studies/coverage.py`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The drives with poses of other kinds keep the true poses as those that forecasts are scored by."""
+"""Recordings of the studies: drives with poses of each kind, drives to learn from, and recordings of real robots."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.junction import JUNCTION_SET
 from gridtrack.simulation.junction.drives import DRIVE_SEEDS
 
-from studies.support.drive_recordings import PAUSE_NS, joined, minutes_in, standing
-from studies.support.drive_training import TRAINING_SEEDS, VALIDATION_SEEDS
+from studies.drive_recordings import PAUSE_NS, TRAINING_SEEDS, VALIDATION_SEEDS, drives_in, joined, standing
+from studies.support.real_recordings import REAL
+from studies.support.shipped import DATA, DEMO
 
-ROOT = Path(__file__).parents[2]
+RECIPES = Path(__file__).parents[2] / "studies" / "recipes" / "drives"
 PERIOD_NS = 125_000_000
 
 
@@ -35,7 +36,7 @@ def recorded(path: Path, poses: list[SE2]) -> Recording:
     return open_recording(path)
 
 
-def test_a_sensor_whose_motion_is_ignored_stands_at_its_first_pose_and_is_scored_by_the_true_ones() -> None:
+def test_a_sensor_with_ignored_motion_stands_at_its_first_pose_and_is_scored_by_the_true_poses() -> None:
     true = [SE2(1.0, 2.0, 0.5), SE2(2.0, 2.0, 0.6), SE2(3.0, 2.5, 0.7)]
     scans = list(standing(driving(true)))
     assert [scan.world_T_sensor for scan in scans] == [true[0]] * 3
@@ -49,10 +50,10 @@ def test_joined_drives_follow_each_other_after_a_pause_longer_than_a_forecast(tm
     assert [scan.world_T_sensor.x for scan in scans] == [0.0, 1.0, 10.0, 11.0]
 
 
-def test_the_minutes_of_a_drive_set_are_those_with_true_poses() -> None:
-    minutes = minutes_in(ROOT / "data" / "drives")
-    assert len(minutes) == 20
-    assert minutes[0] == "car-202"
+def test_the_drives_of_a_folder_are_those_with_true_poses() -> None:
+    drives = drives_in(DATA / "drives")
+    assert len(drives) == 20
+    assert drives[0] == "car-202"
 
 
 def test_drives_to_learn_from_have_seeds_of_their_own() -> None:
@@ -63,7 +64,7 @@ def test_drives_to_learn_from_have_seeds_of_their_own() -> None:
 
 
 def test_recipes_for_drives_train_and_validate_on_the_seeds_that_are_simulated_for_that() -> None:
-    recipes = [read_recipe(path) for path in (ROOT / "studies" / "recipes" / "drives").glob("*.toml")]
+    recipes = [read_recipe(path) for path in RECIPES.glob("*.toml")]
     assert recipes
     for recipe in recipes:
         assert {seed_of(text) for text in recipe.recordings} <= set(TRAINING_SEEDS)
@@ -73,3 +74,13 @@ def test_recipes_for_drives_train_and_validate_on_the_seeds_that_are_simulated_f
 def seed_of(recording: str) -> int:
     """`runs/drives/training/car-302-beside.tracks@15s-45s` has the seed 302."""
     return int(Path(recording).stem.split("-")[1].partition(".")[0])
+
+
+def test_the_window_of_corridor_is_that_of_the_shipped_part_of_it() -> None:
+    (corridor,) = (one for one in REAL if one.name == "corridor")
+    assert corridor.grid == open_recording(DEMO).info.grid
+
+
+def test_a_laser_that_moves_is_in_the_middle_of_its_window() -> None:
+    middles = {one.name: f"100x{one.cell_m:g}@-{50 * one.cell_m:g},-{50 * one.cell_m:g}" for one in REAL if one.moves}
+    assert middles == {one.name: one.grid for one in REAL if one.moves}
