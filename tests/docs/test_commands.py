@@ -20,7 +20,7 @@ from gridtrack.trackers.selection import parse_selection
 
 from docs.pages import PAGES, ROOT, commands, name_of, prose
 
-MODULES = ("gridtrack.trackers.serve",)
+MODULES = ("gridtrack.trackers.serve", "pip", "build", "venv")
 HISTORY = ("CHANGELOG.md", "docs/notebook/")
 PAST = [page for page in PAGES if name_of(page).startswith(HISTORY)]
 CURRENT = [page for page in PAGES if page not in PAST]

@@ -1,0 +1,201 @@
+"""The commands of the pages run in this process: a theme is a folder, and the blocks of pages that share its files.
+
+Equal commands of a theme run once, and long ones on less: SMALLER. `make`, `python -m studies...` and `ros2` do nothing
+here; test_commands.py checks that targets and modules exist, and tests/studies runs the modules. docs/ci.md has a test
+of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from gridtrack.cli import app
+
+from docs import places
+from docs.pages import name_of, shell_blocks
+from docs.test_commands import CURRENT
+from studies.support.slurm_machine import missing_programs, slurm_machine
+
+THEMES = {
+    "hall": (
+        *("README.md", "docs/importing.md", "docs/importing.md 2", "docs/scale.md", "docs/scale.md 3"),
+        *("docs/weights.md 2", "docs/statistics.md", "docs/export.md 2", "docs/viewers.md", "docs/export.md"),
+        "docs/viewers.md 2",
+    ),
+    "formats": (
+        *(f"docs/importing.md {number}" for number in range(3, 8)),
+        *("docs/junction.md 3", "data/leg_tracker/README.md", "docs/follow.md"),
+    ),
+    "own tracker": (
+        *("docs/own-tracker.md", "docs/first-comparison.md", "docs/contract.md", "docs/junction.md"),
+        *("data/junction/README.md", "docs/regress.md", "docs/regress.md 2"),
+        *("examples/example_tracker/README.md", "examples/cpp_tracker/README.md"),
+    ),
+    "training": (
+        *("docs/weights.md", "docs/weights.md 3", "docs/scale.md 4", "docs/trackers/floor.md"),
+        *("docs/trackers/model-free.md", "docs/trackers/one-shot.md", "docs/drives.md 2"),
+        "docs/results/moving/drives.md",
+    ),
+    "simulation": (
+        *("docs/junction.md 2", "docs/drives.md", "data/drives/README.md"),
+        *("docs/worlds.md", "docs/worlds.md 2", "data/worlds/README.md"),
+    ),
+    "slurm": ("docs/scale.md 2",),
+}
+"""The blocks of each theme, in order: the page, and the number of the block on it from the second on."""
+
+SMALLER = (
+    ("train=0s-600s", "train=0s-14s"),
+    ("validation=600s-700s --stretch test=700s-", "validation=14s-20s --stretch test=20s-"),
+    ("train=0s-75s --stretch validation=75s-90s --stretch test=90s-", "train=0s-20s"),
+    ("data/junction/test-*.tracks", "data/junction/test-101.tracks@0s-12s data/junction/test-102.tracks@0s-12s"),
+    ("data/junction/train.tracks", "data/junction/validation.tracks@20s-80s"),
+    ("data/junction/validation.tracks ", "data/junction/validation.tracks@0s-8s "),
+    ("data/junction/validation.tracks@0s-90s", "data/junction/validation.tracks@0s-8s"),
+    ("data/junction/validation.tracks@0s-60s", "data/junction/validation.tracks@0s-8s"),
+    ("compare my.bag ", "compare my.bag@0s-12s "),
+    ("my.bag@60s- --validation my.bag@0s-60s", "my.bag@20s- --validation my.bag@0s-8s"),
+    ("RECORDING...", "my.bag@0s-12s"),
+    ("RECORDING", "my.bag@0s-12s"),
+    ("train kalman places", "train static-map places"),
+    ("devices=4,batch=32", "devices=2,updates=2,channels=2,repetitions=1"),
+    ("--tracker kalman --weights", "--tracker static-map --weights"),
+    ("stage=classes", "stage=classes,labelled_scans=20"),
+    ("--tracker persistence --tracker static-map --engine", "--tracker blank --engine"),
+    ("--tracker static-map --engine ray", "--tracker blank --engine ray --address local"),
+    ("--engine ray --address head:6379", "--engine ray --address local"),
+    ("partition=long,timeout_min=240", "partition=low"),
+    ("my.mcap --tracker persistence --tracker static-map --segment 20s", "my.bag --tracker blank --segment 10s"),
+    ("weights=DIR", "weights=data/weights"),
+    ("FOLDER", "data/weights"),
+    ("--minutes 75", "--minutes 0.5"),
+    ("--count 400 --minutes 1.5", "--count 1 --minutes 0.2"),
+    ("--count 20 --minutes 1", "--count 1 --minutes 0.2"),
+    ("--count 10 --minutes 1", "--count 1 --minutes 0.2"),
+    ("runs/hall runs/other-day", "runs/hall runs/cluster"),
+    ("runs/fleet --recordings 'hall-*,street-7'", "runs/hall --recordings 'my*'"),
+    ("regress runs/hall --baseline hall.json ", "regress runs/hall --baseline hall.json --update "),
+    ("regress runs/seed-*", "regress runs/now"),
+    ("train my-tracker", "train static-map"),
+    ("test-*.mcap --tracker my-tracker", "test-*.mcap --tracker static-map"),
+    ("drive.bag --out drive.mcap --pose-topic", "poses.bag --out drive.mcap --pose-topic"),
+    ("drive.bag --out drive.mcap --ego-motion", "no-poses.bag --out drive.mcap --ego-motion"),
+    ("hall.bag --out hall.mcap --topic", "clouds.bag --out hall.mcap --topic"),
+)  # fmt: skip
+"""Texts of the pages and their replacements: the same commands on seconds, each on a file of its own."""
+
+LONG = ("gridtrack simulate drive-set", "gridtrack train --recipe")
+"""Commands that take an hour and cannot be made shorter."""
+
+OWN_PROCESS = ("--engine", "--follow")
+"""Options of commands that are about processes."""
+
+
+def named_blocks() -> Iterator[tuple[str, str]]:
+    """Every block with its name."""
+    for page in CURRENT:
+        for number, block in enumerate(shell_blocks(page), start=1):
+            yield f"{name_of(page)} {number}" if number > 1 else name_of(page), block
+
+
+BLOCKS = dict(named_blocks())
+
+
+def commands_of(theme: str) -> dict[str, str]:
+    """The commands of a theme in order, each once: the command -> the block that has it first."""
+    found: dict[str, str] = {}
+    for name in THEMES[theme]:
+        for line in BLOCKS[name].replace("\\\n", " ").splitlines():
+            command = " ".join(re.split(r"\s+#\s", line)[0].split()) + " "
+            for old, new in SMALLER:
+                command = command.replace(old, new)
+            if command.strip() and not command.startswith(LONG):
+                found.setdefault(command.strip(), name)
+    return found
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_the_commands_of_the_pages_run(theme: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if theme == "simulation":
+        pytest.importorskip("sumolib", reason="needs the extra sim")
+    if theme == "slurm" and missing_programs():
+        pytest.skip(f"not installed: {', '.join(missing_programs())}")
+    site = tmp_path / "site"
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(site))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH")))))
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    places.PLACES[theme](tmp_path)
+    with slurm_machine() if theme == "slurm" else nullcontext() as configuration:
+        monkeypatch.setenv("SLURM_CONF", str(configuration))
+        for command, name in commands_of(theme).items():
+            import resource, time; a=time.time(); b=sum(resource.getrusage(k).ru_utime for k in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+            run(command, f"{name}: {command}")
+            print(f"TIME {time.time()-a:6.1f} cpu {sum(resource.getrusage(k).ru_utime for k in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))-b:6.1f} {name}: {command}")
+
+
+def test_every_block_is_run_and_every_replacement_used() -> None:
+    blocks = [name for theme in THEMES.values() for name in theme]
+    assert sorted([*blocks, "docs/ci.md"]) == sorted(BLOCKS)
+    text = "\n".join(f"{BLOCKS[name]} " for name in blocks).replace("\\\n", " ")
+    text = re.sub(r" +", " ", re.sub(r"\s+#\s.*", " ", text))
+    for old, new in SMALLER:
+        assert old in text, old
+        text = text.replace(old, new)
+    assert [command for command in LONG if command not in text] == []
+
+
+def run(command: str, where: str) -> None:
+    """Run a command in the working folder. Raises AssertionError with its output where it fails."""
+    command, _, to = command.partition(" > ")
+    program, *words = (found for word in shlex.split(command) for found in expanded(word))
+    if program == "gridtrack":
+        output = gridtrack(words, where)
+        if to:
+            Path(to).write_text(output)
+    elif command == "pip install --editable my-tracker":
+        pip_install("./my-tracker")
+    elif program == "printf":
+        Path(to).write_text(words[0].replace("\\n", "\n"))
+
+
+def expanded(word: str) -> list[str]:
+    """The files that a word names, as in a shell: the word itself if there are none."""
+    return sorted(map(str, Path().glob(word))) or [word] if "*" in word else [word]
+
+
+def gridtrack(words: list[str], where: str) -> str:
+    """The output of a gridtrack command that ends well, in this process if it is not about processes."""
+    if "--out" in words and words[0] in ("compare", "recording"):
+        remove(Path(words[words.index("--out") + 1]))  # of an earlier page
+    if set(OWN_PROCESS) & set(words):
+        command = [sys.executable, "-m", "gridtrack.cli", *words]
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+        assert done.returncode == 0, f"{where}\n{done.stdout[-2000:]}"
+        return done.stdout
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, f"{where}\n{result.output[-2000:]}\n{result.exception!r}"
+    return result.stdout
+
+
+def remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    path.unlink(missing_ok=True)
+
+
+def pip_install(package: str) -> None:
+    """Install a package into the folder `site`, which is on the path."""
+    options = ("--quiet", "--no-index", "--no-deps", "--no-build-isolation", "--target", "site")
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, package], check=True)
