@@ -156,7 +156,6 @@ def formats(folder: Path) -> None:
     cloud_bag(folder / "clouds.bag")
     annotations(folder / "annotations.txt")
     hall_bag(folder / "demo_stationary_simple_environment.bag")
-    recorded_drive(folder)
 
 
 def own_tracker(folder: Path) -> None:

@@ -31,11 +31,11 @@ THEMES = {
     "hall": (
         *("README.md", "docs/importing.md", "docs/importing.md 2", "docs/scale.md", "docs/scale.md 3"),
         *("docs/weights.md 2", "docs/statistics.md", "docs/export.md 2", "docs/viewers.md", "docs/export.md"),
-        "docs/viewers.md 2",
+        *("docs/viewers.md 2", "docs/follow.md"),
     ),
     "formats": (
         *(f"docs/importing.md {number}" for number in range(3, 8)),
-        *("docs/junction.md 3", "data/leg_tracker/README.md", "docs/follow.md"),
+        *("docs/junction.md 3", "data/leg_tracker/README.md"),
     ),
     "own tracker": (
         *("docs/own-tracker.md", "docs/first-comparison.md", "docs/contract.md", "docs/junction.md"),
@@ -71,8 +71,10 @@ SMALLER = (
     ("train kalman my.mcap", "train static-map my.mcap"),
     ("train kalman places", "train static-map places"),
     ("site=kalman:card=site --tracker general=kalman:", "site=static-map:card=site --tracker general=static-map:"),
-    ("devices=4,batch=32", "devices=2,updates=2,channels=2,repetitions=1"),
+    ("devices=4,batch=32", "devices=1,updates=2,channels=2,repetitions=1"),
     ("--tracker kalman --weights", "--tracker static-map --weights"),
+    ("--tracker kalman --deadline", "--tracker blank --deadline"),
+    ("drive_0.mcap --tracker kalman", "drive_0.mcap --tracker persistence --tracker kalman"),
     ("stage=classes", "stage=classes,labelled_scans=20"),
     ("--tracker persistence --tracker static-map --engine", "--tracker blank --engine"),
     ("--tracker static-map --engine ray", "--tracker blank --engine ray --address local"),
@@ -87,7 +89,6 @@ SMALLER = (
     ("--count 10 --minutes 1", "--count 1 --minutes 0.2"),
     ("runs/hall runs/other-day", "runs/hall runs/cluster"),
     ("runs/fleet --recordings 'hall-*,street-7'", "runs/hall --recordings 'my*'"),
-    ("regress runs/hall --baseline hall.json ", "regress runs/hall --baseline hall.json --update "),
     ("regress runs/seed-*", "regress runs/now"),
     ("train my-tracker", "train static-map"),
     ("test-*.mcap --tracker my-tracker", "test-*.mcap --tracker static-map"),
