@@ -76,6 +76,10 @@ SMALLER = (
     ("--tracker kalman --deadline", "--tracker blank --deadline"),
     ("drive_0.mcap --tracker kalman", "drive_0.mcap --tracker persistence --tracker kalman"),
     ("stage=classes", "stage=classes,labelled_scans=20"),
+    (
+        "class_layers=1 ",
+        "class_layers=1,class_channels=16,class_learning_rate=0.01,class_weight_decay=0.01,class_weights=none ",
+    ),
     ("--tracker persistence --tracker static-map --engine", "--tracker blank --engine"),
     ("--tracker static-map --engine ray", "--tracker blank --engine ray --address local"),
     ("--engine ray --address head:6379", "--engine ray --address local"),
