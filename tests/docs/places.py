@@ -167,9 +167,9 @@ def own_tracker(folder: Path) -> None:
         shutil.copyfile(example / "cpp_tracker" / name, folder / name)
     subprocess.run(["make", "--silent"], cwd=folder, check=True)
     module = example / "example_tracker" / "example_tracker.py"
-    points = {"fading": "example_tracker:FadingTracker"}
+    points, files = {"fading": "example_tracker:FadingTracker"}, {module.name: module.read_text("utf-8")}
     (folder / "site").mkdir()
-    write_distribution(folder / "site", "example-tracker", points, {module.name: module.read_text("utf-8")})
+    write_distribution(folder / "site", "example-tracker", points, files, group="gridtrack.trackers")
 
 
 def training(folder: Path) -> None:

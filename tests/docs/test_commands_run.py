@@ -164,7 +164,7 @@ def test_every_block_is_run_and_every_replacement_used() -> None:
 def run(command: str, where: str) -> None:
     """Run a command in the working folder. Raises AssertionError with its output where it fails."""
     command, _, to = command.partition(" > ")
-    program, *words = (found for word in shlex.split(command) for found in expanded(word))
+    program, *words = (found for typed in shlex.split(command, posix=False) for found in expanded(typed))
     if program == "gridtrack":
         output = gridtrack(words, where)
         if to:
@@ -175,15 +175,16 @@ def run(command: str, where: str) -> None:
         Path(to).write_text(words[0].replace("\\n", "\n"))
 
 
-def expanded(word: str) -> list[str]:
-    """The files that a word names, as in a shell: the word itself if there are none."""
-    return sorted(map(str, Path().glob(word))) or [word] if "*" in word else [word]
+def expanded(typed: str) -> list[str]:
+    """A word as a shell passes it on: without its quotes, else the files that it names."""
+    (word,) = shlex.split(typed)
+    return sorted(map(str, Path().glob(word))) or [word] if "*" in word and word == typed else [word]
 
 
 def gridtrack(words: list[str], where: str) -> str:
     """The output of a gridtrack command that ends well, in this process if it is not about processes."""
-    if "--out" in words and words[0] in ("compare", "recording"):
-        remove(Path(words[words.index("--out") + 1]))  # of an earlier page
+    if words[0] in ("compare", "recording"):
+        remove(Path(words[words.index("--out") + 1] if "--out" in words else "runs/latest"))  # of an earlier page
     if set(OWN_PROCESS) & set(words):
         command = [sys.executable, "-m", "gridtrack.cli", *words]
         done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
