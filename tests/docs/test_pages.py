@@ -1,12 +1,10 @@
-"""Every relative link and every anchor of a Markdown page exists."""
+"""Every relative link and anchor of a page exists; the glossary is in order."""
 
 from __future__ import annotations
 
 import re
 from functools import cache
 from pathlib import Path
-
-import pytest
 
 from docs.pages import PAGES, ROOT, name_of, prose
 
@@ -35,10 +33,9 @@ def broken(page: Path, link: str) -> str:
     return ""
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_every_link_of_a_page_leads_to_a_file_and_a_heading(page: Path) -> None:
-    problems = [problem for link in LINK.findall(prose(page)) if (problem := broken(page, link))]
-    assert problems == []
+def test_every_link_of_the_pages_leads_to_a_file_and_a_heading() -> None:
+    links = [(page, link) for page in PAGES for link in LINK.findall(prose(page))]
+    assert [f"{name_of(page)}: {problem}" for page, link in links if (problem := broken(page, link))] == []
 
 
 def test_a_missing_file_and_a_missing_heading_are_found() -> None:
@@ -46,3 +43,10 @@ def test_a_missing_file_and_a_missing_heading_are_found() -> None:
     assert broken(page, "docs/absent.md") == "docs/absent.md: no such file"
     assert broken(page, "docs/glossary.md#absent") == "docs/glossary.md#absent: no such heading"
     assert broken(page, "docs/glossary.md#renamed-in-02") == ""
+
+
+def test_the_words_of_the_glossary_are_in_alphabetical_order_and_defined_once() -> None:
+    text = (ROOT / "docs/glossary.md").read_text("utf-8")
+    words = [word.lower() for word in re.findall(r"^- \*\*(.+?)\*\*", text, re.MULTILINE)]
+    assert words
+    assert sorted(set(words)) == words
