@@ -42,7 +42,7 @@ class BlankTracker(Tracker):
 class PersistenceTracker(Tracker):
     """Forecasts the last observed state of each cell; 0 where a cell was never visible since it came into the window.
 
-    Where the window moves, each cell keeps its place in the world.
+    When the window moves, each cell keeps its place in the world.
     """
 
     moving_sensor = True
@@ -82,7 +82,7 @@ class StaticMapTracker(Tracker):
     """Forecasts the occupied rate of each cell among its visible training frames, for every step.
 
     The map lies in the world: a window takes the part of it that it covers, and the overall rate elsewhere. General
-    weights have no map: the rate of each cell is then that of the stream so far.
+    weights have no map: the forecast is then the rate of each cell in the stream so far.
     """
 
     Options = StaticMapOptions
@@ -151,7 +151,7 @@ class StaticMapTracker(Tracker):
 class WorldCounts:
     """Frames in which each cell of the world was `visible` and `occupied`, (R, C) int64; R and C are at least M.
 
-    Cell [0, 0] is that of a window at the pose `world_T_map`, which is None before the first frame.
+    The map has the pose `world_T_map` of its first window, which is None before the first frame.
     """
 
     def __init__(self, grid: GridSpec) -> None:
@@ -169,7 +169,7 @@ class WorldCounts:
         self.occupied[window] += frame.occupied
 
     def _grown(self, axis: int, start: int) -> int:
-        """Where the cells `start`, ... of a window begin on an axis of the map, which has grown to hold them."""
+        """The index of the cell `start` of a window on an axis of the map, which grows to hold the window."""
         size, extent = self._grid.size, self.visible.shape[axis]
         windows_before = -(min(start, 0) // size)
         windows_after = max(-(-(start + size - extent) // size), 0)
@@ -206,7 +206,7 @@ class LearnedRates:
     def __init__(self, place: SiteMap) -> None:
         self._place = place
         self.in_window = place.unmoved
-        """P(occupied) (M, M) float32; before the first frame in a window where the map begins."""
+        """P(occupied) (M, M) float32; before the first frame in a window at the pose of the map."""
 
     def observe(self, frame: GridFrame) -> None:
         """Take the part of the map that lies in the window of a frame."""

@@ -55,7 +55,7 @@ def open_cells(frame: GridFrame) -> Mask:
     """The cells (M, M) that a frame shows open: seen empty with all their neighbours in the window.
 
     A neighbour that no beam reached may be a wall: beams that pass a wall at a small angle cross the corners of its
-    cells, and what lies behind those is hidden. Where beams are further apart than a cell, no cell is open.
+    cells and hide the cells behind. If beams are further apart than a cell, no cell is open.
     """
     return np.asarray(~with_neighbours(~frame.visible | frame.occupied))
 
@@ -64,8 +64,8 @@ class OpenSpace:
     """For each cell (M, M), in which share of the recent frames in which it was visible it was open (`open_cells`).
 
     Walls that come into view were hidden before, and noise moves returns by a cell only: there no cell is ever open. A
-    walker enters cells that were open before. What has stood in a cell for about three time constants is no longer
-    taken for an object that moves.
+    walker enters cells that were open before. An object that has stood in a cell for about three time constants is no
+    longer taken for an object that moves.
     """
 
     def __init__(self, shape: tuple[int, int], period_s: float) -> None:

@@ -29,7 +29,7 @@ def entries() -> dict[str, Registration]:
 
 
 def find(name: str) -> Registration:
-    """The entry of the tracker `name`, not imported. Raises PluginError where it is unknown or broken."""
+    """The entry of the tracker `name`, not imported. Raises PluginError if it is unknown or broken."""
     known = entries()
     entry = known.get(name)
     if entry is None:
@@ -42,7 +42,7 @@ def find(name: str) -> Registration:
 def load(name: str) -> type[Tracker]:
     """Import the tracker `name` and check that it keeps the contract.
 
-    Raises PluginError, which names the plugin, its distribution and what is wrong. Call it in the tracker's own
+    Raises PluginError, which names the plugin, its distribution and the problem. Call it in the tracker's own
     process: importing a plugin runs its code.
     """
     entry = find(name)

@@ -14,9 +14,9 @@ from gridtrack.common.grid import GridFrame, Mask, Shift, rolled, shift_between
 PRIOR_FRAMES = 20.0
 """Weight of the prior, in frames."""
 NO_MAP = "the sensor moves: no map of the place is learned, every cell has the mean rate"
-"""What a training on such recordings reports."""
+"""Reported by a training on recordings of a moving sensor."""
 Marks = Callable[[GridFrame], Sequence[Mask]]
-"""What is counted in a frame: K masks (M, M)."""
+"""The masks to count in a frame: K of (M, M)."""
 
 
 class SiteMap:
@@ -24,7 +24,7 @@ class SiteMap:
 
     Without that pose the map lies in the window of the first frame. Cells of a window that are not on the map have the
     value `outside`, a scalar or an array that can be broadcast to the values. `size`: the cells a side of the window,
-    where the map is larger.
+    if the map is larger.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class SiteMap:
     def at(self, world_T_grid: SE2) -> NDArray[Any]:
         """The values (..., M, M) in the window at this pose, read-only; the same array until the window moves.
 
-        Raises RecordingError for a pose that is not a whole number of cells from that of the map.
+        Raises RecordingError for a pose that is not a whole number of cells from the pose of the map.
         """
         if self._world_T_map is None:
             self._world_T_map = world_T_grid
@@ -55,12 +55,12 @@ class SiteMap:
 
 
 def mean_of_cells(values: NDArray[np.floating]) -> NDArray[Any]:
-    """The mean of values (..., M, M) over all cells, (..., 1, 1): what is known of a cell that is not on the map."""
+    """The mean of values (..., M, M) over all cells, (..., 1, 1): the value of a cell that is not on the map."""
     return np.asarray(values.mean(axis=(-2, -1), keepdims=True, dtype=np.float64).astype(values.dtype))
 
 
 def marks_in_window(world_T_grid: SE2, frame: GridFrame, marks: Mask, cell_m: float) -> Mask:
-    """The `marks` (..., M, M) of a frame in the window at another pose: unset where the frame does not reach."""
+    """The `marks` (..., M, M) of a frame in the window at another pose: unset in cells outside the frame."""
     shift = shift_between(frame.world_T_grid, world_T_grid, cell_m)
     return rolled(marks, shift, False) if shift else marks
 
@@ -76,7 +76,7 @@ def count_frames(
 ) -> tuple[NDArray[np.float64], bool]:
     """In how many frames of all sources each of K `marks` (M, M) is set, (K, M, M), and whether a sensor moves.
 
-    The cells are those of the window of the first frame; sources whose sensor stands elsewhere are counted at their
+    The cells are in the window of the first frame; sources with a sensor that stands elsewhere are counted at their
     place. A sensor that moves learns no place, because the world frames of other recordings begin elsewhere: the counts
     are then the same in every cell, the mean over all cells.
     """

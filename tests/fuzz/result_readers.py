@@ -53,6 +53,7 @@ def weights(folder: Path) -> None:
         site="here",
         grid=str(GRID),
         period_s=0.125,
+        world_T_grid=(0.0, 0.0),
         seed=1,
         command="gridtrack train kalman a.mcap",
         train=(TrainingData(recording="a", sha256="0" * 64),),

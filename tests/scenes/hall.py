@@ -50,6 +50,7 @@ def card(**settings) -> Card:
         site="hall",
         grid=str(GRID),
         period_s=PERIOD_S,
+        world_T_grid=(0.0, 0.0),
         seed=0,
         command="",
         train=(),

@@ -99,7 +99,7 @@ def count_particles(particles, count, persisted, motion, counter, counts, sums):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def mean_velocities(sums, min_particles, to_mps, mean):  # type: ignore[no-untyped-def]
-    """Write the means of `sums`, as of `count_particles`, to `mean` (S, 2, M, M) where there are `min_particles`."""
+    """Write the means of `sums`, as of `count_particles`, to `mean` (S, 2, M, M) if there are `min_particles`."""
     for step in range(sums.shape[0]):
         for row in range(sums.shape[1]):
             for column in range(sums.shape[2]):

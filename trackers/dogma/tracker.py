@@ -38,7 +38,7 @@ DOGMA_RANGES = {
 }
 """Ranges of the tuned settings, searched log-uniformly."""
 DOGMA_OF_PLACE = frozenset({"free_decay_s"})
-"""The setting that weighs the map of the place against the stream: what is not free counts with the rate of the map."""
+"""The setting that weighs the map of the place against the stream: unknown mass counts with the rate of the map."""
 
 
 class DogmaTracker(CalibratedTracker):
@@ -80,7 +80,7 @@ class DogmaTracker(CalibratedTracker):
     def predict(self, steps: int) -> Forecast:
         """Forecast steps 0..steps, and the mean velocity of each cell that has enough persistent particles.
 
-        Velocities are of every step where they are scored, else of step 0 alone, which takes less time.
+        Velocities are of every step if they are scored, else of step 0 alone, which takes less time.
         """
         velocity: NDArray[np.floating]
         if self.stream.velocity_scored:
@@ -92,7 +92,7 @@ class DogmaTracker(CalibratedTracker):
 
     @classmethod
     def starts_from_general(cls, options: DogmaSettings) -> bool:
-        """Its settings are those of general weights."""
+        """The search starts from the settings of the general weights."""
         return True
 
     @classmethod

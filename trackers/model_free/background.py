@@ -107,7 +107,7 @@ class Background:
 
     @property
     def explained(self) -> Mask:
-        """The cells (M, M) whose returns belong to the background."""
+        """The cells (M, M) in which returns belong to the background."""
         walls = self._walls
         if self._outside.any():
             closed = self._open_space.closed(1.0 - self.settings.explained_above)

@@ -126,7 +126,7 @@ class ClassFilter:
     """Classes of tracks, from the mean log density over all frames in which a track was seen, and its cell prior.
 
     Consecutive frames are strongly correlated, so they do not count as independent; frames before an occlusion count.
-    `cell_prior` (K, M, M) float32 is that of the present window; it was counted in a grid that lay at `world_T_map`.
+    `cell_prior` (K, M, M) float32: of the present window; it was counted in a grid at `world_T_map`.
     """
 
     def __init__(self, model: ClassModel, grid: GridSpec, world_T_map: SE2 | None = None) -> None:
@@ -136,7 +136,7 @@ class ClassFilter:
         self._evidence: dict[int, Evidence] = {}
 
     def observe(self, tracks: Sequence[Track], frame: GridFrame, window: Window) -> None:
-        """Update the evidence of the `tracks`, after their update with `frame`; that of deleted tracks is removed."""
+        """Update the evidence of the `tracks` after their update with `frame`, and remove that of deleted tracks."""
         self.cell_prior = self._site.at(frame.world_T_grid)
         kept = {one.identity: self._evidence[one.identity] for one in tracks if one.identity in self._evidence}
         seen = [track for track in tracks if not track.unseen]

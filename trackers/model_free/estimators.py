@@ -114,7 +114,7 @@ def is_positive_definite(matrix):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def has_diverged(mean, covariance, pose, limits):  # type: ignore[no-untyped-def]
-    """Whether a state (6,) with its covariance (6, 6) cannot be that of an object just measured at `pose` (3,).
+    """Whether an object just measured at `pose` (3,) cannot have this state (6,) with its covariance (6, 6).
 
     It is outside the StateLimits, or not finite, or its covariance is not positive definite.
     """
@@ -141,9 +141,9 @@ def warm_up(make_estimator: MakeEstimator, model: MotionModel) -> None:
 
 
 class SwitchingEstimator:
-    """One estimator for each regime: a MotionEstimator; `mean` and `covariance` are those of the mixture.
+    """One estimator for each regime: a MotionEstimator with the `mean` and `covariance` of the mixture.
 
-    `probabilities` (2,) are those of the regimes. Raises ValueError as `update` of the estimators does.
+    `probabilities` (2,): of the regimes. Raises ValueError as `update` of the estimators does.
     """
 
     def __init__(

@@ -46,7 +46,7 @@ STATE_JACOBIAN = np.eye(6)
 
 
 class FactorGraphEstimator:
-    """Fixed-lag smoother: a MotionEstimator. `mean` (6,) and `covariance` (6, 6) are those of the newest frame.
+    """Fixed-lag smoother: a MotionEstimator. `mean` (6,) and `covariance` (6, 6): at the newest frame.
 
     `restarts` counts how often gtsam found the system singular or indeterminate: the measurement of the frame is then
     ignored, and a new graph starts from the prediction. Raises ValueError as `update` does.
@@ -79,7 +79,7 @@ class FactorGraphEstimator:
             self._newest, self._newest_mean = self._frame, self._mean
 
     def _smoothed(self, pose: Array, covariance: Array) -> tuple[Array, Array]:
-        """Mean and covariance of the newest state after its measured pose; raises RuntimeError where gtsam fails."""
+        """Mean and covariance of the newest state after its measured pose; raises RuntimeError if gtsam fails."""
         factors, values, stamps = _new_factors()
         if self._frame > self._newest:
             linearisation = linearisation_point(self._mean, self.covariance, pose, covariance)
@@ -173,6 +173,6 @@ def linearisation_point(mean, covariance, pose, pose_covariance):  # type: ignor
 
 
 class FactorGraphTracker(ModelFreeTracker):
-    """The pipeline with fixed-lag smoothers, whose measurements are robust."""
+    """The pipeline with fixed-lag smoothers and robust measurements."""
 
     estimator = staticmethod(FactorGraphEstimator)

@@ -27,9 +27,9 @@ HEADING_SPEED = 0.3
 
 Planes = NDArray[np.float32]
 MIN_PRIOR_WEIGHT = 1e-6
-"""Smallest weight of the prior in a cell: without a track, the classes of the cell are those of the prior."""
+"""Smallest weight of the prior in a cell: a cell without a track has the classes of the prior."""
 FLOW_REACH_SIGMAS = 2.0
-"""A cell has the velocity of a track that is nearer than a cell and so many standard deviations of its position."""
+"""A cell has the velocity of a track within a cell and this many standard deviations of the track's position."""
 
 
 def add_tracks(
@@ -168,7 +168,7 @@ def attribute(
 ) -> None:
     """Set the classes of the `occupied` cells (M, M) of the observed frame in its `semantics` (K, M, M).
 
-    The returns of a track have its `classes` (T, K), the other returns those of `cell_prior`.
+    The returns of a track have its `classes` (T, K); other returns have the classes of `cell_prior`.
     """
     semantics[:, occupied] = cell_prior[:, occupied]
     seen = [number for number, track in enumerate(tracks) if not track.unseen]
@@ -216,7 +216,7 @@ def _normalise(semantics):  # type: ignore[no-untyped-def]
 def flow_of(tracks: Sequence[Track], steps: int, model: MotionModel, grid: GridSpec) -> NDArray[np.float16]:
     """Velocities (steps+1, 2, M, M), m/s, at steps 0..steps; NaN in cells that no confirmed or coasting track reaches.
 
-    `grid` has its corner in the fixed frame. A cell has the velocity of the track whose bounding box is nearest to its
+    `grid` has its corner in the fixed frame. A cell has the velocity of the track with the bounding box nearest to its
     centre at that step: of the point of the rigid body there, predicted with the motion `model`.
     """
     kept = [track for track in tracks if track.status is not Status.TENTATIVE]

@@ -16,10 +16,10 @@ from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 
 
 class KalmanEstimator:
-    """Extended Kalman filter: a MotionEstimator. `mean` (6,) and `covariance` (6, 6) are those of the newest frame.
+    """Extended Kalman filter: a MotionEstimator. `mean` (6,) and `covariance` (6, 6): at the newest frame.
 
-    The prediction is linearised at the mean. The measurement is linear; its heading is unwrapped to that of the mean.
-    Raises ValueError as `update` does.
+    The prediction is linearised at the mean. The measurement is linear; its heading is unwrapped to the heading of the
+    mean. Raises ValueError as `update` does.
     """
 
     gate = math.inf

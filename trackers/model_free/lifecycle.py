@@ -22,7 +22,7 @@ SHADOW_M = 2.0
 MOVING_MPS = 1.0
 """Slower bodies are not continued: in a queue, neighbours are different objects."""
 PART_VELOCITY_MPS = 0.5
-"""Standard deviation of the velocity of such a cluster about that of the body."""
+"""Standard deviation of the velocity of such a cluster relative to the body."""
 SIGNIFICANT = float(chi2.ppf(0.95, 2))
 """Squared Mahalanobis distance of two velocities from which they differ significantly."""
 KNOWN_MPS = 0.5
@@ -38,7 +38,7 @@ def initiate(
 ) -> SwitchingEstimator:
     """The estimator of a new track; the body frame lies at the centre of the cluster, parallel to the grid.
 
-    The mean velocity is zero, or that of the long moving body of `tracks` that the cluster seems to continue: a bus
+    The mean velocity is zero, or that of the long moving body of `tracks` which the cluster seems to continue: a bus
     appears from behind pedestrians window by window, and the pose of a single window does not show its speed.
     """
     initiated = SwitchingEstimator(make_estimator, np.array([*cluster.centre, 0.0]), pose_noise(settings), regimes)
@@ -52,7 +52,7 @@ def initiate(
 
 
 def continued_by(cluster: Cluster, tracks: Sequence[Track]) -> Track | None:
-    """The confirmed, long, moving track whose cut-off boundary points are nearest to those of the cluster."""
+    """The confirmed, long, moving track with cut-off boundary points nearest to the cut-off points of the cluster."""
     bodies = [track for track in tracks if _can_continue(track)]
     if not bodies or not cluster.cut.any():
         return None
@@ -116,7 +116,7 @@ def _velocities_of_tracks_agree(one: Track, other: Track) -> bool:
 
 
 def _touching(tracks: Sequence[Track], touch_m: float) -> Iterator[tuple[Track, Track]]:
-    """Pairs of tracks, the older first, whose boundaries come within `touch_m`; bounding boxes are compared first."""
+    """Pairs of tracks with boundaries within `touch_m`, the older track first; bounding boxes are compared first."""
     if not tracks:
         return
     boundaries = boundaries_of(tracks)

@@ -48,7 +48,7 @@ class MotionModel(NamedTuple):
 
 
 class StateLimits(NamedTuple):
-    """What the estimate for an object can be that was measured just now, in a window with frames of one period.
+    """Limits of the state of an object that was just measured, in a window with frames of one period.
 
     All its poses lie in the window: no two of them are farther apart than its diagonal, none is left faster than the
     diagonal in a period, and a turn of more than half a circle in a period looks like one the other way.
@@ -209,7 +209,7 @@ def _process_noise(moved, step, noise):  # type: ignore[no-untyped-def]
 
 @INLINED
 def _add_transformed(jacobian, covariance, total):  # type: ignore[no-untyped-def]
-    """Add J C J^T to `total`, all (6, 6), exactly symmetric; the first three columns of J are those of the identity."""
+    """Add J C J^T to `total`, all (6, 6), exactly symmetric; the first three columns of J are from the identity."""
     half = np.empty((6, 6))
     for i in range(6):
         for m in range(6):

@@ -35,9 +35,9 @@ from gridtrack.trackers.site_map import SiteMap
 class Pipeline:
     """Tracks of moving objects against a static background, and their forecast.
 
-    `background` is the map of the site, of a grid that lay at `world_T_map` (without it: where the first frame's lies);
+    `background` is the map of the site, of a grid at `world_T_map` (by default at the grid of the first frame);
     `residence` (A, S) float32 is the life table of returns that stay in place. Positions are in metres in the fixed
-    frame of the `window`, which scrolls with the sensor: what is kept for each cell moves with it by whole cells.
+    frame of the `window`, which scrolls with the sensor: the arrays of cells move with it by whole cells.
     """
 
     def __init__(
@@ -82,13 +82,13 @@ class Pipeline:
         self.frame = frame
 
     def _periods_until(self, frame: GridFrame) -> int:
-        """Number of periods since the previous frame: more than one where frames are missing."""
+        """Number of periods since the previous frame: more than one if frames are missing."""
         if self.frame is None:
             return 1
         return max(1, round((frame.stamp_ns - self.frame.stamp_ns) * 1e-9 / self.period_s))
 
     def _scroll(self, frame: GridFrame) -> None:
-        """Move what is kept for each cell to the window of the frame; tracks end where no cell remains."""
+        """Move the arrays of cells to the window of the frame; if no cell remains, all tracks end."""
         self.previous_window = self.window
         if self.frame is None:
             shift = Shift()
@@ -228,7 +228,7 @@ class Pipeline:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """`forecast`, and P(class | occupied) (steps+1, K, M, M) float32.
 
-        Tracks have `classes` (T, K), the background has those of `cell_prior` (K, M, M); the classes of a cell are
+        Tracks have `classes` (T, K), the background has the `cell_prior` (K, M, M); the classes of a cell are
         weighted by the occupancy that each contributes.
         """
         occupancy = self.background.probabilities(steps)

@@ -79,7 +79,7 @@ def draw_track(  # type: ignore[no-untyped-def]
     The object exists with probability `existence` (n+1,). Its expected occupancy is a mixture. In each of R regimes,
     of probability `moved` (R, n+1), it is its surface, `offsets` (N, 2) with `weights` (N,), at the mean `poses` (R,
     n+1, 3), x and y in cells, heading in radians, blurred by `covariances` (R, n+1, 2, 2). Or its returns are in place
-    at `points` (K, 2), of probability `in_place` (K, n+1), blurred by `blur`. A position whose standard deviation is
+    at `points` (K, 2), of probability `in_place` (K, n+1), blurred by `blur`. A position with a standard deviation
     greater than the window's side is not drawn: the object is more probably outside, and the image of its blur would
     grow without a bound.
 
@@ -271,7 +271,7 @@ def _pixel_covariance(covariance, scale):  # type: ignore[no-untyped-def]
 
 @numba.njit(error_model="numpy")
 def _pixel(cell, scale, count):  # type: ignore[no-untyped-def]
-    """The last of `count` pixels whose centre is not beyond that of a cell, and the fraction of the way to the next."""
+    """The last of `count` pixels with a centre not beyond that of a cell, and the fraction of the way to the next."""
     position = min(max((cell + 0.5) / scale - 0.5, 0.0), count - 1.0)
     return U(position), np.float32(position - math.floor(position))
 

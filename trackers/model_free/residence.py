@@ -43,7 +43,7 @@ def table_shape(period_s: float) -> tuple[int, int]:
 def next_ages(ages: Ages, occupied: Mask, oldest: int, periods: int = 1) -> Ages:
     """For how many periods each occupied cell (M, M), or one of its neighbours, has been occupied: at most `oldest`.
 
-    `ages` (M, M) are those of the previous frame, `periods` earlier; NOT_OCCUPIED elsewhere.
+    `ages` (M, M): of the previous frame, `periods` earlier; NOT_OCCUPIED elsewhere.
     """
     before = _neighbourhood_maximum(ages)
     grown = np.where(before == NOT_OCCUPIED, 0, np.minimum(before + periods, oldest))
@@ -58,7 +58,7 @@ class OpenSoFar:
         self._window: SE2 | None = None
 
     def __call__(self, frame: GridFrame) -> Mask:
-        """The open cells (M, M) of the window of a frame, as of the frame before."""
+        """The open cells (M, M) of the window of a frame, from the frames before it."""
         window = self._window or frame.world_T_grid
         if shift := shift_between(window, frame.world_T_grid, self._cell_m):
             self._space.scroll(shift)
@@ -105,7 +105,7 @@ def resampled(table: NDArray[np.floating], from_s: float, to_s: float) -> NDArra
 def count_residence(
     frames: Iterable[GridFrame], opened: OpenCells, shape: tuple[int, int], cell_m: float
 ) -> NDArray[np.float64]:
-    """Counts (2, A, S) of returns in open cells by age, whose cell is visible s steps later: of all, of those in place.
+    """Counts (2, A, S) of returns in open cells by age, if the cell is visible s steps later: all, and those in place.
 
     A return is in place if its cell or one of the eight neighbours is occupied.
     """

@@ -26,7 +26,7 @@ class Cluster:
 
     points: Array
     cut: Mask
-    """Where an occluder may hide the continuation of the surface (`occlusion.cut_off_returns`)."""
+    """Points at which an occluder may hide the continuation of the surface (`cut_off_returns`)."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -92,7 +92,7 @@ def clusters_of(points: Array, cut: Mask, labels: NDArray[np.int64]) -> list[Clu
 
 
 def joined(parts: Sequence[Cluster]) -> Cluster:
-    """One cluster of all parts; the part itself where there is only one."""
+    """One cluster of all parts; the part itself if there is only one."""
     if len(parts) == 1:
         return parts[0]
     return Cluster(np.concatenate([part.points for part in parts]), np.concatenate([part.cut for part in parts]))

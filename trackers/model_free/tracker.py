@@ -31,7 +31,7 @@ class ModelFreeTracker(CalibratedTracker):
     """Tracks of clusters against a fitted background, with one motion estimator each.
 
     The weights are the background map, the life table of returns, the calibration of the probabilities, the tuned
-    settings (a given option has precedence) and, where they have classes, a model of the features of each class. The
+    settings (a given option has precedence) and, if they have classes, a model of the features of each class. The
     `objects` of a forecast are the confirmed tracks.
     """
 
@@ -134,7 +134,7 @@ class ModelFreeTracker(CalibratedTracker):
 
     @classmethod
     def starts_from_general(cls, options: ModelFreeSettings) -> bool:
-        """Its settings are those of general weights; classes are added to weights of the site."""
+        """The search starts from the settings of the general weights; classes are added to weights of the site."""
         return options.stage != "classes"
 
     @classmethod

@@ -15,11 +15,11 @@ from gridtrack.trackers.model_free.estimators import SwitchingEstimator
 from gridtrack.trackers.model_free.shape import Shape, to_grid
 
 NOT_PLACED = np.empty(0), np.empty(0), np.empty((0, 2))
-"""The cached boundary of a track whose boundary has not been computed."""
+"""The cached boundary before it is computed."""
 
 
 class Window:
-    """Where the grid lies in the fixed frame, which is the grid frame of the first update and does not move.
+    """The pose of the grid in the fixed frame, which is the grid frame of the first update and does not move.
 
     The axes of the fixed frame are the world's; its origin is near the sensor, so that coordinates stay small wherever
     the origin of the world is. `shift` is how far the window has moved since then, in whole cells; `fixed_grid` is the
@@ -116,6 +116,6 @@ def existence_when_detected(existence: float, detection_probability: float, clut
 def existence_when_missed(existence: float, detection_probability: float) -> float:
     """Bayes' rule for the existence probability after a missed detection.
 
-    `detection_probability` is that of an existing object: 0 where it would be hidden, and a miss is uninformative.
+    `detection_probability`: of an existing object; 0 if it would be hidden, so that a miss says nothing.
     """
     return existence * (1.0 - detection_probability) / (1.0 - existence * detection_probability)

@@ -68,7 +68,7 @@ SETTING_RANGES = {
 }
 """Ranges of the tuned settings, searched log-uniformly."""
 PIPELINE_OF_PLACE = frozenset({"untracked_share", "rate_recovery_s", "static_above", "adaptation_s", "map_weight_s"})
-"""Settings that weigh the map of the place against the stream: those of the background."""
+"""Settings that weigh the map of the place against the stream: the settings of the background."""
 WITHOUT_MAP = {"background": "none"}
 """The setting of a pipeline that finds its background while the stream goes."""
 COMPONENTS = (1, 2, 4, 8)
@@ -80,7 +80,7 @@ SHRINKAGE = 0.05
 SAMPLES_PER_COMPONENT = 40
 """Minimum number of samples (frames of tracks) of a class for each further Gaussian."""
 SMOOTHING_M, SMOOTHED_WEIGHT, GLOBAL_WEIGHT = 1.6, 1.0, 10.0
-"""The prior of a cell: its own returns, plus those of its surroundings, a Gaussian of deviation SMOOTHING_M, with a
+"""The prior of a cell: its own returns, plus its surroundings, a Gaussian of deviation SMOOTHING_M, with a
 total weight of SMOOTHED_WEIGHT returns; the surroundings include all returns of the site with GLOBAL_WEIGHT returns."""
 
 
@@ -160,10 +160,10 @@ class TrackSamples(NamedTuple):
 
 
 def draw_scans(task: FitTask) -> LabelledScans | None:
-    """The labelled scans of the training; None where no classes are requested or available, or for any place.
+    """The labelled scans of the training; None if no classes are requested or available, or for any place.
 
-    Raises ConfigurationError where too few scans are labelled or classes are requested for any place, WeightsError
-    where classes are to be added but there are no weights.
+    Raises ConfigurationError if too few scans are labelled or classes are requested for any place, WeightsError
+    if there are no weights to add classes to.
     """
     train, options = task.train, task.options
     if task.general:
@@ -180,7 +180,7 @@ def draw_scans(task: FitTask) -> LabelledScans | None:
 def fit_classes(kind: type[ModelFreeTracker], labelled: LabelledScans, task: FitTask) -> None:
     """Train classes on the `labelled` scans and add them to the weights at `task.out`, which are otherwise unchanged.
 
-    Raises ConfigurationError where `task.validation` has no labels.
+    Raises ConfigurationError if `task.validation` has no labels.
     """
     classes, source = labelled.classes, task.train[0]
     task.report(f"classes {', '.join(classes)} from {labelled.name}")
@@ -238,7 +238,7 @@ def track_samples(
 
 
 def count_cells(labelled: LabelledScans, classes: Sequence[str]) -> NDArray[np.float64]:
-    """Number of labels of each class in each cell (K, M, M); the mean of all cells where the windows differ."""
+    """Number of labels of each class in each cell (K, M, M); the mean of all cells if the windows differ."""
     size = labelled.sources[0].grid.size
     count, windows = np.zeros((len(classes), size**2)), set()
     for source, frames in labelled.scans():
@@ -287,8 +287,8 @@ def best_model(
 def fit_mixtures(training: TrackSamples, cell_prior: NDArray[np.float64], components: int, seed: int) -> ClassModel:
     """Mixture discriminant analysis (Hastie and Tibshirani, 1996): Gaussians with one covariance for each class.
 
-    The class of a sample is that of most of its cells. A class without samples has the distribution of all samples. The
-    powers are not chosen here.
+    The class of a sample is the class of most of its cells. A class without samples has the distribution of all
+    samples. The powers are not chosen here.
     """
     known = training.cells.any(axis=1)
     features, targets = training.features[known], training.cells[known].argmax(axis=1)

@@ -1,1 +1,1 @@
-"""What every `fit` shares: weights and their cards, searches, excerpts, labelled scans, calibration, progress."""
+"""Shared by every `fit`: weights and their cards, searches, excerpts, labelled scans, calibration, progress."""

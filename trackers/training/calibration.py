@@ -6,7 +6,7 @@ Filho and Flach, AISTATS 2017); with a and b positive,
 
     logit calibrated = c + a ln p - b ln(1 - p).
 
-There is one map for cells that were seen recently, and one for cells that have been hidden for longer, whose forecast
+There is one map for cells that were seen recently, and one for cells that have been hidden for longer: their forecast
 is mainly their occupancy rate; both are fitted to cells that are visible at the forecast step. The maps are monotonic.
 """
 
@@ -35,7 +35,7 @@ LEVELS = 4096
 COUNT_EVERY = 5
 """Frames between the forecasts that are counted."""
 PRIOR_CELLS = 10.0
-"""Weight of the prior for the identity: so many cells, distributed over all levels."""
+"""Weight of the prior for the identity, in cells, distributed over all levels."""
 RECENT_S = 1.0
 """A cell was seen recently if it was seen within this time."""
 MIN_SLOPE = 1e-3
@@ -43,7 +43,7 @@ MIN_SLOPE = 1e-3
 
 
 class CalibratedTracker(Tracker):
-    """A tracker whose forecasts are calibrated by how long a cell has been hidden."""
+    """A tracker with forecasts that are calibrated by the time for which a cell has been hidden."""
 
     @property
     @abstractmethod
@@ -135,7 +135,7 @@ def _counts(tracker: CalibratedTracker, frames: Sequence[GridFrame], steps: int)
 def _apply(probabilities, recent, maps):  # type: ignore[no-untyped-def]
     """Map `probabilities` (S, M, M) in place by their nearest level in `maps` (2, LEVELS+1).
 
-    The first map is that of the cells seen `recent` (M, M); values outside [0, 1] are mapped like 0 or 1.
+    The first map is for the cells seen `recent` (M, M); values outside [0, 1] are mapped like 0 or 1.
     """
     last, size = maps.shape[1] - 1, len(recent)
     for step in range(len(probabilities)):

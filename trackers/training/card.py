@@ -1,7 +1,7 @@
 """The card of learned weights: tracker, site, grid, period, training recordings, seed, command, settings and results.
 
-The weights of a site are used there only. General weights were learned at many places, and are used where there are
-none for the site: their card has no site and no grid, and the ranges of cell and period that they were trained on.
+The weights of a site are used there only. General weights were learned at many places, and are used at sites without
+weights: their card has no site and no grid, but the ranges of cell and period of their training.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ class TrainingData(Settings):
     recording: str
     sha256: str
     site: str = ""
-    """Of the recording; "" on a card of an earlier gridtrack."""
+    """Of the recording; "" if unknown."""
     source_sha256: str = ""
-    """Of the file that the recording was first imported from; "" on a card of an earlier gridtrack."""
+    """Of the file that the recording was first imported from; "" if unknown."""
     start_ns: int = 0
     end_ns: int = 0
-    """Stamps of the frames: from `start_ns` on, `end_ns` excluded; 0 where `source_sha256` is ""."""
+    """Stamps of the frames: from `start_ns` on, `end_ns` excluded; 0 if `source_sha256` is unknown."""
 
 
 class StartedFrom(Settings):
@@ -51,7 +51,7 @@ class StartedFrom(Settings):
 
 
 class CardThresholds(Settings):
-    """Thresholds for recordings without a validation stretch, chosen on those of the training.
+    """Thresholds for recordings without a validation stretch, chosen on the validation stretches of the training.
 
     `values`: by stratum, at horizons of 0, 1, 2, ... times `step_s`.
     """
@@ -60,7 +60,7 @@ class CardThresholds(Settings):
     values: dict[str, tuple[Annotated[float, Field(ge=0.0, le=1.0)], ...]]
 
     def at(self, stratum: str, horizons_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The thresholds (S,) of a stratum at these horizons (S,), each that of the nearest one; 0.5 without any."""
+        """The thresholds (S,) of a stratum at these horizons (S,), of the nearest known horizon; 0.5 by default."""
         known = np.asarray(self.values.get(stratum) or (0.5,))
         return np.asarray(known[np.minimum(np.rint(horizons_s / self.step_s).astype(np.int64), len(known) - 1)])
 
@@ -82,20 +82,20 @@ class Card(Settings):
     seed: int
     command: str
     started_from: StartedFrom | None = None
-    """None: from scratch, as every training of an earlier gridtrack was, whose command does not say so."""
+    """None: from scratch."""
     train: tuple[TrainingData, ...]
-    """First what this training learned from, then what the general weights did that it `started_from`."""
+    """The training data of this training, then of the general weights that it `started_from`."""
     validation: tuple[TrainingData, ...] = ()
     arrays_sha256: str = ""
     classes: tuple[str, ...] = ()
-    """The classes of the tracker, in its order; scores match them with those of a recording by name."""
+    """The classes of the tracker, in its order; scores match them by name with the classes of a recording."""
     world_T_grid: tuple[Coordinate, Coordinate] | None = None
-    """Where the arrays with a value per cell lie in the world: x and y of their grid frame, metres, its axes the
-    world's. None on a card of an earlier gridtrack: they then lie in the first window of a stream."""
+    """Pose of the arrays with a value per cell: x and y of their grid frame, metres; its axes are parallel to the
+    world frame. None on a general card."""
     thresholds: CardThresholds | None = None
-    """None on a card of an earlier gridtrack, or of a training that was interrupted."""
+    """None if the training did not choose any, for example because it was interrupted."""
     interrupted: str = ""
-    """How far an interrupted training came, such as "update 200 of 1000"; empty for one that finished."""
+    """The last step of an interrupted training, such as "update 200 of 1000"; empty if it finished."""
     settings: dict[str, Any] = Field(default_factory=dict)
     results: dict[str, Any] = Field(default_factory=dict)
 
@@ -110,8 +110,8 @@ class Card(Settings):
     def _of_a_site_or_general(self) -> Card:
         if self.general != (self.cells_m is not None) or self.general != (self.periods_s is not None):
             raise ValueError(f"site '{GENERAL}' has cells_m and periods_s, and no other site has them")
-        if not self.general and (not self.grid or self.period_s is None):
-            raise ValueError("the card of a site has its grid and period_s")
+        if not self.general and (not self.grid or self.period_s is None or self.world_T_grid is None):
+            raise ValueError("the card of a site has its grid, period_s and world_T_grid")
         return self
 
     @property
@@ -121,33 +121,33 @@ class Card(Settings):
 
     @property
     def labelled_scans(self) -> int | None:
-        """The number of labelled scans that the classes were learned from; None without, or where it is not known."""
+        """The number of labelled scans that the classes were learned from; None without classes, or if unknown."""
         number = self.settings.get("labelled_scans") if self.classes else None
         return number if isinstance(number, int) and number > 0 else None
 
     def beyond_training(self, cell_m: float, period_s: float) -> str:
-        """In what a stream lies outside of the training of general weights, "" where it does not."""
+        """How a stream differs from the training of general weights, as text; "" if it lies within."""
         ranges = (("cells", cell_m, self.cells_m, "m"), ("periods", period_s, self.periods_s, "s"))
         return " and ".join(
-            f"{what} of {known[0]:g} to {known[1]:g} {unit}, not {value:g} {unit}"
-            for what, value, known, unit in ranges
+            f"{name} of {known[0]:g} to {known[1]:g} {unit}, not {value:g} {unit}"
+            for name, value, known, unit in ranges
             if known is not None and not 0.999 * known[0] <= value <= 1.001 * known[1]
         )
 
     @property
     def map_pose(self) -> SE2 | None:
-        """`world_T_grid` of the arrays with a value per cell; None where the card does not have it."""
+        """`world_T_grid` of the arrays with a value per cell; None on a general card."""
         return None if self.world_T_grid is None else SE2(*self.world_T_grid)
 
 
 def card_for(
     tracker: str, task: FitTask, settings: Mapping[str, Any], results: Mapping[str, Any] | None = None
 ) -> Card:
-    """The card that `task` asks for, of the tracker registered as `tracker`.
+    """The card of the tracker registered as `tracker` for this task, with its settings and results.
 
-    Settings that are None, which TOML cannot hold, are left out: it is their default. Arrays with a value per cell lie
-    in the window of the first frame. Raises WeightsError where the training stretches of a site differ in grid, period
-    or site.
+    Settings that are None are left out, because TOML cannot hold None; it is their default. Arrays with a value per
+    cell lie in the window of the first frame. Raises WeightsError if the training stretches of a site differ in grid,
+    period or site.
     """
     return Card(
         tracker=tracker,
@@ -162,7 +162,7 @@ def card_for(
 
 
 def _ranges_of(sources: Sequence[FrameSource]) -> dict[str, Any]:
-    """The fields of a general card that say what it was trained on."""
+    """The fields of a general card about its training data."""
     cells, periods = ([source.grid.cell_m for source in sources], [source.period_s for source in sources])
     return {
         "site": GENERAL,
@@ -172,7 +172,7 @@ def _ranges_of(sources: Sequence[FrameSource]) -> dict[str, Any]:
 
 
 def _place_of(tracker: str, sources: Sequence[FrameSource]) -> dict[str, Any]:
-    """The fields of a site's card that say where it was trained. Raises WeightsError."""
+    """The fields of a site's card about the place of its training. Raises WeightsError."""
     kinds = {(str(s.grid), s.period_s, s.site) for s in sources}
     if len(kinds) != 1:
         raise WeightsError(

@@ -55,7 +55,7 @@ class CellClassifier(nn.Module):
 def scan_classifier(channels: int, classes: int, *, general: bool = False) -> CellClassifier:
     """An untrained classifier of the 15 x 15 cells around a cell, as the baseline of Ondruska et al. (2016).
 
-    Its planes are those of `planes_of`, for `general` weights with the cell size.
+    Its planes are from `planes_of`, for `general` weights with the cell size.
     """
     return CellClassifier(3 if general else 2, (channels,) * (LAYERS - 1), classes)
 

@@ -111,7 +111,7 @@ class TrainedClassifier:
     log_loss: float
     temperature: float = 1.0
     reached: str = ""
-    """How far an interrupted search had come when this was its best classifier; "" for one that finished."""
+    """The last step of an interrupted search, with this as its best classifier; "" if it finished."""
 
 
 def best_classifier(
@@ -124,7 +124,7 @@ def best_classifier(
     """The classifier with the least log loss on `validation` of SETTINGS_TRIED settings; `given` settings are fixed.
 
     `validation`: sets of cells with equal weight. `build` returns an untrained classifier. An interrupt ends the search
-    at the best so far. Raises KeyboardInterrupt where there is none yet.
+    at the best so far. Raises KeyboardInterrupt if there is none yet.
     """
     candidates, best = tuple(candidate_settings(given, task.seed)), None
     with task.progress.stage("classifier", len(candidates)) as stage:

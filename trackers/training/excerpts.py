@@ -1,6 +1,6 @@
-"""Excerpts of recordings, cached in memory: what a search, or a validation during a training, streams many times.
+"""Excerpts of recordings, cached in memory, because a search or a validation streams them many times.
 
-And by which scores both select, the same for all trackers.
+Also the scores by which both select, the same for all trackers.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.trackers.contract import FrameSource
 
 SELECTION_STRATA, SELECTION_HORIZONS_S = ("dynamic", "in-motion", "visible"), (0.5, 1.0, 2.0)
-"""Settings and weights are selected by their mean F1 over these strata, those of the headline, and horizons. Among
-dynamic cells alone what stands decides; and vehicles that wait at a red light are static in a stretch of one or two
-minutes: only the visible cells have them."""
+"""Settings and weights are selected by their mean F1 over these strata and horizons, as in the headline. Standing
+objects would decide among the dynamic cells alone; and vehicles that wait at a red light count as static in a stretch
+of one or two minutes, so that only the visible cells contain them."""
 EXCERPTS, EXCERPT_S = 4, 100.0
 """Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
 PLACES, SEARCHED_S, VALIDATED_S = 24, 20.0, 60.0
-"""Number of places on an excerpt of which general weights are searched or validated, and its durations: a search scores
-hundreds of settings, a training a few networks, which differ by less than 20 s of ten places tell."""
+"""Number of places for general weights, and the duration of the excerpt of each in a search and in a validation. A
+search scores hundreds of settings; a training scores a few networks, which differ too little for short excerpts."""
 PLACE_STRIDE = 5
-"""Between places that follow each other; it has no divisor in common with PLACES."""
+"""Stride between places in the order of the excerpts; it has no divisor in common with PLACES."""
 
 
 @dataclass(slots=True)
@@ -75,10 +75,10 @@ def excerpts(sources: Sequence[FrameSource]) -> list[FrameSource]:
 
 
 def excerpts_of_places(sources: Sequence[FrameSource], duration_s: float) -> list[FrameSource]:
-    """For weights of any place: one excerpt of `duration_s` of each of at most PLACES sources, evenly chosen.
+    """For general weights: the middle `duration_s` of each of at most PLACES sources, evenly chosen, in memory.
 
-    The middle of each source; their frames are cached in memory. Neighbours among the sources, such as two worlds of
-    one kind, do not follow each other: the first excerpts are a fair choice already.
+    Neighbours among the sources, such as two worlds of one kind, do not follow each other, so that the first excerpts
+    are a fair sample already.
     """
     order = [n * PLACE_STRIDE % PLACES for n in range(PLACES)]
     chosen = [sources[n * len(sources) // PLACES] for n in order] if len(sources) > PLACES else sources
@@ -86,7 +86,7 @@ def excerpts_of_places(sources: Sequence[FrameSource], duration_s: float) -> lis
 
 
 def mean_of_defined(scores: Sequence[float]) -> float:
-    """The mean of the scores that are defined, NaN without any: where nothing moves there is no F1 of dynamic cells."""
+    """The mean of the scores that are defined, NaN without any. Without motion the F1 of dynamic cells is undefined."""
     defined = [score for score in scores if math.isfinite(score)]
     return float(np.mean(defined)) if defined else math.nan
 

@@ -16,7 +16,7 @@ from gridtrack.common.grid import LabelledFrame
 from gridtrack.trackers.contract import FrameSource
 
 ENOUGH_SCANS = 800
-"""So many labelled scans are drawn where the user asks for no number: as many as in the paper."""
+"""The default number of labelled scans, as in the paper."""
 
 ClassWeights = Literal["inverse-frequency", "none"]
 
@@ -27,16 +27,16 @@ frames, and forecasts start up to 12 frames before the scan."""
 VALIDATE_ON = 20
 """Every twentieth scan is used for validation: neighbouring scans are nearly equal."""
 NAMED_SOURCES = 4
-"""Up to so many recordings are named one by one; general weights learn from hundreds."""
+"""Up to this many recordings are named one by one; general weights learn from hundreds."""
 SourceAndFrames = tuple[FrameSource, Iterator[LabelledFrame]]
-"""A source, whose class names the labels index, and frames of it."""
+"""A source and frames of it; the labels index the class names of the source."""
 
 
 class LabelSettings(Settings):
     """Which labels a tracker learns from."""
 
     labelled_scans: int | None = Field(None, ge=1)
-    """Number of labelled scans that the classes are learned from; the seed draws them. None: ENOUGH_SCANS, or all where
+    """Number of labelled scans that the classes are learned from; the seed draws them. None: ENOUGH_SCANS, or all if
     fewer are labelled; the card states how many there were."""
     label_drawing: Literal["spread", "consecutive"] = "spread"
     """`spread`: scans from the whole training recordings, as a person would choose them; `consecutive`: in a row."""
@@ -70,12 +70,12 @@ class LabelledScans:
 
     @property
     def count(self) -> int:
-        """How many scans these are."""
+        """Number of scans."""
         return sum(own.size for own in self.numbers)
 
     @property
     def name(self) -> str:
-        """Number of scans, by source with their first and last second where these are few, for cards."""
+        """Number of scans, for cards; if there are few sources, by source with the first and the last second."""
         drawn = list(self._drawn())
         if len(drawn) > NAMED_SOURCES:
             return f"{self.count} scans of {len(drawn)} recordings"
@@ -85,7 +85,7 @@ class LabelledScans:
         )
 
     def runs(self) -> Iterator[SourceAndFrames]:
-        """Runs of consecutive frames: each labelled scan after at least LEAD_IN frames, where the source has so many.
+        """Runs of consecutive frames: each labelled scan follows at least LEAD_IN frames, if the source has them.
 
         All other frames than the labelled scans are without labels. Read a run before the next one is requested.
         """
@@ -120,11 +120,11 @@ def _run(
 
 
 def draw_labelled(sources: Sequence[FrameSource], settings: LabelSettings, seed: int) -> LabelledScans:
-    """Draw `settings.labelled_scans` scans among those of `sources` that have labels, by default up to ENOUGH_SCANS.
+    """Draw `settings.labelled_scans` of the labelled scans of `sources`, by default up to ENOUGH_SCANS.
 
     `spread`: the scans with labels, in their order, are divided into as many runs of equal length, and one scan of each
     run is drawn. `consecutive`: scans that follow one another; every possible first one is equally likely. Raises
-    ConfigurationError where there are fewer than requested, or none.
+    ConfigurationError if there are fewer than requested, or none.
     """
     present = [[np.unique(item.labels) for item in source.labelled()] for source in sources]
     labelled = [np.array([labels.size > 0 for labels in own], np.bool_) for own in present]

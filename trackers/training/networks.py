@@ -21,9 +21,9 @@ UNIT_CELL_M, UNIT_PERIOD_S = 0.1, 0.1
 
 
 def trained_settings(stream: StreamSpec, weights: Weights, given: Given, running: type[Settings] = Settings) -> Given:
-    """The settings that `weights` were trained with; those in `running` do not depend on training: they are `given`.
+    """The settings of the training of `weights`; settings in `running` do not depend on it and are taken from `given`.
 
-    Raises WeightsError where another given setting differs from the trained one.
+    Raises WeightsError if another given setting differs from the trained one.
     """
     inference_only = given.model_dump(include=set(running.model_fields), exclude_unset=True)
     trained = validated(type(given), weights.card.settings | inference_only, str(stream.weights))
@@ -37,7 +37,10 @@ def trained_settings(stream: StreamSpec, weights: Weights, given: Given, running
 
 
 def restore(network: nn.Module, stream: StreamSpec, weights: Weights) -> None:
-    """Load `weights` into `network`. Raises WeightsError unless the arrays are those of the network, in its shapes."""
+    """Load `weights` into `network`.
+
+    Raises WeightsError unless the network has the same arrays, with the same shapes.
+    """
     shapes = {name: tuple(value.shape) for name, value in network.state_dict().items()}
     if unknown := sorted(weights.arrays.keys() - shapes.keys()):
         raise WeightsError(f"{stream.weights}: arrays that do not belong to the network on its card: {unknown}")

@@ -1,4 +1,4 @@
-"""How far a training is: its stages, each with the rate and the time left."""
+"""The progress of a training: its stages, each with the rate and the time left."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Stage:
         self._began_s, self._began_at = time.monotonic(), done
 
     def advance(self, note: str = "") -> None:
-        """One more iteration is done."""
+        """Count one more finished iteration."""
         self.done += 1
         self.note = note or self.note
 
@@ -37,7 +37,7 @@ class Stage:
 
 
 class Progress:
-    """The stages that a training is in, the outermost first; an iteration of a stage may have stages of its own."""
+    """The current stages of a training, the outermost first; an iteration of a stage may have stages of its own."""
 
     def __init__(self) -> None:
         self._stages: list[Stage] = []

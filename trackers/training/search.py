@@ -28,7 +28,7 @@ MAX_LOG_BYTES = 1 << 24
 FINALISTS = 5
 """Number of the best settings of a search between which the validation recordings decide."""
 FEWEST_EXCERPTS, WORSE_P = 6, 0.02
-"""After at least so many excerpts settings are pruned if a Wilcoxon signed-rank test against the best ones so far, on
+"""After at least this many excerpts settings are pruned if a Wilcoxon signed-rank test against the best ones so far, on
 the same excerpts, has a lower p-value. Excerpts differ much more than settings do."""
 
 _Tuned = TypeVar("_Tuned", bound=Settings)
@@ -42,7 +42,7 @@ class SearchTarget(NamedTuple, Generic[_Tuned]):
 
 
 class SearchInterrupted(KeyboardInterrupt):
-    """A search was interrupted: its `best` settings so far, and how far it had `reached`."""
+    """A search was interrupted: its `best` settings so far, and the last step that it `reached`."""
 
     def __init__(self, best: Any, reached: str) -> None:
         super().__init__(reached)
@@ -93,7 +93,7 @@ def search_settings(
 
     A Gaussian process predicts the target, and the settings with the greatest logarithm of the expected improvement
     are tried next (Jones, Schonlau and Welch, 1998; Ament et al., 2023); the first tries are `start` and random ones.
-    Each key of `ranges` is searched log-uniformly from low to high; the other settings are those of `start`, which is
+    Each key of `ranges` is searched log-uniformly from low to high; the other settings are taken from `start`, which is
     the only result if nothing is searched. Settings that are significantly worse than the best ones so far are not
     scored on all excerpts. The same seed gives the same search. The scores of each iteration are written to
     `task.log_dir`: an interrupted search with the same `task.train` continues there, until `delete_search_log`.
@@ -168,7 +168,7 @@ def _study(start: dict[str, float], seed: int) -> optuna.Study:
 def _scored(trial: optuna.Trial, scores: Iterable[float]) -> tuple[list[float], float]:
     """The scores of the settings of a trial, up to the one after which they are pruned, and their mean.
 
-    The mean is that of the scores that are defined, NaN without any. Of pruned settings it is the mean of the best ones
+    Undefined scores do not count; without any score the mean is NaN. Of pruned settings it is the mean of the best ones
     plus the mean difference from them: the mean of the first excerpts alone says little, they may be easy.
     """
     scored: list[float] = []

@@ -5,8 +5,8 @@ are searched, the validation recordings decide between the best of them, and the
 excerpts. A training that starts from general weights searches near their settings, because a stretch of a minute has
 too little motion to find better ones from scratch. It searches the settings that weigh the map of the place against the
 stream in their whole range, because general weights have no map. The search runs on the frames that the map was made
-of, where it is always right, so the validation recordings decide whether it does harm: on the map of a short training
-everything that stood all the time, such as a queue of cars, is a wall.
+of, on which it is always right, so the validation recordings decide whether it does harm: on the map of a short
+training everything that stood all the time, such as a queue of cars, is a wall.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def fit_searched(
     card = card_for(name, task, {})
     searched = excerpts_of_places(task.train, SEARCHED_S) if task.general else excerpts(task.train)
     with TemporaryDirectory() as folder:
-        draft = _Draft[_Searched](search.tracker, Path(folder) / f"{name}.toml", task)
+        draft: _Draft[_Searched] = _Draft(search.tracker, Path(folder) / f"{name}.toml", task)
         save_weights(draft.path, card, arrays)
         target = SearchTarget[_Searched]("mean F1", lambda tried: draft.f1_of_each(search.during(tried), searched))
         try:

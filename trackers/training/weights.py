@@ -43,7 +43,7 @@ class Weights:
 
 
 def save_weights(path: Path, card: Card, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write `path` (`.toml`) and, where there are arrays, the `.safetensors` file beside it, each atomically.
+    """Write `path` (`.toml`) and, if there are arrays, the `.safetensors` file beside it, each atomically.
 
     Both are written before either is replaced, and the card, which has the hash of the arrays, is replaced last. Until
     then the previous arrays are kept beside the new ones, for readers of the previous card. Raises OSError.
@@ -63,9 +63,9 @@ def save_weights(path: Path, card: Card, arrays: Mapping[str, NDArray[Any]]) -> 
 
 
 def save_interrupted(path: Path, card: Card, arrays: Mapping[str, NDArray[Any]], reached: str) -> None:
-    """Write the best so far of a training that was interrupted when it had `reached` this far.
+    """Write the best weights so far of a training that was interrupted after the step `reached`.
 
-    Weights of a training that finished are kept, unless this one adds classes to them: then nothing is written. Raises
+    Nothing is written over the weights of a training that finished, unless this one adds classes to them. Raises
     OSError.
     """
     with suppress(WeightsError):
@@ -87,10 +87,10 @@ def complete_card(
     validation: Sequence[TrainingData],
     started_from: StartedFrom | None = None,
 ) -> bool:
-    """Complete the card that a `fit` wrote: `command` where it has the `placeholder`, and its training data in full.
+    """Complete the card that a `fit` wrote: `command` in place of the `placeholder`, and its training data in full.
 
-    `train` and `validation` are what the `fit` received, whether it named them or not, and what the general weights
-    learned from that it `started_from`. A card without the placeholder is one of an earlier training: it is not
+    `train` and `validation`: the data that the `fit` received, whether it named them or not, and the data of the
+    general weights that it `started_from`. A card without the placeholder is from an earlier training: it is not
     changed, and the result is False. Raises WeightsError, OSError.
     """
     if placeholder.encode() not in read_bounded(path, MAX_CARD_BYTES, WeightsError):
@@ -119,7 +119,7 @@ def add_thresholds(path: Path, thresholds: CardThresholds) -> None:
 
 
 def _with_all(named: Iterable[TrainingData], received: Sequence[TrainingData]) -> tuple[TrainingData, ...]:
-    """The data on a card, those that were `received` in full."""
+    """The data `named` on a card and all that were `received`; the latter are known in full."""
     full = {(data.recording, data.sha256): data for data in received}
     return tuple(dict.fromkeys([*(full.get((data.recording, data.sha256), data) for data in named), *received]))
 
@@ -149,14 +149,14 @@ def read_card(path: Path, sha256: str = "") -> Card:
 def _refuse_other_schema(path: Path, schema: Any) -> None:
     """Raises WeightsError unless the card is of CARD_SCHEMA."""
     if schema != CARD_SCHEMA:
-        reads = "gridtrack 0.2 rewrites it with `gridtrack trackers migrate`" if schema == 1 else "update gridtrack"
+        remedy = "rewrite it with gridtrack 0.2, `gridtrack trackers migrate`" if schema == 1 else "update gridtrack"
         raise WeightsError(
-            f"{path}: schema {schema!r:.40}; this gridtrack reads {CARD_SCHEMA}: {reads}, or train again"
+            f"{path}: schema {schema!r:.40}; this gridtrack reads {CARD_SCHEMA}: {remedy}, or train again"
         )
 
 
 def load_weights(stream: StreamSpec, tracker: str) -> Weights:
-    """The weights that `stream` names: general ones, or those of its site.
+    """The weights that `stream` names: general weights, or weights of its site.
 
     Raises WeightsError if damaged, or for another tracker, site, grid or period.
     """
@@ -166,12 +166,10 @@ def load_weights(stream: StreamSpec, tracker: str) -> Weights:
             f"{tracker}: no weights for site '{stream.site}'; make them with `gridtrack train {tracker} RECORDING`"
         )
     card = read_card(path, stream.weights_sha256)
-    for what, made_for, found in (
-        ("tracker", card.tracker, tracker),
-        ("site", card.site, card.site if card.general else stream.site),
-    ):
-        if made_for != found:
-            raise WeightsError(f"{path}: made for {what} {made_for}, but this is {found}: train for this one")
+    if card.tracker != tracker:
+        raise WeightsError(f"{path}: made for tracker {card.tracker}, but this is {tracker}: train for this one")
+    if not card.general and card.site != stream.site:
+        raise WeightsError(f"{path}: made for site {card.site}, but this is {stream.site}: train for this one")
     if card.period_s is not None:
         _check_period(card.period_s, stream, path)
         card = _laid_in(stream.grid, card, path)
@@ -195,9 +193,9 @@ def _check_period(period_s: float, stream: StreamSpec, path: Path) -> None:
 
 
 def _laid_in(grid: GridSpec, card: Card, path: Path) -> Card:
-    """The card as one of `grid`: where only the corner of the window is another, maps keep their place in the world.
+    """The card for `grid`: if only the corner of the window differs, maps keep their place in the world.
 
-    Raises WeightsError for cells of another size or number, or that lie between those of `grid`.
+    Raises WeightsError for cells of another size or number, or cells that lie between the cells of `grid`.
     """
     made_for = GridSpec.parse(card.grid)
     if made_for == grid:
@@ -213,7 +211,7 @@ def _laid_in(grid: GridSpec, card: Card, path: Path) -> Card:
 
 
 def read_arrays(path: Path, sha256: str) -> dict[str, NDArray[Any]]:
-    """The arrays by name; none without a hash. Raises WeightsError where the file does not have this `sha256`."""
+    """The arrays by name; none without a hash. Raises WeightsError if the file does not have this `sha256`."""
     if not sha256:
         return {}
     try:
@@ -223,7 +221,7 @@ def read_arrays(path: Path, sha256: str) -> dict[str, NDArray[Any]]:
 
 
 def arrays_content(path: Path, sha256: str) -> bytes:
-    """The content of a file of arrays with this `sha256`: of `path`, or of the arrays that are being replaced there.
+    """The content of the file of arrays at `path`, or of its previous version, whichever has this `sha256`.
 
     Raises WeightsError.
     """
@@ -254,14 +252,14 @@ def tuned_settings(kind: type[_Tuned], weights: Weights, given: Settings) -> _Tu
 
 
 def array(weights: Weights, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
-    """One array by name, its shape checked and that it is finite. Raises WeightsError."""
+    """One array by name. Raises WeightsError unless it has this shape and is finite."""
     found = weights.arrays.get(name)
-    whose = f"weights of {weights.card.tracker}"
+    where = f"weights of {weights.card.tracker}: array '{name}'"
     if found is None or found.shape != shape:
-        what = "missing" if found is None else f"{found.shape}"
-        raise WeightsError(f"{whose}: array '{name}' is {what}, expected {shape}; train again")
+        actual = "missing" if found is None else f"{found.shape}"
+        raise WeightsError(f"{where} is {actual}, expected {shape}; train again")
     if not np.isfinite(found).all():
-        raise WeightsError(f"{whose}: array '{name}' is not finite; train again")
+        raise WeightsError(f"{where} is not finite; train again")
     return found
 
 
@@ -269,8 +267,9 @@ def probabilities(weights: Weights, name: str, shape: tuple[int, ...]) -> NDArra
     """An `array` of probabilities. Raises WeightsError."""
     found = array(weights, name, shape)
     if found.size and not 0.0 <= found.min() <= found.max() <= 1.0:
-        whose = f"weights of {weights.card.tracker}"
-        raise WeightsError(f"{whose}: array '{name}' does not hold probabilities; train again")
+        raise WeightsError(
+            f"weights of {weights.card.tracker}: array '{name}' does not hold probabilities; train again"
+        )
     return found
 
 

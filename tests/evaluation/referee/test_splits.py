@@ -163,7 +163,8 @@ def test_frames_seen_in_training_are_detected(record, seen, expected):
 
 
 def learned(folder, tracker="static-map", site="room"):
-    card = Card(tracker=tracker, site=site, grid="1x1", period_s=0.1, seed=0, command=str(folder), train=())
+    place = {"site": site, "grid": "1x1", "period_s": 0.1, "world_T_grid": (0.0, 0.0)}
+    card = Card(tracker=tracker, **place, seed=0, command=str(folder), train=())
     save_weights(weights_path(folder, tracker, site), card, {})
 
 

@@ -131,20 +131,6 @@ def test_a_window_takes_the_part_of_the_static_map_at_its_place_and_the_overall_
     assert tracker.predict(0).occupancy.tolist() == [[[0.25, 0.25], [0.25, 0.25]]]
 
 
-def test_a_static_map_of_an_earlier_gridtrack_lies_in_the_first_window(tmp_path: Path) -> None:
-    path = fitted(tmp_path, frame([[1, 1], [1, 1]], [[1, 0], [0, 0]], x=7.0))
-    lines = path.read_text().splitlines()
-    at = lines.index("world_T_grid = [")
-    path.write_text("\n".join(lines[:at] + lines[at + 4 :]))
-    tracker = StaticMapTracker(StreamSpec(GRID, 0.1, "here", weights=path), StaticMapOptions(prior_frames=0.0))
-    for start in (30.0, 50.0):
-        tracker.reset(0)
-        tracker.update(frame([[0, 0], [0, 0]], [[0, 0], [0, 0]], x=start))
-        assert tracker.predict(0).occupancy.tolist() == [[[1, 0], [0, 0]]]
-        tracker.update(frame([[0, 0], [0, 0]], [[0, 0], [0, 0]], x=start - 1))
-        assert tracker.predict(0).occupancy.tolist() == [[[0.25, 1], [0.25, 0]]]
-
-
 def test_a_static_map_spans_the_windows_of_a_training_on_a_moving_sensor(tmp_path: Path) -> None:
     all_seen = [[1, 1], [1, 1]]
     path = fitted(
@@ -167,7 +153,7 @@ def test_a_static_map_spans_the_windows_of_a_training_on_a_moving_sensor(tmp_pat
 def test_a_static_map_of_a_long_drive_is_refused_in_one_line(tmp_path: Path) -> None:
     all_seen = [[1, 1], [1, 1]]
     frames = [frame(all_seen, all_seen), frame(all_seen, all_seen, x=5000.0)]
-    with pytest.raises(WeightsError, match="5002 cells, and a map has at most 4096 a side"):
+    with pytest.raises(WeightsError, match="5002 cells, and a map has at most 4096 per side"):
         fitted(tmp_path, *frames)
 
 

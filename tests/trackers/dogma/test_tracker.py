@@ -232,7 +232,7 @@ def saved_weights(folder, occupancy_rate, particles, **of_card):
         command="",
         train=(),
         settings={"particles": particles},
-        **of_card,
+        **({"world_T_grid": (0.0, 0.0)} | of_card),
     )
     save_weights(folder / "yard.toml", card, {"occupancy_rate": occupancy_rate, "calibration": IDENTITY})
     return folder / "yard.toml"
