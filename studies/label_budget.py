@@ -29,7 +29,6 @@ from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.contract import FitTask
 from gridtrack.trackers.one_shot import OneShotSettings
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
-from gridtrack.trackers.recurrent.network import class_planes
 from gridtrack.trackers.recurrent.settings import DilatedConvGRUOptions, EvidenceOption
 from gridtrack.trackers.recurrent.transfer import fit_decoder, fit_seen_cells, latent_cells
 from gridtrack.trackers.training.cell_classifier import planes_of, scan_classifier
@@ -99,10 +98,10 @@ def readings(recording: Path, options: DilatedConvGRUOptions) -> Iterator[Readin
 def states(tracker: DilatedConvGRUTracker, options: DilatedConvGRUOptions) -> Tensor:
     """(2, C, M, M) float16, now and AHEAD."""
     network, state = tracker.network, tracker.state
-    now = class_planes(state, options.decoded_layers)
+    now = network.class_planes(state, options.decoded_layers)
     for _ in range(AHEAD):
         state = network.step(None, state)
-    return torch.cat([now, class_planes(state, options.decoded_layers)]).half()
+    return torch.cat([now, network.class_planes(state, options.decoded_layers)]).half()
 
 
 def losses(classify: Classify, test: Sequence[Reading], matching: Matching) -> dict[str, float]:

@@ -49,6 +49,8 @@ from gridtrack.trackers.training.weights import load_weights, save_interrupted, 
 LEADS = (4, 12)
 """Steps of the forecasts that classes are learned from, besides the current frame; at most LEAD_IN less a warm-up."""
 DECODER = "decode_semantics."
+SCAN_SETTINGS = ClassifierSettings(class_weights="none")
+"""Settings of the classifier of scans, which are not searched."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,12 +196,11 @@ def fit_decoder(options: Any, training: LabelledCells, held_out: TransferCells, 
 def fit_seen_cells(
     decoder: TrainedClassifier, training: TransferCells, held_out: TransferCells, classes: int, task: FitTask
 ) -> tuple[SeenCells, dict[str, float]]:
-    """A classifier of scans, by the defaults but without class weights, and the powers; their log losses."""
+    """A classifier of scans and the powers, and the log loss of the classes by kind of evidence."""
     torch.manual_seed(task.seed)
-    settings = ClassifierSettings(class_weights="none")
     cells = held_out.scan.cells()
-    classifier = scan_classifier(settings.channels, classes, general=task.general)
-    trained = train_classifier(classifier, settings, training.scan.cells(), [cells])
+    classifier = scan_classifier(SCAN_SETTINGS.channels, classes, general=task.general)
+    trained = train_classifier(classifier, SCAN_SETTINGS, training.scan.cells(), [cells])
     seen = SeenCells(trained.classifier)
     found = seen.fit_powers(logits_of(decoder.classifier, held_out.now.cells()), cells)
     task.report(

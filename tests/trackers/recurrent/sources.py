@@ -19,7 +19,7 @@ from gridtrack.trackers.recurrent.settings import DeepTrackingRNNSettings, Dilat
 from tests.trackers.scores import of_every_stratum
 
 TRACKERS = [DilatedConvGRUTracker, DeepTrackingRNNTracker]
-SMALL = {DilatedConvGRUTracker: {"channels": 2, "stage": "occupancy"}, DeepTrackingRNNTracker: {"variant": "paper"}}
+SMALL = {DilatedConvGRUTracker: {"channels": 4, "stage": "occupancy"}, DeepTrackingRNNTracker: {"variant": "paper"}}
 """Options of tiny networks."""
 
 

@@ -12,7 +12,6 @@ from gridtrack.trackers.recurrent.network import map_state, tensors_of  # noqa: 
 from gridtrack.trackers.registry import load  # noqa: E402
 from gridtrack.trackers.training.weights import read_card  # noqa: E402
 from tests.trackers.recurrent.sources import (  # noqa: E402
-    SMALL,
     Drive,
     Walk,
     constant,
@@ -68,7 +67,9 @@ def test_a_cell_keeps_its_state_at_its_place_in_the_world(conv_lstm, tmp_path):
     before, after = tracker.state, tracker.network.rolled(tracker.state, (0, 2), 5)
     unseen = tracker.network.unseen(5)
     assert len(list(tensors_of(after))) == 4
-    for old, new, fill in zip(*map(tensors_of, (before, after)), tensors_of(map_state(torch.from_numpy, unseen)), strict=True):
+    for old, new, fill in zip(
+        *map(tensors_of, (before, after)), tensors_of(map_state(torch.from_numpy, unseen)), strict=True
+    ):
         assert torch.equal(new[..., :-2], old[..., 2:])
         assert torch.equal(new[0, :, 3, -1], fill)
 
