@@ -15,7 +15,6 @@ import typer
 
 from gridtrack.cli import app
 from gridtrack.trackers import registry
-from gridtrack.trackers.migration import RENAMES
 from gridtrack.trackers.selection import parse_selection
 
 from docs.pages import PAGES, ROOT, commands, name_of, prose
@@ -96,14 +95,6 @@ def test_the_files_that_the_pages_name_exist() -> None:
         missing = [file for file in FILE.findall(text) if not (ROOT / file).exists()]
         missing += [name for name in re.findall(r"`(\w+\.py)`", text) if name not in modules]
         assert missing == [], name_of(page)
-
-
-def test_no_page_on_a_tracker_names_an_option_by_its_old_name() -> None:
-    old = {name for step in RENAMES.values() for renames in step.values() for name in renames.options}
-    old -= {"blank"}  # a tracker has this name
-    for page in CURRENT:
-        if page.parent.name == "trackers":
-            assert old & set(re.findall(r"`(\w+)`", page.read_text("utf-8"))) == set(), name_of(page)
 
 
 def test_the_options_that_a_page_on_a_tracker_sets_exist() -> None:

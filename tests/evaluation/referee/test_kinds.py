@@ -11,7 +11,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.referee.kinds import BLOCK_NS, TILE_CELLS, ObservedCounts, WorldCells, observed_kinds
 from gridtrack.evaluation.referee.strata import CELL_KINDS
-from gridtrack.evaluation.scoring import world_cells
+from gridtrack.evaluation.referee import kinds
 from gridtrack.recordings.observation import Observation
 
 GRID = GridSpec(7, 1.0)
@@ -152,7 +152,7 @@ def test_what_is_added_to_cells_of_the_world_is_read_at_the_same_place(row, colu
 
 
 def test_the_memory_of_a_long_way_is_bounded_and_the_error_says_what_to_do(monkeypatch):
-    monkeypatch.setattr(world_cells, "MAX_TILES", 2)
+    monkeypatch.setattr(kinds, "MAX_TILES", 2)
     cells = WorldCells(1, np.bool_)
     with pytest.raises(RecordingError, match="name a larger cell with --grid, or import a part of the recording"):
         cells.add((0, 0), np.ones((1, 1, 3 * TILE_CELLS), np.bool_))

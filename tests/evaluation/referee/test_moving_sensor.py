@@ -13,13 +13,12 @@ from gridtrack.evaluation.referee.motion import OnceFree
 from gridtrack.evaluation.referee.referee import Delivery, Moment, Schedule, scored_forecasts
 from gridtrack.evaluation.referee.strata import AGES_S, CELL_KINDS, PARTS, STRATA, LastSeen
 from gridtrack.evaluation.referee.targets import NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED
-from gridtrack.evaluation.results.columns import BEAM_ERROR_BINS
 from gridtrack.evaluation.runs.oracle import Oracle
-from gridtrack.evaluation.scores.beam_error import median_size
+from gridtrack.evaluation.scores.beam_error import BEAM_ERROR, BINS, median_size
 from gridtrack.evaluation.scores.cells import Tally, count_cells
+from gridtrack.evaluation.scores.definition import TrialFacts
 from gridtrack.evaluation.scores.thresholds import half
-from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.beam_errors import beam_errors
+from gridtrack.evaluation.scores.f1 import f1_of
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers.baselines import PersistenceTracker
@@ -125,7 +124,7 @@ def scores(stream, tracker, regions=None, strata=("visible", "static", "dynamic"
     schedule = Schedule(len(stream), STEPS, EVERY)
     for scored in scored_forecasts(tracker, Delivery(stream, lambda: None, regions), schedule, 0):
         tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
-    f1 = metrics.f1_score(tally.confusion(half(STEPS, regions.strata).bins))
+    f1 = f1_of(tally.confusion(half(STEPS, regions.strata).bins))
     return {name: f1[:, k] for k, name in enumerate(regions.strata)}, tally
 
 
@@ -145,12 +144,12 @@ def test_persistence_of_a_static_scene_is_right_from_a_sensor_that_drives(tmp_pa
 def test_beams_of_a_later_frame_start_where_the_sensor_is_by_then(tmp_path):
     stream = open_stream(drive.write_recording(tmp_path / "d.mcap", 20, people=False))
     delivery = Delivery(stream, lambda: None, regions_of(stream, STRATA))
-    sizes, driven, windows = np.zeros(BEAM_ERROR_BINS, np.int64), 0.0, set()
+    sizes, driven, windows = np.zeros(BINS), 0.0, set()
+    facts = TrialFacts(stream.grid.cell_m, STEPS, STRATA, half(STEPS))
     for scored in scored_forecasts(persistence(stream), delivery, Schedule(len(stream), STEPS, EVERY), 0):
         now, later = (scored.targets[step].beams.starts[0] for step in (0, 10))
         driven = max(driven, np.hypot(*(later - now)))
-        found = beam_errors(scored.forecast.occupancy, scored.targets, scored.region_maps, stream.grid.cell_m)
-        sizes += found.counts[10, STRATA.index("visible")]
+        sizes += BEAM_ERROR.count(scored, facts, None)[10, STRATA.index("visible"), 2:]
         windows.add((round(scored.reference_T_grid.x, 6), round(scored.reference_T_grid.y, 6)))
     assert driven > 3, "cells"
     assert windows <= {(round(frame.world_T_grid.x, 6), round(frame.world_T_grid.y, 6)) for frame in stream}

@@ -14,7 +14,7 @@ from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
 from gridtrack.evaluation.referee.motion import ObservedMotion
 from gridtrack.evaluation.referee.referee import WARM_UP, Delivery, Schedule, moments, scored_forecasts
 from gridtrack.evaluation.referee.strata import CELL_KINDS
-from gridtrack.evaluation.scoring import metrics
+from gridtrack.evaluation.scores.f1 import f1_of
 from gridtrack.evaluation.scores.cells import Tally, count_cells
 from gridtrack.evaluation.runs.objective import score_in_process
 from gridtrack.evaluation.scores.thresholds import half
@@ -80,7 +80,7 @@ def f1_per_step(stream, tracker, every=3):
     tally = Tally.empty(STEPS)
     for scored in scored_forecasts(tracker, delivery(stream), Schedule(len(stream), STEPS, every), seed=7):
         tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
-    return metrics.f1_score(tally.confusion(half(STEPS).bins))[:, 0]
+    return f1_of(tally.confusion(half(STEPS).bins))[:, 0]
 
 
 def test_a_tracker_that_knows_the_future_scores_one_at_every_step():

@@ -11,18 +11,11 @@ from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridSpec, Shift, rolled  # noqa: E402
 from gridtrack.trackers.contract import StreamSpec  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.deep_tracking_rnn import (
-    DeepTrackingRNN,  # noqa: E402
-    DeepTrackingRNNTracker,
-)
-from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU  # noqa: E402
-from gridtrack.trackers.recurrent.network import as_cells, as_tensor, channels_last  # noqa: E402
-from gridtrack.trackers.recurrent.settings import (  # noqa: E402
-    DeepTrackingRNNOptions,
-    DeepTrackingRNNSettings,
-    DilatedConvGRUOptions,
-    DilatedConvGRUSettings,
-)
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNTracker  # noqa: E402
+from gridtrack.trackers.recurrent.network import as_cells, as_tensor  # noqa: E402
+from gridtrack.trackers.recurrent.recurrent_tracker import MOST_MISSED  # noqa: E402
+from gridtrack.trackers.recurrent.transfer import PastStates  # noqa: E402
+from tests.trackers.recurrent.sources import convgru, frame_of, rnn  # noqa: E402
 
 PERIOD_S = 0.25
 NO_MAP = {"static_gates": ()}

@@ -8,10 +8,8 @@ torch = pytest.importorskip("torch")
 from torch.nn.functional import conv2d  # noqa: E402
 
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN  # noqa: E402
-from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, convgru_gates  # noqa: E402
-from gridtrack.trackers.recurrent.fit import start_from_rate
-from gridtrack.trackers.recurrent.kernels.gates import StaticMemory, differentiable_gates
-from gridtrack.trackers.recurrent.network import channels_last
+from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU  # noqa: E402
+from gridtrack.trackers.recurrent.fit import start_from_rate  # noqa: E402
 from gridtrack.trackers.recurrent.settings import (  # noqa: E402
     DeepTrackingRNNSettings,
     DilatedConvGRUSettings,

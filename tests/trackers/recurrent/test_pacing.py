@@ -7,11 +7,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gridtrack.common.config import validated  # noqa: E402
-from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
-from gridtrack.trackers.recurrent.network import channels_last  # noqa: E402
 from gridtrack.trackers.recurrent.pacing import StepPace, paced  # noqa: E402
+from tests.trackers.recurrent.sources import TRACKERS, convgru, rnn  # noqa: E402
 
 SIZE = 12
 

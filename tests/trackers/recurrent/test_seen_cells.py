@@ -103,7 +103,6 @@ def weights_with(seen, **changes):
         site="toy",
         grid=str(GRID),
         period_s=0.1,
-        world_T_grid=(0.0, 0.0),
         seed=0,
         command="",
         train=(),
