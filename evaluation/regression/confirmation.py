@@ -14,7 +14,7 @@ from gridtrack.evaluation.regression.rows import PairedRow, paired_rows, row_tes
 from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow, compare_speed
 from gridtrack.evaluation.regression.verdict import AnyRow, SecondLook, Verdict
-from gridtrack.evaluation.scores.registry import built_in
+from gridtrack.evaluation.scores.registry import scores
 
 RunAgain = Callable[[Trials, bool], Sequence[Measurement]]
 """Runs trials again, with their times where the second argument is true."""
@@ -34,7 +34,8 @@ def confirmed(
     timed = any(isinstance(row, SpeedRow) for row in suspects)
     second = _with_second(run, run_again(_trials_of(suspects, baseline), timed))
     require_paired(baseline, second)
-    judged = judged_again(suspects, paired_rows(baseline, second, built_in()), settings, verdict.significance)
+    again = paired_rows(baseline, second, scores(settings.scores))
+    judged = judged_again(suspects, again, settings, verdict.significance)
     judged += [row for row in compare_recoveries(baseline, second) if _key(row) in map(_key, suspects)]
     if timed:
         judged += compare_speed(baseline, second, settings.speed_reference, settings.ratio_margin)[0]

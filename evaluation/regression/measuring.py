@@ -28,7 +28,7 @@ from gridtrack.evaluation.runs.run_record import (
 from gridtrack.evaluation.runs.sums import ScoredFrames, TrialSums
 from gridtrack.evaluation.runs.trial_record import TrialRecord, missing_measurements, read_trial_record
 from gridtrack.evaluation.scores.definition import ScoreDefinition
-from gridtrack.evaluation.scores.registry import built_in
+from gridtrack.evaluation.scores.registry import scores
 from gridtrack.evaluation.statistics.units import UnitRule
 
 SERVER = "gridtrack.trackers.serve"
@@ -53,12 +53,10 @@ ReadTrials = dict[str, dict[str, ReadTrial]]
 """The trials of a run by label and recording."""
 
 
-def measure_run(
-    run: Path, like: Measurement | None = None, scores: Sequence[ScoreDefinition] | None = None
-) -> Measurement:
+def measure_run(run: Path, like: Measurement | None = None, foreign: Sequence[str] = ()) -> Measurement:
     """The sums of a complete run, in the statistical units of `like`, else in units chosen for it.
 
-    `scores`: those that may be judged, by those of their outputs that have a margin; None: the built-in ones.
+    `foreign`: names of scores of other packages. A score is judged by those of its outputs that have a margin.
 
     Raises Unmeasured where the run is not complete: a trial failed, is partial or missing, nothing was scored, or a
     requested measurement is missing; RunError where `run` is not a run's folder.
@@ -72,7 +70,7 @@ def measure_run(
     splits = {name: _split_key(run, name, split) for name, split in configuration.recordings.items()}
     trials = _read_trials(run, record, splits)
     block_s = like.block_s if like else _block_s(configuration.recordings, trials)
-    scored = [score for score in scores or built_in() if any(output.margin is not None for output in score.outputs)]
+    scored = [score for score in scores(foreign) if any(output.margin is not None for output in score.outputs)]
     judged = [name for name in splits if like is None or name in like.recordings]
     content = {
         "command": record.command,

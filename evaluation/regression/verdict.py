@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,8 +15,7 @@ from gridtrack.evaluation.regression.recoveries import RecoveryRow, compare_reco
 from gridtrack.evaluation.regression.rows import paired_rows, row_tests
 from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow, compare_speed
-from gridtrack.evaluation.scores.definition import ScoreDefinition
-from gridtrack.evaluation.scores.registry import built_in
+from gridtrack.evaluation.scores.registry import scores
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
 Standing = RowVerdict | Literal["not confirmed"]
@@ -84,9 +82,8 @@ def compare_with_baseline(
     baseline: Baseline,
     run: Measurement,
     settings: GateSettings | None = None,
-    scores: Sequence[ScoreDefinition] | None = None,
 ) -> Verdict:
-    """The verdict on `run`, paired with `baseline` by units, by `scores` (None: the built-in ones).
+    """The verdict on `run`, paired with `baseline` by units.
 
     Raises Unmeasured where they do not pair or no cell was occupied, ConfigurationError for an unknown label.
     """
@@ -96,7 +93,7 @@ def compare_with_baseline(
         if label not in known:
             raise ConfigurationError(f"the baseline has no tracker '{label}'; {did_you_mean(label, known)}")
     require_paired(baseline, run)
-    paired = paired_rows(baseline, run, scores or built_in())
+    paired = paired_rows(baseline, run, scores(settings.scores))
     tests = row_tests(paired)
     rows = tuple(judged_row(row, test, settings) for row, test in zip(paired, tests, strict=True))
     if all(row.verdict == "nothing to find" for row in rows if row.score == "f1.f1"):
