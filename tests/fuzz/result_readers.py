@@ -30,8 +30,8 @@ from gridtrack.evaluation.runs.run_record import (
     read_run_record,
 )
 from gridtrack.evaluation.runs.summary import RunSummary, TrackerSummary, TrialSummary
-from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs.sums import TrialSums
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.reports.run import read_runs
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import read_trackers_toml

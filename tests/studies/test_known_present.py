@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from gridtrack.evaluation.referee.splits import Sampling, plan_split
 from gridtrack.evaluation.runs.oracle import Oracle
 from gridtrack.evaluation.scoring.metrics import f1_score
-from gridtrack.evaluation.referee.splits import Sampling, plan_split
 
 from scenes import drive
 from studies.known_present import FORECASTERS, MOVES_ON, STANDS, confusion_of

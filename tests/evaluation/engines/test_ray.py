@@ -11,8 +11,6 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.engines.task import TaskFolder
-from gridtrack.evaluation.runs.summary import read_summary
-from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.summary import read_summary

@@ -14,11 +14,11 @@ from gridtrack.evaluation.engines.engine import EngineError
 from gridtrack.evaluation.engines.remote import RemoteEngine
 from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmSettings, SlurmTask, parse_slurm
 from gridtrack.evaluation.engines.task import TaskFolder
-from gridtrack.evaluation.runs.summary import read_summary
-from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.evaluation.runs.jobs import execute
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.summary import read_summary
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 from scenes.agreement import assert_agree, counted, wait_until
 from studies.support.slurm_machine import missing_programs, slurm_machine

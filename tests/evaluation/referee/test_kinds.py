@@ -9,9 +9,9 @@ from scipy.ndimage import binary_dilation
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.referee import kinds
 from gridtrack.evaluation.referee.kinds import BLOCK_NS, TILE_CELLS, ObservedCounts, WorldCells, observed_kinds
 from gridtrack.evaluation.referee.strata import CELL_KINDS
-from gridtrack.evaluation.referee import kinds
 from gridtrack.recordings.observation import Observation
 
 GRID = GridSpec(7, 1.0)

@@ -17,8 +17,8 @@ from gridtrack.evaluation.runs.oracle import Oracle
 from gridtrack.evaluation.scores.beam_error import BEAM_ERROR, BINS, median_size
 from gridtrack.evaluation.scores.cells import Tally, count_cells
 from gridtrack.evaluation.scores.definition import TrialFacts
-from gridtrack.evaluation.scores.thresholds import half
 from gridtrack.evaluation.scores.f1 import f1_of
+from gridtrack.evaluation.scores.thresholds import half
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers.baselines import PersistenceTracker

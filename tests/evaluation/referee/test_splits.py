@@ -9,6 +9,7 @@ from gridtrack.evaluation.referee.strata import CELL_KINDS
 from gridtrack.evaluation.runs.learned import find_weights, user_weights_folder, weights_in, weights_path
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.run_record import description_of
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.recordings import import_recording

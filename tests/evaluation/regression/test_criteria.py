@@ -8,8 +8,6 @@ from xml.etree import ElementTree
 
 import pytest
 
-from gridtrack.cli.regress import regress_defaults
-
 FEW = tuple(f"junction-{number:02}" for number in range(4))
 
 

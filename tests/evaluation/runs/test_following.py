@@ -25,7 +25,6 @@ from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.trial_record import read_trial_record
-from gridtrack.recordings.formats import native_writer
 from gridtrack.trackers.contract import Forecast, TrackedObject
 
 from scenes import truth_scene

@@ -7,9 +7,9 @@ import pytest
 from gridtrack.evaluation.runs.passes import CallTimes, Quantiles
 from gridtrack.evaluation.runs.result_files import RunError, json_of
 from gridtrack.evaluation.runs.run_record import MAX_RUN_BYTES, read_run_record
+from gridtrack.evaluation.runs.summarise import summarise
 from gridtrack.evaluation.runs.summary import read_summary
 from gridtrack.evaluation.runs.trial_record import MAX_OUTCOME_BYTES, read_trial_record
-from gridtrack.evaluation.runs.summarise import summarise
 
 from scenes import synthetic_run as synthetic
 

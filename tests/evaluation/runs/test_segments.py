@@ -10,6 +10,7 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.runs.jobs import JobOrder, SharedInputs
 from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.run_record import description_of
 from gridtrack.evaluation.runs.runner import run
 
 COUNTED = ("tp", "fp", "fn", "tn")
