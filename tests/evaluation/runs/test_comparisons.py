@@ -44,7 +44,6 @@ def ratio_sums(trials, label, score, parts):
 
 
 RATIOS = {
-    ("log_loss", "mean"): lambda s: (s["loss"], s["cells"]),
     ("fss", "3_cells"): lambda s: (s["agreement 3"], s["squares 3"]),
     ("soft_iou", "iou"): lambda s: (s["intersection"], s["union"]),
     ("beam_error", "mean"): lambda s: (s["late"] + s["early"], s.block("beams").sum(axis=-1)),

@@ -14,7 +14,7 @@ from gridtrack.evaluation.runs import estimates
 from gridtrack.evaluation.runs.finished import headline_steps
 from gridtrack.evaluation.runs.summarise import _related, _reversed_rankings, summarise
 from gridtrack.evaluation.runs.summary import Estimate, PooledSummary, RunSummary, TrackerSummary, TrialSummary
-from gridtrack.evaluation.runs.sums import TrialSums
+from gridtrack.evaluation.runs.sums import ScoresError, TrialSums
 from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.scores.log_loss import LOG_LOSS
 
@@ -233,7 +233,7 @@ def test_a_damaged_table_is_an_error_and_no_other_summary(tmp_path):
     trials = write_rows(tmp_path, {"good": 0.8}, ["a"], frames=2)
     path = trials[0].folder / "sums.parquet"
     parquet.write_table(parquet.read_table(path).slice(1), path)
-    with pytest.raises(Exception, match="a value or a row is missing"):
+    with pytest.raises(ScoresError, match=r"sums\.parquet: .*run it again"):
         summary_of(trials, ["a"])
 
 
