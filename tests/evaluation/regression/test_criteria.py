@@ -8,8 +8,6 @@ from xml.etree import ElementTree
 
 import pytest
 
-from gridtrack.cli.regress import regress_defaults
-
 FEW = tuple(f"junction-{number:02}" for number in range(4))
 
 
@@ -163,7 +161,6 @@ def test_a_margin_is_used_with_few_units_too_and_the_help_says_the_default(judge
     done, _ = judged({}, {"loss": 0.01}, recordings=2)
     assert done.code == 1
     assert regress(tmp_path / "now", "--baseline", tmp_path / "baseline.json", "--margin", "0.05").code == 0
-    assert regress_defaults()["margin"] == "0.005 with 20 units or more, 0 with fewer"
 
 
 def test_the_smallest_fall_that_would_have_been_found_stands_beside_each_verdict(judged, write_run, regress, tmp_path):
