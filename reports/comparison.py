@@ -35,9 +35,6 @@ INCOMPLETE = 3
 ROW_WEIGHTS_URL = re.compile(rf'(?<=[:,])\s*weights\s*=\s*("?)(?P<url>{URL.pattern}[^",]*)\1')
 """`weights=URL` among the options of a tracker."""
 
-Note = Callable[[str], None]
-"""Receives a line for the user."""
-
 
 @dataclass(frozen=True)
 class Comparison:
@@ -68,7 +65,10 @@ class Comparison:
 
 @contextmanager
 def comparison(
-    values: Mapping[str, Any], note: Note, command: Sequence[str] | None = None, console: Console | None = None
+    values: Mapping[str, Any],
+    note: Callable[[str], None],
+    command: Sequence[str] | None = None,
+    console: Console | None = None,
 ) -> Iterator[Comparison]:
     """Run a comparison with the settings `values`, by field of CompareSettings, and write its report.
 
@@ -77,7 +77,7 @@ def comparison(
     Progress is shown on `console`, by default stderr. Raises GridtrackError if nothing can be compared.
     """
     out = str(values.get("out", CompareSettings.model_fields["out"].default))
-    local = {name: value for name, value in with_local_copies(values, note).items() if name != "out" or not is_url(out)}
+    local = {name: value for name, value in local_values(values, note).items() if name != "out" or not is_url(out)}
     settings = validated(CompareSettings, local, "gridtrack compare")
     command = command or ["gridtrack", "compare", *option_words(CompareSettings, values)]
     with _run_folder(out, settings, command, note) as folder:
@@ -87,7 +87,7 @@ def comparison(
         yield replace(ended, out=out)
 
 
-def with_local_copies(values: Mapping[str, Any], note: Note) -> dict[str, Any]:
+def local_values(values: Mapping[str, Any], note: Callable[[str], None]) -> dict[str, Any]:
     """`values` with the local copies of recordings and weights that are named by URLs. Raises StoreError."""
     fetch: dict[str, Callable[[str], Any]] = {
         "recordings": partial(fetched, note=note),
@@ -104,7 +104,7 @@ def with_local_copies(values: Mapping[str, Any], note: Note) -> dict[str, Any]:
     return {name: local(name, value) for name, value in values.items()}
 
 
-def _with_local_weights(row: str, note: Note) -> str:
+def _with_local_weights(row: str, note: Callable[[str], None]) -> str:
     """[LABEL=]NAME[:KEY=VALUE,...] with the local copy of weights that are named by a URL. Raises StoreError."""
 
     def local(match: re.Match[str]) -> str:
@@ -114,7 +114,7 @@ def _with_local_weights(row: str, note: Note) -> str:
 
 
 def _run_folder(
-    out: str, settings: CompareSettings, command: Sequence[str], note: Note
+    out: str, settings: CompareSettings, command: Sequence[str], note: Callable[[str], None]
 ) -> AbstractContextManager[Path]:
     """The local folder in which the run is made; the folder of a run in a store is uploaded at the end."""
     if not is_url(out):
@@ -123,7 +123,9 @@ def _run_folder(
     return stored_run(out, resume=settings.resume, again=None if settings.follow else resume, note=note)
 
 
-def _run(settings: CompareSettings, command: Sequence[str], note: Note, console: Console | None) -> Comparison:
+def _run(
+    settings: CompareSettings, command: Sequence[str], note: Callable[[str], None], console: Console | None
+) -> Comparison:
     """Compare on finished recordings."""
     plan = resolve(settings)
     with RunProgress(console) as progress:
@@ -132,7 +134,9 @@ def _run(settings: CompareSettings, command: Sequence[str], note: Note, console:
     return Comparison(plan.settings.out, summary, summary.interrupted, not_measured)
 
 
-def _follow(settings: CompareSettings, command: Sequence[str], note: Note, console: Console | None) -> Comparison:
+def _follow(
+    settings: CompareSettings, command: Sequence[str], note: Callable[[str], None], console: Console | None
+) -> Comparison:
     """Compare on a recording that is still being written."""
     with following(settings, note=lambda text: print(printable(text), file=sys.stderr)) as followed:
         with LiveTable(console) as table:
@@ -142,7 +146,7 @@ def _follow(settings: CompareSettings, command: Sequence[str], note: Note, conso
     return Comparison(settings.out, summary, summary.interrupted or followed.interrupted)
 
 
-def _note_missing(plan: ComparisonPlan, note: Note) -> bool:
+def _note_missing(plan: ComparisonPlan, note: Callable[[str], None]) -> bool:
     """Note each requested measurement that a complete trial lacks; whether there are any."""
     records = [read_trial_record(plan.settings.out / trial.name) for trial in plan.trials]
     complete = [record for record in records if record and record.outcome == "ok"]

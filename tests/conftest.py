@@ -11,8 +11,6 @@ from typing import Any
 
 import pytest
 
-from gridtrack.evaluation.hosting.supervisor import PR_SET_CHILD_SUBREAPER, prctl
-
 from studies.support.plugins import every_class, write_distribution
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # workers fill the cores: two threads beside a busy core crawl
@@ -27,18 +25,11 @@ Install = Callable[..., Path]
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache_of_stretches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """What a training keeps is that of this session: no test passes on frames that earlier code made."""
+    """Trainings cache frames for this session only, so that no test passes on frames of earlier code."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gridtrack.common.cache.user_cache_folder", lambda: folder)
         yield
-
-
-@pytest.fixture(autouse=True)
-def adopts_no_orphans() -> Iterator[None]:
-    """A command that ran in this process has made it the parent of orphans, which other tests expect to be gone."""
-    yield
-    prctl(PR_SET_CHILD_SUBREAPER, 0)
 
 
 @pytest.fixture

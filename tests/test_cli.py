@@ -13,9 +13,13 @@ from typing import Any
 
 import pytest
 import typer
+from typer.testing import CliRunner
 
 from gridtrack.cli import app
-from gridtrack.common.options import option_fields
+from gridtrack.cli.options import settings_options
+from gridtrack.common.config import validated
+from gridtrack.common.options import option_fields, option_words
+from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.regression.settings import MARGIN, SPEED_MARGIN, TURNS_MARGIN
 from gridtrack.evaluation.runs.recipe import Recipe
 from gridtrack.evaluation.runs.settings import CompareSettings
@@ -142,8 +146,9 @@ def test_the_defaults_in_the_help_are_those_of_the_settings_and_the_command_has_
     monkeypatch.setenv("COLUMNS", "240")
     lines = gridtrack(command, "--help").stdout.splitlines()
     shown = {found[1]: found[2] for line in lines if (found := re.search(r"--([\w-]+) .*\[default: (.*?)\]", line))}
-    options = {o.name: o.field.get_default() for o in option_fields(model) if not o.argument and o.field.default != ""}
-    own = {name for name, default in options.items() if default not in (None, ()) and default is not False}
+    fields = {option.name: option.field for option in option_fields(model) if not option.argument}
+    options = {name: field.get_default(call_default_factory=True) for name, field in fields.items()}
+    own = {name for name, default in options.items() if default not in (None, (), {}, "") and default is not False}
     assert shown.keys() == own
     for name, text in shown.items():
         default = options[name]
@@ -156,6 +161,29 @@ def test_the_help_of_the_gate_names_its_default_margins(monkeypatch):
     shown = gridtrack("regress", "--help").stdout
     assert f"default: {MARGIN:g} with {LEAST_UNITS} units or more, 0 with fewer" in shown
     assert f"default: {SPEED_MARGIN:g} for a ratio to the reference, {TURNS_MARGIN:g} for a time measured" in shown
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"recordings": ["a.mcap@3s-9s", "b.bag"], "trackers": ["x=kalman:association=jcbb"], "out": Path("runs/a b")},
+        {"recordings": ["a"], "every_s": 0.25, "segment_s": "30s", "rate_hz": 12.5, "seed": 0, "resume": True},
+        {"recordings": ["a"], "limits": {"threads": 2, "start_s": 3.5, "sandbox": True}, "grid": "100x0.2@-1,-4"},
+        {"recordings": ["a"], "limits": Limits(memory_mb=300), "degrade": Degradation(beam_dropout=0.2)},
+        {
+            "recordings": ["a"],
+            "slurm": {"partition": "long", "mem_gb": 7.5},
+            "scores": ["one", "two"],
+            "format": "mine",
+        },
+    ],
+)
+def test_the_words_of_settings_give_the_same_settings_again(values):
+    given: list[dict[str, Any]] = []
+    command = typer.Typer()
+    command.command()(settings_options(CompareSettings)(given.append))
+    CliRunner().invoke(command, option_words(CompareSettings, values), catch_exceptions=False)
+    assert validated(CompareSettings, given[0], "") == validated(CompareSettings, values, "")
 
 
 def test_the_help_of_degraded_input_names_every_kind():

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import typer
 
-from gridtrack.cli import app
+from gridtrack.cli import LazyCommand, app
 from gridtrack.trackers import registry
 from gridtrack.trackers.selection import parse_selection
 
@@ -63,6 +63,7 @@ def wrong_words(line: str, words: list[str]) -> Iterator[str]:
             yield f"{line}: no such command '{name}'"
             return
         command = commands_of[name]
+        command = command.load() if isinstance(command, LazyCommand) else command
     known = {option for parameter in command.params for option in parameter.opts} | {"--debug", "--help"}
     for word in rest:
         if word.startswith("--") and word.partition("=")[0] not in known:
