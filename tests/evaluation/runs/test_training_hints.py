@@ -17,10 +17,7 @@ from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.trial import unstarted
 from gridtrack.trackers.weights import read_card
 
-
-@pytest.fixture(autouse=True)
-def home(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+pytestmark = pytest.mark.usefixtures("home", "trackers_here")
 
 
 def gridtrack(*words):
