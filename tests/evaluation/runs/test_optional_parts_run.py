@@ -1,34 +1,26 @@
 """The optional parts of forecasts, velocities and sampled futures, in a run: their scores are in the summary."""
 
-from pathlib import Path
-
 import pytest
 
 from gridtrack.evaluation.results.columns import ENERGY_TABLE, FLOW_TABLE
-from gridtrack.evaluation.runs.plan import resolve
-from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.scores.energy import ENERGY_STRATA
 from gridtrack.evaluation.scores.flow_error import FLOW_STRATA
 
 from scenes import truth_scene
+
+pytestmark = pytest.mark.usefixtures("trackers_here")
 
 STEPS = 10
 CYCLIST_MPS, PEDESTRIAN_MPS = 4 * 2.8 / 5.0, 4 * 3.4 / 8.0
 
 
 @pytest.fixture
-def strata(install, progress, tmp_path):
-    """Compares trackers on the scene, and gives their scores by label and stratum."""
-    files = {"movers.py": (Path(__file__).parents[2] / "plugins" / "movers.py").read_text()}
-    install("movers", {"mover": "movers:Mover", "guesser": "movers:Guesser"}, files)
+def strata(movers, compare, tmp_path):
+    """`strata(*trackers, **recording)` compares trackers on the scene; their scores by label and stratum."""
 
-    def compare(*trackers, **recording):
+    def strata(*trackers, **recording):
         path = truth_scene.write_recording(tmp_path / "room.mcap", seconds=14, **recording)
-        settings = CompareSettings(
-            recordings=(str(path),), trackers=trackers, out=tmp_path / "run", horizon_s=1.0, every_s=0.5, jobs=1
-        )
-        summary = run(resolve(settings), (), progress)
+        summary = compare(*trackers, recordings=(str(path),))
         for label, row in summary.trackers.items():
             trial = row.recordings["room"]
             assert trial.outcome == ("invalid-output" if label == "sometimes" else "ok")
@@ -36,7 +28,7 @@ def strata(install, progress, tmp_path):
             assert (reason in trial.reason) == (label == "sometimes")
         return {label: row.recordings["room"].strata for label, row in summary.trackers.items()}
 
-    return compare
+    return strata
 
 
 def test_true_velocities_have_no_error_and_no_motion_has_the_true_speed(strata, tmp_path):
@@ -64,15 +56,11 @@ def test_true_velocities_have_no_error_and_no_motion_has_the_true_speed(strata, 
     assert not (tmp_path / "run" / "persistence@room" / FLOW_TABLE.file).exists()
 
 
-def test_without_ground_truth_velocities_are_not_scored(strata, tmp_path):
-    found = strata("mover", with_truth=False)
-    assert found["mover"]["dynamic"].flow_error is None
-    assert not (tmp_path / "run" / "mover@room" / FLOW_TABLE.file).exists()
-
-
 def test_sampled_futures_have_an_energy_score_with_and_without_ground_truth(strata, tmp_path):
     trackers = "alike=guesser", "mixed=guesser:gives=mixed", "sometimes=guesser:gives=sometimes", "persistence"
-    found = strata(*trackers, with_truth=False)
+    found = strata(*trackers, "mover", with_truth=False)
+    assert found["mover"]["dynamic"].flow_error is None, "velocities are scored with ground truth only"
+    assert not (tmp_path / "run" / "mover@room" / FLOW_TABLE.file).exists()
     for stratum in ENERGY_STRATA:
         alike, mixed = found["alike"][stratum], found["mixed"][stratum]
         assert alike.energy_score[0] == 0.0, "step 0 has been seen"

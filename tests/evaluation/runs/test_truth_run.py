@@ -1,8 +1,5 @@
 """A run on a recording with truth: hidden cells, the oracle and classes."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import polars as pl
 import pytest
@@ -13,8 +10,13 @@ from gridtrack.evaluation.results.columns import SCORES_TABLE, SEMANTICS_TABLE
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
+from tests.conftest import PLUGINS
+from tests.evaluation.conftest import RecordedProgress
 
 from scenes import truth_scene
+from scenes.programs_here import programs_here
+from scenes.room import trial_of
+from studies.support.plugins import write_distribution
 
 HORIZON_S, STEPS = 1.0, 10
 
@@ -33,40 +35,21 @@ def compare(folder, progress, *trackers, resume=False, **recording):
         jobs=1,
         resume=resume,
     )
-    return run(resolve(settings), (), progress), folder / "run"
+    with programs_here():
+        return run(resolve(settings), (), progress), folder / "run"
 
 
 @pytest.fixture(scope="module")
 def complete(tmp_path_factory):
     """A run of four trackers without range noise: its summary and its folder."""
     site = tmp_path_factory.mktemp("site")
-    (site / "classifier.py").write_text((Path(__file__).parents[2] / "plugins" / "classifier.py").read_text())
-    info = site / "classifiers-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.4\nName: classifiers\nVersion: 1.0\n")
-    points = "classifier = classifier:Classifier\nstranger = classifier:Stranger\n"
-    (info / "entry_points.txt").write_text(f"[gridtrack.trackers]\n{points}")
+    points = {"classifier": "classifier:Classifier", "stranger": "classifier:Stranger"}
+    files = {"classifier.py": (PLUGINS / "classifier.py").read_text()}
+    write_distribution(site, "classifiers", points, files, group="gridtrack.trackers")
     with pytest.MonkeyPatch.context() as patched:
         patched.syspath_prepend(str(site))
-        patched.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH")))))
-        yield compare(tmp_path_factory.mktemp("run"), Quiet(), "persistence", "blank", "classifier", "stranger")
-
-
-class Quiet:
-    """A progress that is not shown."""
-
-    def note(self, text): ...
-
-    def started(self, trial, frames): ...
-
-    def planned(self, frames, then=()): ...
-    def advanced(self, trial): ...
-
-    def ended(self, trial, record): ...
-
-
-def trial_of(summary, label):
-    return summary.trackers[label].recordings["room"]
+        trackers = ("persistence", "blank", "classifier", "stranger")
+        yield compare(tmp_path_factory.mktemp("run"), RecordedProgress(), *trackers)
 
 
 def test_with_truth_hidden_cells_are_scored_and_the_oracle_is_the_ceiling(complete):
@@ -88,7 +71,8 @@ def test_with_truth_hidden_cells_are_scored_and_the_oracle_is_the_ceiling(comple
 
 
 def test_the_oracle_misses_only_range_noise_and_no_tracker_has_a_lower_log_loss(tmp_path, progress):
-    summary, _ = compare(tmp_path, progress, "blank", "persistence", "static-map", noise_m=0.04)
+    trackers = "blank", "persistence", "static-map"
+    summary, _ = compare(tmp_path, progress, *trackers, noise_m=0.04)
     oracle = trial_of(summary, "oracle")
     assert all(0.7 < f1 < 0.99 for f1 in oracle.strata["dynamic"].f1)
     assert oracle.strata["occluded"].f1 == (1.0,) * (STEPS + 1)
@@ -98,6 +82,10 @@ def test_the_oracle_misses_only_range_noise_and_no_tracker_has_a_lower_log_loss(
             for step in range(1, STEPS + 1):
                 best = oracle.strata[stratum].nll[step]
                 assert scores.nll[step] is None or scores.nll[step] >= best, "step 0 alone can be copied"
+    progress.frames.clear()
+    again, _ = compare(tmp_path, progress, *trackers, resume=True)
+    assert trial_of(again, "oracle") == oracle
+    assert progress.frames == {}, "the oracle is kept like the trackers"
 
 
 def test_static_cells_are_the_outlines_of_static_objects(complete):
@@ -108,23 +96,15 @@ def test_static_cells_are_the_outlines_of_static_objects(complete):
 
 
 def test_a_recording_without_truth_has_no_oracle_and_no_occluded_strata(tmp_path, progress):
-    summary, _ = compare(tmp_path, progress, "persistence", with_truth=False)
+    summary, _ = compare(tmp_path, progress, "persistence", with_truth=False, seconds=12)
     assert set(summary.trackers) == {"persistence"}
     assert tuple(trial_of(summary, "persistence").strata) == STRATA
     assert trial_of(summary, "persistence").semantics is None
 
 
-def test_a_resumed_run_keeps_its_oracle(tmp_path, progress):
-    compare(tmp_path, progress, "blank", seconds=12)
-    progress.frames.clear()
-    summary, _ = compare(tmp_path, progress, "blank", resume=True)
-    assert "oracle@room" not in progress.frames
-    assert trial_of(summary, "oracle").outcome == "ok"
-
-
 def test_no_tracker_may_have_the_label_of_the_oracle(tmp_path, progress):
     with pytest.raises(ConfigurationError, match="'oracle' is the referee's own row"):
-        compare(tmp_path, progress, "Oracle=blank", seconds=12)
+        compare(tmp_path, progress, "Oracle=blank", seconds=4)
 
 
 def test_the_share_of_the_way_to_the_oracle_is_0_at_the_floor_and_below_it_negative(complete):
