@@ -89,7 +89,7 @@ class Walk(Recording):
 
 
 class Drive(Recording):
-    """The window moves to the right by `speed` cells a frame, from `start` on, past a post in column 40 of the world."""
+    """The window moves to the right by `speed` cells a frame, from `start` on, past a post in column 40."""
 
     def __init__(self, frames=60, start=0, speed=1):
         super().__init__(12, 0.5, 0.25, frames)
