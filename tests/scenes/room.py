@@ -10,7 +10,7 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.runs.summary import RunSummary, TrialSummary
+from gridtrack.evaluation.runs.summary import RunSummary, ScopeSummary, TrialSummary
 from gridtrack.recordings import RecordingInfo, write_native
 
 RATE_HZ, SECONDS, BEAMS = 10, 20, 120
@@ -104,3 +104,9 @@ def scan(index: int, speed: float, wall_m: float, shift_ns: int) -> Scan:
 def trial_of(summary: RunSummary, label: str, recording: str = "room") -> TrialSummary:
     """The result of a trial."""
     return summary.trackers[label].recordings[recording]
+
+
+def curve(scope: ScopeSummary, stratum: str, output: str) -> tuple[float | None, ...] | None:
+    """The values of SCORE.OUTPUT in a stratum, by step; None where there are none."""
+    found = scope.estimate(stratum, *output.split("."))
+    return None if found is None else found.value

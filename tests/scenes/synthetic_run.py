@@ -14,7 +14,7 @@ from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.run_record import RecordingDescription, RecordingIdentity, RunConfiguration, RunRecord
 from gridtrack.evaluation.runs.scorekeeper import Counter
 from gridtrack.evaluation.runs.summarise import summarise
-from gridtrack.evaluation.runs.sums import Layout, SumsWriter
+from gridtrack.evaluation.runs.sums import Layout, SumsWriter, TrialSums
 from gridtrack.evaluation.runs.trial_record import TRIAL_SCHEMA, ThresholdsUsed, TrialRecord
 from gridtrack.evaluation.scores.beam_error import BEAM_ERROR, BINS
 from gridtrack.evaluation.scores.brier import BRIER

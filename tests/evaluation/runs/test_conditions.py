@@ -8,17 +8,17 @@ from gridtrack.evaluation.referee.deadline import Costs
 from gridtrack.evaluation.runs import deadline_pass
 from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
-from gridtrack.evaluation.runs.trial_record import TrialRecord
-from gridtrack.evaluation.scoring.robustness import mismatched_degradations
+from gridtrack.evaluation.runs.summarise import _mismatched_degradations
+from gridtrack.evaluation.runs.trial_record import TRIAL_SCHEMA, TrialRecord
 from gridtrack.recordings.degradation import Degradation
 
-from scenes.room import trial_of
+from scenes.room import curve, trial_of
 
 pytestmark = pytest.mark.usefixtures("staged", "trackers_here")
 
 
 def f1_of(result):
-    return {name: scores.f1 for name, scores in result.strata.items()}
+    return {name: curve(result, name, "f1.f1") for name in result.strata}
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def test_a_busy_tracker_misses_frames_and_scores_less(compare, costing):
     assert own.age_frames.p50 in {2.0, 3.0}
     assert result.deadline.highest_rate_hz == pytest.approx(1000 / 150)
     # persistence's forecast of the step 0 is a copy: two or three frames late it is one of two or three frames ago
-    assert own.f1["dynamic"][0] < half.f1["dynamic"][0] < result.strata["dynamic"].f1[0] == 1.0
+    assert own.f1["dynamic"][0] < half.f1["dynamic"][0] < curve(result, "dynamic", "f1.f1")[0] == 1.0
     assert own.f1["static"][0] > 0.9
 
 
@@ -110,13 +110,15 @@ def test_mismatched_degraded_frames_are_detected():
     def record(label, digest, value=0.1):
         points = tuple(AtStrength(strength=s, value=s * value, delivered=digest, f1={}) for s in (0.3, 1.0))
         robustness = Robustness(degradation=Degradation(range_noise=value), kinds={"range_noise": points})
-        return TrialRecord(schema=2, label=label, recording="room", outcome="ok", steps=1, robustness=robustness)
+        return TrialRecord(
+            schema=TRIAL_SCHEMA, label=label, recording="room", outcome="ok", steps=1, robustness=robustness
+        )
 
     same = [("centres", record(label, "aa")) for label in ("one", "two")]
-    assert mismatched_degradations(same) == []
-    assert mismatched_degradations([*same, ("centres", record("odd", "bb"))]) == ["odd"]
+    assert _mismatched_degradations(same) == []
+    assert _mismatched_degradations([*same, ("centres", record("odd", "bb"))]) == ["odd"]
     others = [("raw", record("raw", "cc")), ("centres", record("stronger", "dd", 0.2))]
-    assert mismatched_degradations([*same, *others]) == []
+    assert _mismatched_degradations([*same, *others]) == []
 
 
 def test_a_resumed_run_degrades_again_only_for_other_strengths(compare, monkeypatch):

@@ -16,12 +16,12 @@ from gridtrack.common.grid import Shift
 from gridtrack.evaluation.referee.deadline import read_later
 from gridtrack.evaluation.referee.live_timeline import LiveTimeline
 from gridtrack.evaluation.referee.samples import SAMPLES, TRACKS_TOPIC
-from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.runs.following import Following, following
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
+from gridtrack.evaluation.runs.sums import SUMS_FILE
 from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.trackers.contract import Forecast, TrackedObject
 
@@ -109,7 +109,7 @@ class Table:
 @pytest.fixture(autouse=True)
 def small_chunks(monkeypatch):
     """A recorder that writes a chunk every second."""
-    monkeypatch.setattr(native, "CHUNK_BYTES", 8000)
+    monkeypatch.setattr("gridtrack.recordings.formats.native.CHUNK_BYTES", 8000)
 
 
 @pytest.fixture
@@ -165,7 +165,7 @@ def test_a_tracker_that_keeps_up_has_the_scores_of_the_finished_file(settings, r
         assert live.strata == later.strata
         assert live.frames_scored == later.frames_scored == len(range(20, 200 - 10, 5))
         folders = [tmp_path / name / f"{label}@room" for name in ("followed", "ordinary")]
-        delivered = [pl.read_parquet(folder / SCORES_TABLE.file)["stamp_ns", "delivered"] for folder in folders]
+        delivered = [pl.read_parquet(folder / SUMS_FILE)["stamp_ns", "delivered"] for folder in folders]
         assert delivered[0].equals(delivered[1])
         records = [read_trial_record(folder) for folder in folders]
         assert records[0].delivered == records[1].delivered
@@ -202,8 +202,8 @@ def test_every_part_of_a_forecast_waits_for_its_scores(settings, movers, progres
         assert tracks[0] == tracks[1]
         longest[label] = max(map(len, tracks[0]))
     assert longest["kalman"] > longest["mover"], "it alone has objects"
-    assert live_of(summary, "mover").flow_error[0] is not None
-    assert live_of(summary, "guesser").energy_score[0] is not None
+    assert live_of(summary, "mover")["flow_error"]["mean"].value[0] is not None
+    assert live_of(summary, "guesser")["energy"]["score"].value[0] is not None
 
 
 def test_a_forecast_that_is_read_later_keeps_what_it_says_of_later_steps():
@@ -260,7 +260,7 @@ def test_a_busy_tracker_misses_frames_and_its_newest_forecast_in_time_is_scored(
     (notice,) = (notice for notice in summary.notices if "missed" in notice)
     assert notice.startswith(f"slow missed {missed} of {slow.followed.frames} frames with a deadline; its newest")
     assert table.shown[-1].rows[1].missed == missed
-    f1 = [summary.trackers[name].recordings["room"].strata["dynamic"].f1[0] for name in ("persistence", "slow")]
+    f1 = [live_of(summary, name)["f1"]["f1"].value[0] for name in ("persistence", "slow")]
     assert f1[0] == 1.0 > f1[1] > 0.0
 
 

@@ -11,12 +11,13 @@ import pytest
 from gridtrack.common.errors import GridtrackError
 from gridtrack.evaluation.regression.measurement import Unmeasured
 from gridtrack.evaluation.regression.measuring import measure_run
-from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
 from gridtrack.evaluation.runs import jobs, plan, run_folder
 from gridtrack.evaluation.runs.jobs import SharedInputs
 from gridtrack.evaluation.runs.result_files import RunError
+from gridtrack.evaluation.runs.sums import SUMS_FILE
 from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.reports.run import read_runs
+from tests.scenes.room import curve
 
 from scenes import truth_scene
 from scenes.room import trial_of
@@ -46,7 +47,7 @@ def test_another_program_under_the_same_name_is_another_configuration(compare, t
 
 def test_a_run_is_continued_with_more_trackers_and_recordings_and_not_with_fewer(compare, record, progress, tmp_path):
     compare("blank", "persistence")
-    kept = tmp_path / "run" / "persistence@room" / SCORES_TABLE.file
+    kept = tmp_path / "run" / "persistence@room" / SUMS_FILE
     written = kept.stat().st_mtime_ns
     both, more = (str(record()), str(record("other", wall_m=2.5))), ("blank", "persistence", "still=persistence")
     summary = compare(*more, recordings=both, resume=True)
@@ -77,15 +78,12 @@ def test_trials_kept_from_other_versions_are_reported_in_every_further_run(compa
     assert notices(newest, "blank", "persistence") == [notice, "trials kept from a run with mcap 1: 2; now mcap 2"]
 
 
-@pytest.mark.parametrize("table", [SCORES_TABLE, HISTOGRAM_TABLE])
-def test_a_trial_with_a_missing_file_runs_again_and_is_not_kept_from_other_versions(
-    compare, tmp_path, monkeypatch, table
-):
+def test_a_trial_with_missing_sums_runs_again_and_is_not_kept_from_other_versions(compare, tmp_path, monkeypatch):
     compare("blank")
-    (tmp_path / "run" / "blank@room" / table.file).unlink()
+    (tmp_path / "run" / "blank@room" / SUMS_FILE).unlink()
     monkeypatch.setattr(run_folder, "versions", lambda: {"gridtrack": "0.2.0"})
     summary = compare("blank", resume=True)
-    assert trial_of(summary, "blank").strata["visible"].f1 == (0.0,) * 11
+    assert curve(trial_of(summary, "blank"), "visible", "f1.f1") == (0.0,) * 11
     assert not [notice for notice in summary.notices if "trials kept" in notice]
 
 
@@ -109,7 +107,7 @@ def test_a_tracker_whose_code_was_edited_runs_again_and_the_others_do_not(compar
     assert [line for line in progress.notes if "edited" in line] == [
         f"{row}: its code was edited since it ran: 2 of its trials run again" for row in ("staged", "again")
     ]
-    brier = [trial_of(summary, row).strata["visible"].brier[0] for row in ("staged", "again", "persistence")]
+    brier = [curve(trial_of(summary, row), "visible", "brier.mean")[0] for row in ("staged", "again", "persistence")]
     assert brier[0] == brier[1] > brier[2]
 
 
@@ -144,7 +142,7 @@ def test_an_oracle_that_fails_before_it_starts_leaves_no_scores_of_the_earlier_r
     recordings = (str(truth_scene.write_recording(tmp_path / "scene.mcap", seconds=12)),)
     compare("persistence", recordings=recordings)
     oracle = tmp_path / "run" / "oracle@scene"
-    (oracle / HISTOGRAM_TABLE.file).unlink()
+    (oracle / SUMS_FILE).unlink()
     monkeypatch.setattr(jobs, "run_oracle", lost)
     compare("persistence", recordings=recordings, resume=True)
     assert read_trial_record(oracle) is None
@@ -153,14 +151,13 @@ def test_an_oracle_that_fails_before_it_starts_leaves_no_scores_of_the_earlier_r
 
 def test_a_changed_file_of_scores_is_refused_by_readers_and_scored_again_with_resume(compare, tmp_path):
     compare("blank")
-    path = tmp_path / "run" / "blank@room" / "scores.parquet"
+    path = tmp_path / "run" / "blank@room" / "sums.parquet"
     record = read_trial_record(path.parent)
-    tables = {"scores.parquet", "histogram.parquet", "neighbourhoods.parquet", "beams.parquet"}
-    assert set(record.files) == {*tables, "forecasts.mcap"}
+    assert set(record.files) == {"sums.parquet", "forecasts.mcap"}
     original = path.read_bytes()
-    pl.read_parquet(path).with_columns(tp=pl.col("tp") + 1).write_parquet(path)
+    pl.read_parquet(path).with_columns(stamp_ns=pl.col("stamp_ns") + 1).write_parquet(path)
     for read in (read_runs, lambda paths: [measure_run(path) for path in paths]):
-        with pytest.raises(GridtrackError, match=r"scores\.parquet: changed since the trial wrote it"):
+        with pytest.raises(GridtrackError, match=r"sums\.parquet: changed since the trial wrote it"):
             read([tmp_path / "run"])
     compare("blank", resume=True)
     assert pl.read_parquet(path).equals(pl.read_parquet(original))

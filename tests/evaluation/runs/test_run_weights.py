@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 
-import numpy as np
 import pytest
 
 from gridtrack.common.errors import WeightsError
@@ -14,6 +13,7 @@ from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.trackers.training.weights import read_card
+from tests.scenes.room import curve
 
 from scenes.room import trial_of
 
@@ -33,7 +33,7 @@ def test_a_run_with_learned_weights_names_them_without_the_folders_of_the_machin
     summary = compare("static-map", weights=weights)
     result = trial_of(summary, "static-map")
     assert result.outcome == "ok"
-    assert np.array(result.strata["static"].f1).min() > 0.9
+    assert min(curve(result, "static", "f1.f1")) > 0.9
     assert not [notice for notice in summary.notices if "learned from" in notice]
     kept = json.loads((tmp_path / "run" / "run.json").read_text())["weights"]
     assert kept["static-map@room"]["name"] == "static-map/room.toml"
@@ -80,7 +80,7 @@ def test_weights_exchanged_in_mid_run_are_not_used(settings, record, train, tmp_
 
     before, during, after = scored("a", progress), scored("b", Exchanging()), scored("c", progress)
     assert before.weights_sha256 == during.weights_sha256 != after.weights_sha256
-    scores = "scores.parquet"
+    scores = "sums.parquet"
     assert before.files[scores] == during.files[scores] != after.files[scores]
 
 

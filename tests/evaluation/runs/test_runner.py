@@ -13,13 +13,14 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.referee.referee import Delivery
 from gridtrack.evaluation.referee.samples import read_samples
 from gridtrack.evaluation.referee.splits import EvaluationSplit
-from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.runs import run_folder, scorekeeper, trial
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.result_files import RunError, json_of
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.summary import read_summary
+from gridtrack.evaluation.runs.sums import SUMS_FILE
 from gridtrack.evaluation.runs.trial_record import read_trial_record
+from tests.scenes.room import curve
 
 from scenes.room import trial_of
 
@@ -30,26 +31,24 @@ def test_a_run_writes_every_file_and_the_floor_has_its_known_scores(compare, set
     summary = compare("persistence", "blank")
     assert json.loads(json_of(summary)) == json.loads((tmp_path / "run" / "summary.json").read_text())
     assert read_summary(tmp_path / "run") == summary
-    assert (summary.schema_version, summary.interrupted, summary.reference) == (2, False, "persistence")
+    assert (summary.schema_version, summary.interrupted, summary.reference) == (3, False, "persistence")
     for label in ("persistence", "blank"):
         result = trial_of(summary, label)
         assert result.outcome == "ok"
         assert result.frames_scored == result.frames_expected == len(range(20, 110 - 10, 5))
         folder = tmp_path / "run" / f"{label}@room"
-        spatial = {"neighbourhoods.parquet", "beams.parquet"}
-        assert spatial | {"outcome.json", "scores.parquet", "histogram.parquet", "forecasts.mcap", "stderr.log"} == {
-            path.name for path in folder.iterdir()
-        }
+        written = {path.name for path in folder.iterdir()}
+        assert written == {"outcome.json", "sums.parquet", "forecasts.mcap", "stderr.log"}
         assert set(result.strata) == {"visible", "dynamic", "static", "in-motion", "standing"}
         assert len(list(read_samples(folder / "forecasts.mcap"))) == result.frames_scored
-        assert {len(curve) for _, curve in result.strata["dynamic"] if isinstance(curve, tuple)} == {11}
-    persistence, blank = (trial_of(summary, label).strata for label in ("persistence", "blank"))
-    assert persistence["visible"].f1[0] == 1.0
-    assert persistence["static"].f1[10] > 0.9 > persistence["dynamic"].f1[10]
-    assert blank["visible"].f1 == (0.0,) * 11
-    assert blank["visible"].precision == (None,) * 11
-    assert blank["visible"].interval.startswith("too short for an interval: 1 unit")
-    assert blank["visible"].f1_low is None
+        assert {len(values) for _, values in result.curves()} == {11}
+    persistence, blank = (trial_of(summary, label) for label in ("persistence", "blank"))
+    assert curve(persistence, "visible", "f1.f1")[0] == 1.0
+    assert curve(persistence, "static", "f1.f1")[10] > 0.9 > curve(persistence, "dynamic", "f1.f1")[10]
+    assert curve(blank, "visible", "f1.f1") == (0.0,) * 11
+    assert curve(blank, "visible", "f1.precision") == (None,) * 11
+    assert blank.interval.startswith("too short for an interval: 1 unit")
+    assert blank.estimate("visible", "f1", "f1").low is None
     run_file = json.loads((tmp_path / "run" / "run.json").read_text())
     assert run_file["status"] == "complete"
     assert run_file["command"] == ["gridtrack", "compare"]
@@ -65,7 +64,7 @@ def test_every_tracker_receives_the_same_frames_and_progress_is_reported(compare
     assert found == ["room"], "regions are found once for each recording"
     assert summary.recordings["room"].parity is True
     folders = [tmp_path / "run" / f"{label}@room" for label in ("persistence", "blank")]
-    one, other = (pl.read_parquet(folder / SCORES_TABLE.file)["stamp_ns", "delivered"] for folder in folders)
+    one, other = (pl.read_parquet(folder / SUMS_FILE)["stamp_ns", "delivered"] for folder in folders)
     assert one.equals(other)
     assert progress.frames == progress.delivered == {"persistence@room": 110 + 50, "blank@room": 110 + 50}
     blank, persistence = (progress.records[f"{label}@room"] for label in ("blank", "persistence"))
@@ -106,7 +105,7 @@ def test_a_tracker_that_fails_names_its_stretch_keeps_its_scores_and_stops_no_ot
     # forecasts at 20, 25 .. 45 have their last frame, 55, before the 60th update
     assert (late.outcome, late.frames_scored, late.frames_expected) == ("crashed", len(range(20, 59 - 10 + 1, 5)), 16)
     assert late.reason == "update with frame 60: RuntimeError: staged"
-    assert late.strata["visible"].f1[0] == 1.0
+    assert curve(late, "visible", "f1.f1")[0] == 1.0
     assert trial_of(summary, "persistence").outcome == "ok"
     progress.delivered.clear()
     compare(*failing, "persistence", resume=True)
@@ -144,12 +143,12 @@ def test_an_unexpected_error_ends_its_trial_and_no_other(compare, progress, monk
 
 def test_a_trial_whose_folder_cannot_be_written_ends_alone(compare, tmp_path):
     compare("persistence")
-    (tmp_path / "run" / "blank@room" / SCORES_TABLE.file).mkdir(parents=True)  # in the way
+    (tmp_path / "run" / "blank@room" / SUMS_FILE).mkdir(parents=True)  # in the way
     summary = compare("blank", "persistence", resume=True)
     assert (trial_of(summary, "blank").outcome, trial_of(summary, "blank").strata) == ("failed", {})
     assert trial_of(summary, "persistence").outcome == "ok"
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["trackers"]["blank"]
-    (tmp_path / "run" / "blank@room" / SCORES_TABLE.file).rmdir()
+    (tmp_path / "run" / "blank@room" / SUMS_FILE).rmdir()
     assert trial_of(compare("blank", "persistence", resume=True), "blank").outcome == "ok"
 
 
@@ -240,7 +239,7 @@ def test_trials_that_share_a_validation_stretch_choose_their_thresholds_on_it_on
         "persistence@one": 80 + 90,
         "blank@one": 80 + 90,
     }
-    thresholds = [trial_of(summary, "persistence", n).strata["visible"].threshold for n in ("one", "two")]
+    thresholds = [trial_of(summary, "persistence", n).thresholds["visible"] for n in ("one", "two")]
     assert thresholds[0] == thresholds[1]
     alone = compare(
         "persistence", "blank", recordings=tests[1:2], validation=validation, out=tmp_path / "run" / "alone"

@@ -7,22 +7,22 @@ import polars as pl
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.results.columns import SCORES_TABLE
 from gridtrack.evaluation.runs.jobs import JobOrder, SharedInputs
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.run_record import description_of
+from gridtrack.evaluation.runs.sums import SUMS_FILE
 
 pytestmark = pytest.mark.usefixtures("trackers_here")
 
-COUNTED = ("tp", "fp", "fn", "tn")
-
 
 def counts(folder, label):
-    """Counts of every scored frame of a row, by stamp, step and stratum."""
-    files = sorted(folder.glob(f"{label}@*/{SCORES_TABLE.file}"))
-    columns = ["stamp_ns", "step", "stratum", *COUNTED]
-    rows = pl.concat([pl.read_parquet(file, columns=columns, glob=False) for file in files])
-    return rows.sort("stamp_ns", "step", "stratum")
+    """The sums of F1 of every scored frame of a row, by stamp, step and stratum."""
+    files = sorted(folder.glob(f"{label}@*/{SUMS_FILE}"))
+    columns = ["stamp_ns", "step", "stratum", "part", "value"]
+    rows = pl.concat(
+        [pl.read_parquet(file, glob=False).filter(pl.col("score") == "f1").select(columns) for file in files]
+    )
+    return rows.cast({"stratum": pl.String}).sort("stamp_ns", "step", "stratum")
 
 
 @pytest.fixture

@@ -7,8 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridtrack.trackers.recurrent.fit import settings_from_general
-
 torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
@@ -18,11 +16,8 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
 from gridtrack.trackers.contract import StretchScore, stream_of  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.fit import validation_scores
-from gridtrack.trackers.recurrent.network import (
-    resolution_of,
-    set_resolution,
-)
+from gridtrack.trackers.recurrent.fit import settings_from_general, validation_scores  # noqa: E402
+from gridtrack.trackers.recurrent.network import resolution_of, set_resolution  # noqa: E402
 from gridtrack.trackers.training.excerpts import VALIDATED_S, excerpts_of_places  # noqa: E402
 from gridtrack.trackers.training.weights import load_start, read_card  # noqa: E402
 from tests.trackers.recurrent.sources import (  # noqa: E402

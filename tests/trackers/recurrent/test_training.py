@@ -13,8 +13,6 @@ import warnings
 import numpy as np
 import pytest
 
-from gridtrack.trackers.recurrent.devices import Devices
-
 torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
@@ -23,17 +21,17 @@ from torch.nn.functional import binary_cross_entropy_with_logits, softplus  # no
 
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
-from gridtrack.trackers.recurrent import training
+from gridtrack.trackers.recurrent import devices, training  # noqa: E402
+from gridtrack.trackers.recurrent import fit as fit_module  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
-from gridtrack.trackers.recurrent.motion import near_entered_cells
-from gridtrack.trackers.recurrent.network import set_resolution
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker  # noqa: E402
+from gridtrack.trackers.recurrent.devices import Devices  # noqa: E402
+from gridtrack.trackers.recurrent.kernels import convgru as convgru_kernels  # noqa: E402
+from gridtrack.trackers.recurrent.motion import near_entered_cells  # noqa: E402
+from gridtrack.trackers.recurrent.network import set_resolution  # noqa: E402
 from gridtrack.trackers.recurrent.sequences import Item, SequenceDataset  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
-from gridtrack.trackers.recurrent.training_module import (
-    TrainingModule,  # noqa: E402
-    sequence_loss,
-)
+from gridtrack.trackers.recurrent.training_module import TrainingModule, sequence_loss  # noqa: E402
 from gridtrack.trackers.training.weights import read_card  # noqa: E402
 from tests.trackers.recurrent.sources import (  # noqa: E402
     TRACKERS,
