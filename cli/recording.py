@@ -65,11 +65,21 @@ def recording_import(
     as_json: JsonOption = False,
 ) -> None:
     """Write a recording of any format (ROS 1 or 2 bag, ROS or Foxglove MCAP, CARMEN log, ...) as a native one."""
-    given = {"site": site, "grid": grid, "rate_hz": rate, "licence": licence, "credit": credit, "labels": labels}
-    stretches = dict(parse_named_stretch(text) for text in stretch or ())
-    how = {"ego_motion": ego_motion, "overwrite": overwrite}
     try:
-        recording = import_recording(Path(source), out, stretches=stretches, **given, **how, **values)
+        recording = import_recording(
+            Path(source),
+            out,
+            site=site,
+            grid=grid,
+            rate_hz=rate,
+            stretches=dict(parse_named_stretch(text) for text in stretch or ()),
+            licence=licence,
+            credit=credit,
+            labels=labels,
+            ego_motion=ego_motion,
+            overwrite=overwrite,
+            **values,
+        )
     except KeyboardInterrupt:
         print_note(f"interrupted: {out} is as it was before, or written whole")
         raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
