@@ -19,7 +19,7 @@ folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
 trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))
 
-.PHONY: help demo demo-junction test coverage lint bench results worlds-results real-results schemas docs figures screenshots ablations returns junction weights baseline clean
+.PHONY: help demo demo-junction test coverage lint bench results worlds-results real-results schemas docs figures size screenshots ablations returns junction weights baseline clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
@@ -56,13 +56,13 @@ fuzz: $(VENV)/.installed-dev ## fuzz every reader of untrusted input for ten min
 bench: $(VENV)/.installed-dev ## measure the speed of everything that `make test` installs (half an hour)
 	$(BIN)/python -m benchmarks
 
-results: $(VENV)/.installed-demo ## compare every tracker at the junction: the numbers of docs/results/junction
+results: $(VENV)/.installed-dev ## compare every tracker at the junction: the numbers of docs/results/junction
 	rm -rf runs/results
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS) deep-tracking-rnn) $(trainings) --reference dilated-convgru --out runs/results
 	$(BIN)/python -m studies.kept_summary runs/results junction
 	$(BIN)/python -m studies.static_memory
 
-worlds-results: $(VENV)/.installed-demo ## compare every tracker with general weights on the test worlds: the numbers of docs/results/worlds
+worlds-results: $(VENV)/.installed-dev ## compare every tracker with general weights on the test worlds: the numbers of docs/results/worlds
 	$(BIN)/python -m studies.worlds_results
 
 real-results: $(VENV)/.installed-dev ## the same on recordings of real robots, in the folder DATA: docs/results/real
@@ -79,14 +79,17 @@ figures: $(VENV)/.installed-dev ## write the numbers of the pages from docs/resu
 	$(BIN)/python -m studies.figures
 	$(BIN)/python -m studies.contract_page
 
+size: $(VENV)/.installed-dev ## count lines, files and words (REV=v0.2.0: beside those of that revision)
+	$(BIN)/python -m studies.size $(REV)
+
 screenshots: $(VENV)/.installed-dev ## pictures of the report of runs/demo, at two widths, light and dark, in runs/screenshots
 	$(BIN)/python -m studies.report_screenshots runs/demo --out runs/screenshots
 
 ablations: $(VENV)/.installed-dev ## train and compare the dilated ConvGRU without each part that the paper names
-	$(BIN)/python -m studies.ablations
+	$(BIN)/python -m studies.variants ablations
 
 returns: $(VENV)/.installed-demo ## compare kalman without a map of the site, and with the laser's own returns
-	$(BIN)/python -m studies.map_and_returns
+	$(BIN)/python -m studies.variants returns
 
 junction: $(VENV)/.installed-sim ## simulate the junction's recordings with SUMO (ten minutes)
 	$(BIN)/gridtrack simulate junction-set --out data/junction

@@ -23,10 +23,12 @@ if TYPE_CHECKING:
 __all__ = [
     "SE2",
     "ConfigurationError",
+    "FitTask",
     "Forecast",
     "GridFrame",
     "GridSpec",
     "GridtrackError",
+    "Objective",
     "Run",
     "Settings",
     "StreamSpec",
@@ -41,6 +43,7 @@ __all__ = [
 _HOMES = {
     "SE2": "common.geometry",
     "ConfigurationError": "common.errors",
+    "FitTask": "trackers.contract",
     "Forecast": "trackers.contract",
     "GridFrame": "common.grid",
     "GridSpec": "common.grid",

@@ -14,7 +14,7 @@ import functools
 import importlib.util
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,11 @@ from torch import Tensor, nn
 from torch.nn.functional import conv2d
 
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
-from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU
-from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferenceRNN
+from gridtrack.trackers.recurrent.kernels.convgru import InferenceConvGRU
+from gridtrack.trackers.recurrent.kernels.rnn import InferenceRNN
 from gridtrack.trackers.recurrent.network import LatentState, RecurrentNetwork, as_tensor, channels_last
-from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.settings import GATES
 
 from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section
@@ -240,11 +240,11 @@ def compared(found: dict[str, Any], operations: int, rate: float, rounds: int) -
     return Comparison(medians_ms, at_best_ms)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/recurrent.json")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     torch.set_num_threads(1)
     by_network = {}
     with torch.inference_mode():

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any, get_args
@@ -14,8 +15,8 @@ import numpy as np
 import torch
 
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
-from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.settings import Precision
 
 from benchmarks.timing import median_ms
@@ -34,7 +35,7 @@ def random_planes(seed: int) -> np.ndarray:
 
 def training_rate(kind: type[RecurrentTracker], precision: Precision, threads: int) -> float:
     """Frames of training a second."""
-    from gridtrack.trackers.recurrent.sequence_loss import sequence_loss
+    from gridtrack.trackers.recurrent.training_module import sequence_loss
 
     torch.set_num_threads(threads)
     options: Any = kind.Options()
@@ -53,11 +54,11 @@ def training_rate(kind: type[RecurrentTracker], precision: Precision, threads: i
     return rate
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/recurrent.json")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     cases = list(product(get_args(Precision), given.threads))
     rows, values = [], {}
     for kind in (DilatedConvGRUTracker, DeepTrackingRNNTracker):

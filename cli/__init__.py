@@ -15,14 +15,14 @@ from typer.core import TyperCommand
 from gridtrack.cli.completion import words_as_typed
 from gridtrack.cli.options import DEBUG_OPTION, print_note
 from gridtrack.common.errors import ConfigurationError, GridtrackError
-from gridtrack.common.names import check_utf8
+from gridtrack.common.files import check_utf8
 
 COMMANDS = {
     "compare": "Run trackers on recordings, each in its own process, score them, and write a report.",
     "report": "Write the report of a run again, or of several runs side by side: as a page, or in another format.",
     "regress": "Compare a run with a baseline: is any tracker worse?",
     "train": "Train a tracker for a site or, with --general, for any site.",
-    "trackers": "The trackers: list, show, check, new; migrate: rewrite older weights cards.",
+    "trackers": "The trackers: list, show, check, new.",
     "recording": "Recordings: info, import, view, layout.",
     "simulate": "Recordings with ground truth: junction, junction-set, drive-set, worlds, tracks, check.",
 }
@@ -97,7 +97,7 @@ def _shield(arguments: list[str]) -> AbstractContextManager[None]:
     """Hide the arguments of this process from trackers that it starts."""
     if not arguments or arguments[0] not in STARTS_TRACKERS:
         return nullcontext()
-    from gridtrack.evaluation.hosting.shielding import shielded_host
+    from gridtrack.evaluation.hosting.host import shielded_host
 
     return shielded_host(f"gridtrack {arguments[0]}", alone=True)
 

@@ -23,7 +23,7 @@ def compare_command(values: dict[str, Any], as_json: JsonOption = False) -> None
       3 a trial is not complete, or lacks a requested measurement
     130 interrupted; with --follow Ctrl-C ends the recording, and the run is complete
     """
-    from gridtrack.evaluation.results.files import json_of
+    from gridtrack.evaluation.runs.result_files import json_of
     from gridtrack.reports.comparison import comparison
     from gridtrack.reports.terminal import print_result
 

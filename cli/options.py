@@ -118,7 +118,7 @@ def _default_text(option: OptionField) -> str:
 
 def fetch_recordings(given: Any) -> Any:
     """A callback: recordings, with the local copies of those that are named by URLs. Raises RecordingError."""
-    from gridtrack.recordings.fetching import fetched
+    from gridtrack.recordings.stretches import fetched
 
     if given is None or isinstance(given, str):
         return given and fetched(given, print_note)

@@ -99,7 +99,7 @@ def recording_view(
     from rich.console import Console
     from rich.progress import Progress
 
-    from gridtrack.reports.rerun_recording import default_name, write_rerun_recording
+    from gridtrack.reports.viewers import default_name, write_rerun_recording
 
     stream = open_stream(recording, grid=GridSpec.parse(grid) if grid else None, rate_hz=rate)
     path = out or Path(default_name(recording))
@@ -117,6 +117,6 @@ def recording_view(
 @app.command("layout")
 def recording_layout() -> None:
     """Print a layout of Foxglove, JSON, for native recordings and the forecasts.mcap of a run."""
-    from gridtrack.reports.foxglove import foxglove_layout
+    from gridtrack.reports.viewers import foxglove_layout
 
     typer.echo(foxglove_layout(), nl=False)

@@ -26,9 +26,8 @@ from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.evaluation.regression.turns import timed_in_turns
 from gridtrack.evaluation.regression.verdict import Verdict, compare_with_baseline
 from gridtrack.reports.history import history_svg
-from gridtrack.reports.junit import junit_of, junit_of_unmeasured
 from gridtrack.reports.run_progress import RunProgress
-from gridtrack.reports.verdict_tables import data_of, markdown_of, markdown_of_unmeasured
+from gridtrack.reports.verdict_tables import data_of, junit_of, junit_of_unmeasured, markdown_of, markdown_of_unmeasured
 from gridtrack.reports.verdict_text import text_of, text_of_update
 from gridtrack.trackers.selection import Launch, launch, read_trackers_toml
 
@@ -96,7 +95,7 @@ def regress_command(
     earlier = read_history(history) if history else []
     try:
         if update:
-            _update_baseline(runs, baseline)
+            _update_baseline(runs, baseline, settings)
             return
         verdict = _judge(runs[0], baseline, settings, confirm, bases)
         _report_verdict(verdict, junit, markdown, as_json)
@@ -112,20 +111,20 @@ def regress_command(
         raise typer.Exit(WORSE)
 
 
-def _update_baseline(runs: Sequence[Path], baseline: Path) -> None:
+def _update_baseline(runs: Sequence[Path], baseline: Path, settings: GateSettings) -> None:
     """Write `runs` as the baseline; print its content, and what is worse than in the one that it replaces."""
     if len({run.resolve() for run in runs}) < len(runs):
         raise ConfigurationError("a run is given twice: each run of a baseline is a training or a seed of its own")
-    first = measure_run(runs[0])
-    measured = [first, *(measure_run(run, like=first) for run in runs[1:])]
-    replaced = _against_replaced(runs[0], baseline) if baseline.exists() else None
+    first = measure_run(runs[0], None, settings.scores)
+    measured = [first, *(measure_run(run, first, settings.scores) for run in runs[1:])]
+    replaced = _against_replaced(runs[0], baseline, settings) if baseline.exists() else None
     typer.echo(text_of_update(baseline, write_baseline(baseline, measured), replaced))
 
 
-def _against_replaced(run: Path, baseline: Path) -> Verdict | str:
+def _against_replaced(run: Path, baseline: Path, settings: GateSettings) -> Verdict | str:
     """The verdict on the run by the baseline that is replaced, or why there is none."""
     try:
-        return _judge(run, baseline, GateSettings(), confirm=False, bases={})
+        return _judge(run, baseline, GateSettings(scores=settings.scores), confirm=False, bases={})
     except (BaselineError, Unmeasured) as reason:
         return str(reason)
 
@@ -136,7 +135,7 @@ def _judge(run: Path, baseline: Path, settings: GateSettings, confirm: bool, bas
     `confirm` repeats what looks worse; `bases`, by label, are trackers whose times are measured in turns with it.
     """
     stored = read_baseline(baseline)
-    measured = measure_run(run, like=stored.first)
+    measured = measure_run(run, stored.first, settings.scores)
     verdict = compare_with_baseline(stored, measured, settings)
     if confirm:
         verdict = _confirmed(verdict, stored, measured, settings, run)
@@ -163,8 +162,12 @@ def _remember(folder: Path | None, earlier: History, baseline: Path, result: Ver
         return
     path, entry = append_entry(folder, earlier, baseline, result)
     drawing = folder / "history.svg"
-    write_text(drawing, history_svg([*(entry for _, entry in earlier), entry]))
-    typer.echo(f"history: {path}; drawing: {drawing}", err=True)
+    try:
+        write_text(drawing, history_svg([*(entry for _, entry in earlier), entry]))
+        drawn = f"drawing: {drawing}"
+    except ConfigurationError as error:
+        drawn = f"no drawing: {error}"
+    typer.echo(f"history: {path}; {drawn}", err=True)
 
 
 def _confirmed(
@@ -174,7 +177,7 @@ def _confirmed(
 
     def again(trials: Trials, timed: bool) -> list[Measurement]:
         with RunProgress() as progress:
-            return run_again(run, trials, baseline.first, timed, progress)
+            return run_again(run, trials, baseline.first, timed, progress, settings.scores)
 
     return confirmed(verdict, baseline, measured, settings, again)
 

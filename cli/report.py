@@ -74,7 +74,7 @@ def report_command(
 
 def _write_rerun(runs: list[Path], out: Path | None, rows: str, recordings: str) -> None:
     """Write the kept forecasts of a run for the Rerun viewer."""
-    from gridtrack.reports.rerun_run import write_rerun_run
+    from gridtrack.reports.viewers import write_rerun_run
 
     if len(runs) > 1:
         raise ConfigurationError("--rerun: one run at a time")

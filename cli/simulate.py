@@ -18,9 +18,8 @@ from gridtrack.simulation import junction
 from gridtrack.simulation.junction import drives
 from gridtrack.simulation.stanford import Video, read_stanford
 from gridtrack.simulation.tracks import Tracks
-from gridtrack.simulation.tracks_file import read_tracks
+from gridtrack.simulation.tracks_file import check_suffix, read_tracks, write_recording
 from gridtrack.simulation.traffic import Traffic, check_traffic
-from gridtrack.simulation.writing import check_suffix, write_recording
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 FAULTY = 3

@@ -1,4 +1,4 @@
-"""`trackers list | show | check | new | migrate`: the registered trackers and their learned weights."""
+"""`trackers list | show | check | new`: the registered trackers and their learned weights."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import typer
 from gridtrack.cli.completion import complete_selection, complete_tracker
 from gridtrack.cli.options import JsonOption, SandboxOption, TrackersTomlOption, WeightsOption
 from gridtrack.cli.train import tracker_alone
-from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError, WeightsError, printable
+from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError, printable
 from gridtrack.common.files import write_text
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting.limits import Limits
@@ -30,7 +30,6 @@ from gridtrack.evaluation.runs.learned import find_weights, sites_with_weights
 from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import StreamSpec, stream_of
-from gridtrack.trackers.migration import migrate_cards
 from gridtrack.trackers.selection import Launch, launch, read_trackers_toml
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
@@ -171,15 +170,6 @@ def new_command(
     module = new_tracker(name, out or Path(name))
     with_tests = shlex.quote(f"{module.parent}[test]")
     typer.echo(f"tracker: {module}\nnext: pip install -e {with_tests} && gridtrack trackers check {name}")
-
-
-@app.command("migrate")
-def migrate_weights(cards: Annotated[list[Path], typer.Argument(metavar="CARD_OR_FOLDER")]) -> None:
-    """Rewrite weights cards of an older gridtrack in place: options and arrays get their present names."""
-    done = migrate_cards(cards)
-    typer.echo(f"weights: {len(done.rewritten)} cards migrated, {len(done.unchanged)} have the present schema")
-    if done.errors:
-        raise WeightsError(f"{len(done.errors)} cards are left as they are; the first: {done.errors[0]}")
 
 
 def _refuse_untrained(launched: Launch, options: Mapping[str, Any], limits: Limits, site: str) -> None:

@@ -19,18 +19,16 @@ from gridtrack.common.config import validated
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, printable
 from gridtrack.common.options import option_words
 from gridtrack.common.remote_files import URL, is_url, local_folder
-from gridtrack.evaluation.results.summary import RunSummary
-from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.runs.following import following
-from gridtrack.evaluation.runs.measurements import missing_measurements
 from gridtrack.evaluation.runs.plan import ComparisonPlan, resolve
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.stored_run import stored_run
-from gridtrack.recordings.fetching import fetched
-from gridtrack.reports.live_table import LiveTable
+from gridtrack.evaluation.runs.summary import RunSummary
+from gridtrack.evaluation.runs.trial_record import missing_measurements, read_trial_record
+from gridtrack.recordings.stretches import fetched
 from gridtrack.reports.page import render_report
-from gridtrack.reports.run_progress import RunProgress
+from gridtrack.reports.run_progress import LiveTable, RunProgress
 
 INCOMPLETE = 3
 """Exit code of a comparison with a trial that is not complete, or that lacks a requested measurement."""

@@ -13,9 +13,9 @@ from rich.console import Console
 
 from gridtrack.common.errors import printable
 from gridtrack.common.remote_files import folder_name, is_url, local_folder
-from gridtrack.evaluation.hosting.shielding import shielded_host
-from gridtrack.evaluation.results.run_record import RunRecord
-from gridtrack.evaluation.results.summary import RunSummary
+from gridtrack.evaluation.hosting.host import shielded_host
+from gridtrack.evaluation.runs.run_record import RunRecord
+from gridtrack.evaluation.runs.summary import RunSummary
 from gridtrack.reports.comparison import comparison
 from gridtrack.reports.page import render_report, render_tables
 from gridtrack.reports.run import read_results

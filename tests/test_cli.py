@@ -72,7 +72,7 @@ NOT_OF_A_COMPARISON = "points= and weights= are for rows of a comparison"
         (("trackers", "show", "blnk"), "did you mean 'blank'?"),
         (("recording", "info", "nowhere.bag"), "nowhere.bag: no such recording"),
         (("recording", "import", DEMO, "--out", "demo.bag"), "demo.bag: a recording is written as .mcap"),
-        (("compare", PACKAGE), f"{PACKAGE}: a folder that is no recording (a ROS 2 bag has metadata.yaml)"),
+        (("compare", PACKAGE), f"{PACKAGE}: a folder, but not a recording (a ROS 2 bag has metadata.yaml)"),
         (("compare", f"{PACKAGE}/nope.bag"), "nope.bag: no such recording\n"),
         (("compare", f"{PACKAGE}/data/leg_tracker/demo.bag"), "demo.bag: no such recording; known: leg_tracker.mcap\n"),
         (("compare", DEMO, "--out", __file__), "test_cli.py: is a file; a run needs a folder"),

@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import sha256_of
-from gridtrack.evaluation.runs.general_start import general_start
 from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.train import general_start
 from gridtrack.recordings import packaged_recording
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 
 HALL = str(packaged_recording("leg_tracker"))
 """A hall, in cells of 0.1 m at 10 Hz."""

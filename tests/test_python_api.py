@@ -18,7 +18,7 @@ import pytest
 from nbclient import NotebookClient
 
 import gridtrack
-from gridtrack.evaluation.results.run_record import read_run_record
+from gridtrack.evaluation.runs.run_record import read_run_record
 
 from scenes.report_page import data_of
 

@@ -6,13 +6,12 @@ from functools import partial
 
 import pytest
 
-from gridtrack.evaluation.runs.general_start import general_start
-from gridtrack.evaluation.runs.progress_lines import ProgressLines
 from gridtrack.evaluation.runs.recipe import Recipe
-from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.evaluation.runs.train import general_start, train_tracker
+from gridtrack.evaluation.runs.training_process import ProgressLines
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import GridStream
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 
 from scenes.command_line import gridtrack
 
@@ -80,7 +79,7 @@ def test_the_start_on_the_command_line_overrides_that_of_the_recipe(asked, tmp_p
 
 
 def test_a_training_from_scratch_looks_for_no_general_weights(monkeypatch, tmp_path):
-    monkeypatch.setattr("gridtrack.evaluation.runs.general_start.find_weights", None)
+    monkeypatch.setattr("gridtrack.evaluation.runs.train.find_weights", None)
     told = []
     assert general_start(Recipe(tracker="dogma", from_scratch=True), [], tmp_path, told.append, can_start=True) is None
     assert told == ["from scratch, not from general weights"]

@@ -13,11 +13,10 @@ from rich.console import Console
 
 from gridtrack.common.errors import MAX_LINE_CHARS
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, read_trial_record
+from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, read_trial_record
 from gridtrack.recordings import RecordingInfo, open_recording, write_native
 from gridtrack.recordings.recording import MAX_LISTED_TOPICS, MAX_WARNINGS, NO_MORE_WARNINGS, Topics
-from gridtrack.reports.live_table import LiveTable
-from gridtrack.reports.run_progress import RunProgress
+from gridtrack.reports.run_progress import LiveTable, RunProgress
 from gridtrack.reports.terminal import print_rows
 
 HOSTILE = "\x1b]0;owned\x07\x1b[31m\u202eevil\u2066\ud800"

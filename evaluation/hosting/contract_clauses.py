@@ -1,6 +1,6 @@
-"""The clauses of the tracker contract: what each requires and why, and what to mend where a tracker breaks it.
+"""The clauses of the tracker contract: requirement, reason, and how to fix a tracker that breaks it.
 
-`contract_checks.py` has the check of each; docs/contract.md lists them (`python -m studies.contract_page`).
+`contract_suite.py` has the check of each; docs/contract.md lists them (`python -m studies.contract_page`).
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Clause:
-    """One clause: its `name`, what it requires of a tracker, the reason, and what to mend, in sentences."""
+    """One clause: its `name`, its requirement and reason, and how to fix a tracker that breaks it, in sentences."""
 
     name: str
     requirement: str
     reason: str
     mend: str
     needs: tuple[str, ...] = ()
-    """Clauses without which this one says nothing: where one of them is not passed, this one is not checked."""
+    """Clauses that must pass before this one can be checked."""
 
 
 FORECASTS = ("valid-forecast",)

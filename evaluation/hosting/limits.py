@@ -9,6 +9,9 @@ from pydantic import Field
 from gridtrack.common.config import Settings
 from gridtrack.common.options import Option, Seconds
 
+SCRATCH = ".engine"
+"""The folder of an engine, in the folder of its run, which the sandbox hides; on a cluster each log is below it."""
+
 
 class Limits(Settings):
     """Limits of a trial: seconds for each kind of call, resident memory of all its processes, threads, a sandbox."""

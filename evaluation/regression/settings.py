@@ -38,6 +38,8 @@ class GateSettings(Settings):
         default_factory=dict
     )
     """Margin of one tracker, such as a learned one; repeat for several"""
+    scores: Annotated[tuple[str, ...], Option("score", "NAME")] = ()
+    """Judge by this score of another package too, which is loaded only by this name; repeat for several"""
     speed_reference: Annotated[str | None, Option(metavar="LABEL")] = None
     """Judge speed too, as the ratio to the times of this tracker"""
     speed_margin: Annotated[float | None, Option(metavar="SHARE"), Field(ge=0.0)] = None

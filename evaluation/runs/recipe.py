@@ -17,8 +17,8 @@ from gridtrack.common.files import read_bounded
 from gridtrack.common.options import Option
 from gridtrack.common.remote_files import local_folder
 from gridtrack.common.untrusted import parse_toml
-from gridtrack.recordings.fetching import fetched
-from gridtrack.trackers.weights import read_card
+from gridtrack.recordings.stretches import fetched
+from gridtrack.trackers.training.weights import read_card
 
 MAX_RECIPE_BYTES = 1 << 20
 
@@ -58,7 +58,7 @@ class Recipe(Settings):
     @model_validator(mode="after")
     def _one_start(self) -> Recipe:
         if self.weights and self.from_scratch:
-            raise ValueError("weights (of which folder to start) and from_scratch (from none): leave one of them out")
+            raise ValueError("weights (the folder to start from) and from_scratch: leave one of them out")
         return self
 
     @property
@@ -79,9 +79,9 @@ class Recipe(Settings):
 
 
 def with_local_copies(recipe: Recipe, note: Callable[[str], None]) -> Recipe:
-    """The recipe with the local copies of what it names by URLs. Raises StoreError.
+    """The recipe with local copies of the files that it names by URLs. Raises StoreError.
 
-    Its `command` is for this machine only: that of `recipe` repeats the training anywhere.
+    Its `command` is for this machine only: the command of `recipe` repeats the training anywhere.
     """
     return recipe.model_copy(
         update={
@@ -113,7 +113,7 @@ def read_recipe(path: Path) -> Recipe:
 def recipe_like(path: Path) -> Recipe:
     """Tracker, settings, seed and start of the training that wrote the card at `path`. Raises WeightsError.
 
-    A card names recordings without their folders, and its grid belongs to its site: the user names both.
+    The user names recordings and grid: a card has no folders, and its grid belongs to its site.
     """
     card = read_card(path)
     from_scratch = card.started_from is None
@@ -121,9 +121,9 @@ def recipe_like(path: Path) -> Recipe:
 
 
 def complete_recipe(base: Recipe, overrides: Mapping[str, Any]) -> Recipe:
-    """`base` with the fields in `overrides` replaced, and of its options those that `overrides` name.
+    """`base` with the fields in `overrides` replaced; `options` are replaced one by one.
 
-    Raises ConfigurationError where a field is invalid, or no tracker or recording is named.
+    Raises ConfigurationError if a field is invalid, or no tracker or recording is named.
     """
     fields = base.model_dump(exclude_unset=True) | dict(overrides)
     fields["options"] = {**base.options, **overrides.get("options", {})}

@@ -10,7 +10,7 @@ from pydantic import Field
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.options import Option, Seconds, from_text
-from gridtrack.evaluation.engines.slurm_settings import SLURM_OPTION, SlurmSettings, parse_slurm
+from gridtrack.evaluation.engines.slurm_cluster import SLURM_OPTION, SlurmSettings, parse_slurm
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.recordings.degradation import Degradation, parse_degradation
 
@@ -81,18 +81,10 @@ class CompareSettings(Settings):
 
 
 def check_together(settings: CompareSettings) -> None:
-    """Raise ConfigurationError for settings that are not possible together."""
+    """Raise ConfigurationError for settings that cannot be combined."""
     if settings.follow and settings.segment_s is not None:
         raise ConfigurationError("--segment cuts a finished recording: leave it out with --follow")
     _check_engine(settings)
-    _check_foreign(settings)
-
-
-def _check_foreign(settings: CompareSettings) -> None:
-    """Raise ConfigurationError for a score or a recording format of another package that cannot be loaded."""
-    for option, names in (("--score", settings.scores), ("--format", filter(None, [settings.format]))):
-        for name in names:
-            raise ConfigurationError(f"{option} {name}: no installed package has it")
 
 
 def _check_engine(settings: CompareSettings) -> None:
@@ -107,8 +99,8 @@ def _check_engine(settings: CompareSettings) -> None:
     for name in ("latency", "deadline"):
         if getattr(settings, name):
             raise ConfigurationError(
-                f"--{name} times each tracker alone on a machine, which --engine {engine} does not give: leave it out,"
-                f" then measure on one machine with --engine local --resume --{name}"
+                f"--{name} times each tracker alone on a machine, which --engine {engine} cannot guarantee: leave it"
+                f" out, then measure on one machine with --engine local --resume --{name}"
             )
     if settings.follow:
         raise ConfigurationError(f"--follow runs on this machine: leave --engine {engine} out")

@@ -106,7 +106,7 @@ def test_without_a_folder_everything_is_made_and_one_line_says_why(cache, tmp_pa
     for _ in range(2):
         assert fetched(cache, {}, tmp_path / "one") == (b"content", True)
     assert len(told) == 1
-    assert "cannot be used (Not a directory), so nothing is kept for the next time; set XDG_CACHE_HOME" in told[0]
+    assert "cannot be used (Not a directory), so nothing is cached; set XDG_CACHE_HOME" in told[0]
 
 
 def test_entries_used_longest_ago_are_deleted_beyond_the_limit(cache, tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 
 
 @pytest.mark.parametrize(

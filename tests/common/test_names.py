@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridtrack.common.names import MAX_NAME_BYTES, is_label, is_name, name_from
+from gridtrack.common.files import MAX_NAME_BYTES, is_label, is_name, name_from
 
 
 @pytest.mark.parametrize("name", ["test", "leave-one-out", "first half", "exp[1]", "a*b?", "café", "東京", "x" * 160])

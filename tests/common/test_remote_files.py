@@ -108,7 +108,7 @@ def test_a_folder_of_which_a_file_comes_in_another_size_is_not_kept(store, notes
     path = "/bucket/weights/kalman/hall.toml"
     with monkeypatch.context() as patched:
         lists(patched, store, path, 9)
-        with pytest.raises(StoreError, match="4 bytes came, and 9 were announced; try again"):
+        with pytest.raises(StoreError, match="received 4 bytes instead of 9; try again"):
             fetched_folder(FOLDER, "weights", notes.append)
     assert content_of(cache) == {}
 
@@ -168,6 +168,6 @@ def test_a_folder_is_uploaded_without_what_is_hidden(kind, folder, tmp_path, sto
 def test_an_upload_that_did_not_arrive_whole_is_told(folder, store, monkeypatch):
     arrived = []
     monkeypatch.setattr(type(store), "put_file", lambda files, local, path: arrived.append(path))
-    with pytest.raises(StoreError, match=r"hall/(trial/scores|run\.json): is not there in its 2 bytes"):
+    with pytest.raises(StoreError, match=r"hall/(trial/scores|run\.json): the upload is not complete"):
         upload_folder(folder, "memory://bucket/runs/hall", last="run.json")
     assert arrived[-1].endswith("run.json")

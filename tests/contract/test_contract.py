@@ -10,10 +10,9 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.hosting.contract_checks import CHECKS
 from gridtrack.evaluation.hosting.contract_clauses import CLAUSES
 from gridtrack.evaluation.hosting.contract_scene import drive, empty_stream, scene
-from gridtrack.evaluation.hosting.contract_suite import ClauseResult, check_tracker
+from gridtrack.evaluation.hosting.contract_suite import CHECKS, ClauseResult, check_tracker
 from gridtrack.evaluation.runs.learned import find_weights
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.registry import entries

@@ -11,8 +11,8 @@ import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.runs.settings import CompareSettings
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.recordings import RecordingInfo, write_native
 
 RATE_HZ, SECONDS, BEAMS = 10, 20, 120

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -103,7 +101,7 @@ def test_the_text_of_a_degradation_is_read_and_unknown_kinds_are_refused() -> No
             parse_degradation(nothing)
 
 
-def test_a_degraded_stream_has_the_ticks_and_the_grid_of_the_original(write: Callable[..., Path], scan) -> None:
+def test_a_degraded_stream_has_the_ticks_and_the_grid_of_the_original(write, scan) -> None:
     path = write([scan(k, beams=360) for k in range(40)], grid="40x0.25", rate_hz=10.0)
     stream = open_stream(path)
     plain = list(stream)

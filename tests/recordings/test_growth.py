@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,8 +12,8 @@ from rosbags.rosbag2 import StoragePlugin
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.formats import native_writer
-from gridtrack.recordings.growth import Growth
+from gridtrack.recordings.file_reading import Growth
+from gridtrack.recordings.formats import native
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile
 from gridtrack.recordings.recording import NoScansError
 from gridtrack.recordings.stream import GridStream, frame_digest
@@ -117,9 +116,9 @@ def test_transforms_that_come_later_are_told(tmp_path: Path) -> None:
 
 
 def test_native_frames_come_when_their_scans_are_written(
-    write: Callable[..., Path], scan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    write, scan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(native_writer, "CHUNK_BYTES", 2000)
+    monkeypatch.setattr(native, "CHUNK_BYTES", 2000)
     finished = write(scan(k) for k in range(100))
     written = Written(finished, tmp_path / "growing.mcap", len(MCAP_MAGIC) + 1500, 50)
     while next(McapFile(written.path, Growth()).messages(), None) is None:
@@ -129,7 +128,7 @@ def test_native_frames_come_when_their_scans_are_written(
 
 
 def test_what_is_there_is_no_damage_and_a_limit_ends_the_file(write, scan, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(native_writer, "CHUNK_BYTES", 2000)
+    monkeypatch.setattr(native, "CHUNK_BYTES", 2000)
     finished = write(scan(k) for k in range(100))
     content = finished.read_bytes()
     part = tmp_path / "part.mcap"
@@ -160,7 +159,7 @@ def test_a_sensor_that_comes_later_is_left_out_with_a_warning(write, scan) -> No
     recording = open_recording(path, growth=growth)
     assert {one.sensor for one in recording.scans()} == {"scan"}
     (warning,) = recording.warnings
-    assert "sensor 'late' has its first scan after the following began: it is left out" in warning
+    assert "sensor 'late' has its first scan after the comparison began: it is left out" in warning
 
 
 def test_what_cannot_grow_is_refused_with_what_to_do(drive: Path, tmp_path: Path) -> None:

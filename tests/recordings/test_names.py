@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from gridtrack.common.errors import ConfigurationError, GridtrackError, RecordingError
-from gridtrack.common.scan import Scan
-from gridtrack.evaluation.scoring.splits import Sampling, plan_split
+from gridtrack.evaluation.referee.splits import Sampling, plan_split
 from gridtrack.recordings import RecordingInfo, import_recording, open_recording, write_native
 from gridtrack.recordings.stream import open_stream
 from gridtrack.recordings.stretches import parse_named_stretch, parse_stretch
@@ -20,7 +19,7 @@ SECOND = Sampling(horizon_s=1.0, every_s=0.5)
 
 
 @pytest.fixture
-def hostile(tmp_path: Path, scan: Callable[..., Scan]) -> Callable[..., Path]:
+def hostile(tmp_path: Path, scan) -> Callable[..., Path]:
     """Writes a native recording whose metadata are not checked."""
 
     def write(**info: object) -> Path:
@@ -62,7 +61,7 @@ def test_a_stretch_that_is_a_path_gives_no_name_of_a_split(hostile: Callable[...
         parse_named_stretch("../x=0s-5s")
 
 
-def test_a_file_name_that_cannot_name_results_is_refused(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_a_file_name_that_cannot_name_results_is_refused(write, scan) -> None:
     path = write((scan(k) for k in range(80)), "a\tb.mcap")
     with pytest.raises(ConfigurationError, match=r"cannot be the name of a folder of results: expected .*; rename it"):
         plan_split(str(path), None, SECOND)
@@ -75,9 +74,7 @@ def test_the_site_of_a_file_of_any_name_is_a_name(name: str, tmp_path: Path) -> 
     assert open_recording(path).info.site
 
 
-def test_an_import_refuses_a_site_and_a_stretch_that_are_paths(
-    write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
-) -> None:
+def test_an_import_refuses_a_site_and_a_stretch_that_are_paths(write, scan, tmp_path: Path) -> None:
     source = write([scan(0), scan(1)])
     for given in ({"site": "../x"}, {"stretches": {"../x": (0.0, 1.0)}}):
         with pytest.raises(ConfigurationError, match=ALLOWED):
@@ -85,9 +82,7 @@ def test_an_import_refuses_a_site_and_a_stretch_that_are_paths(
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_a_sensor_whose_name_cannot_be_printed_is_refused(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_a_sensor_whose_name_cannot_be_printed_is_refused(write, scan) -> None:
     path = write([replace(scan(0), sensor="a\nb")])
     with pytest.raises(RecordingError, match=ALLOWED):
         list(open_recording(path).scans())

@@ -8,24 +8,21 @@ import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.results.passes import CallTimes, Latency, Quantiles
-from gridtrack.evaluation.results.recording import RecordingDescription
-from gridtrack.evaluation.results.trial_record import TrialRecord
-from gridtrack.evaluation.scoring.beam_errors import beam_errors
-from gridtrack.evaluation.scoring.counting import count_forecast
-from gridtrack.evaluation.scoring.moments import moments
-from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
-from gridtrack.evaluation.scoring.observed_kinds import observed_kinds
-from gridtrack.evaluation.scoring.referee import ScoredForecast
-from gridtrack.evaluation.scoring.regions import Regions
-from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter
-from gridtrack.evaluation.scoring.score_store import ScoreWriter
-from gridtrack.evaluation.scoring.spatial_store import SpatialWriter
-from gridtrack.evaluation.scoring.strata import STRATA
-from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.referee.kinds import Regions, observed_kinds
+from gridtrack.evaluation.referee.motion import ObservedMotion
+from gridtrack.evaluation.referee.referee import ScoredForecast, moments
+from gridtrack.evaluation.referee.samples import SAMPLES, SampleWriter
+from gridtrack.evaluation.referee.strata import STRATA
+from gridtrack.evaluation.runs.finished import FinishedTrial
+from gridtrack.evaluation.runs.passes import CallTimes, Latency, Quantiles
+from gridtrack.evaluation.runs.run_record import RecordingDescription
+from gridtrack.evaluation.runs.scorekeeper import Counter
+from gridtrack.evaluation.runs.summarise import summarise
+from gridtrack.evaluation.runs.sums import SumsWriter
+from gridtrack.evaluation.runs.trial_record import ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.scores.definition import TrialFacts
+from gridtrack.evaluation.scores.registry import built_in
+from gridtrack.evaluation.scores.thresholds import Thresholds, bins_of
 from gridtrack.recordings.observation import Observation
 from gridtrack.reports.page import render_report
 from gridtrack.trackers.contract import Forecast
@@ -113,18 +110,16 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
     folder.mkdir(parents=True)
     values = np.full((STEPS + 1, len(STRATA)), 0.375 if chosen_on else 0.5)
     thresholds = Thresholds(bins_of(values), chosen_on)
+    counter = Counter(built_in(), TrialFacts(GRID.cell_m, STEPS, STRATA, thresholds))
     with (
-        ScoreWriter(folder, STEPS, thresholds) as scores,
-        SpatialWriter(folder, STEPS, STRATA) as spatial,
+        SumsWriter(folder, counter.layouts, STEPS) as sums,
         SampleWriter(folder / SAMPLES, GRID, PERIOD_S, STEPS) as samples,
     ):
         for t in list(range(WARM_UP, FRAMES - STEPS, EVERY))[:scored]:
             targets = tuple(moment.target for moment in MOMENTS[t : t + STEPS + 1])
             one = ScoredForecast(Forecast(forecast(t)), targets, MOMENTS[t].region_maps, JUST_SEEN)
-            counted = count_forecast(one.forecast.occupancy, targets, one.region_maps)
-            scores.add(one.stamp_ns, f"{t:032x}", counted, one.frames[-1].stamp_ns)
-            sums = sum_neighbourhoods(one.forecast.occupancy, targets, one.region_maps, JUST_SEEN)
-            spatial.add(one.stamp_ns, sums, beam_errors(one.forecast.occupancy, targets, one.region_maps, GRID.cell_m))
+            for score, counted in counter.count(one).items():
+                sums.add(one.stamp_ns, f"{t:032x}", score, counted)
             samples.add(one)
     record = TrialRecord(
         schema=2,
@@ -135,7 +130,7 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
         frames_scored=scored,
         frames_expected=EXPECTED,
         steps=STEPS,
-        thresholds=thresholds.used(),
+        thresholds=ThresholdsUsed.of(thresholds),
         peak_rss_mb=123.0,
         latency_ms=LATENCY if outcome == "ok" else None,
         **DESCRIBED.get(tracker, {}),

@@ -8,12 +8,12 @@ import shutil
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.runs.summarise import summarise
+from gridtrack.evaluation.scores.cells import PROBABILITY_EDGES
 from gridtrack.reports.page import render_report
-from gridtrack.reports.probability_curves import probability_curves
 from gridtrack.reports.run import read_runs
+from gridtrack.reports.score_figures import score_figures
 from gridtrack.reports.table import headline_tables
 
 from scenes import synthetic_run as synthetic
@@ -59,7 +59,7 @@ def page(browser, report):
 
 def curves_of(run):
     runs = read_runs([run])
-    curves, notices = probability_curves(runs, headline_tables(runs))
+    curves, notices = score_figures(runs, headline_tables(runs))
     assert notices == ()
     return curves
 
@@ -67,11 +67,12 @@ def curves_of(run):
 def ends_at_half(curve):
     """Precision with the ends of its interval at the point of the cells that are called occupied at 0.5."""
     at = curve["p"].index(pytest.approx(PROBABILITY_EDGES[-1 - TOP_BIN], rel=1e-3))
-    return [curve[name][at] for name in ("precision", "precision_low", "precision_high")]
+    return [curve["precision"][end][at] for end in ("value", "low", "high")]
 
 
-def expected_at_half(scores, step=int(STEP)):
-    return [getattr(scores, name)[step] for name in ("precision", "precision_low", "precision_high")]
+def expected_at_half(scope, stratum, step=int(STEP)):
+    point = scope.at(stratum, "f1", "precision", step)
+    return [point.value, point.low, point.high]
 
 
 def test_precision_at_the_threshold_in_use_has_the_interval_of_the_summary(run):
@@ -79,8 +80,10 @@ def test_precision_at_the_threshold_in_use_has_the_interval_of_the_summary(run):
     curves = curves_of(run)
     for label in SKILLS:
         for stratum in ("in-motion", "visible"):
-            expected = expected_at_half(read.summary.trackers[label].pooled.strata[stratum])
-            assert ends_at_half(curves["all recordings", label][stratum][STEP]) == pytest.approx(expected, rel=1e-3)
+            expected = expected_at_half(read.summary.trackers[label].pooled, stratum)
+            assert ends_at_half(curves["all recordings", label]["pr_auc"][stratum][STEP]) == pytest.approx(
+                expected, rel=1e-3
+            )
 
 
 @pytest.fixture(scope="module")
@@ -91,26 +94,26 @@ def long_run(tmp_path_factory):
 
 
 def test_blocks_of_one_long_recording_are_those_of_the_summary(long_run):
-    scores = read_runs([long_run])[0].summary.trackers["good"].recordings["long"].strata["in-motion"]
-    assert scores.interval == ""
-    curve = curves_of(long_run)["long", "good"]["in-motion"]["4"]
-    assert ends_at_half(curve) == pytest.approx(expected_at_half(scores, 4), rel=1e-3)
+    trial = read_runs([long_run])[0].summary.trackers["good"].recordings["long"]
+    assert trial.interval == ""
+    curve = curves_of(long_run)["long", "good"]["pr_auc"]["in-motion"]["4"]
+    assert ends_at_half(curve) == pytest.approx(expected_at_half(trial, "in-motion", 4), rel=1e-3)
 
 
 def test_where_the_blocks_cannot_be_found_the_curves_have_no_bands_and_a_notice_says_why(long_run, tmp_path):
     """They depend on the scores of every tracker."""
     run = shutil.copytree(long_run, tmp_path / "run")
-    (run / "persistence@long" / "scores.parquet").write_bytes(b"not")
+    (run / "persistence@long" / "sums.parquet").write_bytes(b"not")
     runs = read_runs([run])
-    curves, notices = probability_curves(runs, headline_tables(runs))
+    curves, notices = score_figures(runs, headline_tables(runs))
     assert ("long", "persistence") not in curves
-    assert "precision_low" not in curves["long", "good"]["in-motion"]["4"]
+    assert "low" not in curves["long", "good"]["pr_auc"]["in-motion"]["4"]["precision"]
     assert [notice.partition(": ")[0] for notice in notices] == ["persistence", "no intervals of precision over recall"]
 
 
 def test_where_scores_have_no_interval_precision_has_none(run):
-    curve = curves_of(run)[RECORDINGS[0], "good"]["in-motion"][STEP]
-    assert "precision_low" not in curve
+    curve = curves_of(run)[RECORDINGS[0], "good"]["pr_auc"]["in-motion"][STEP]
+    assert "low" not in curve["precision"]
 
 
 def test_recordings_of_other_periods_have_curves_together_where_their_scores_are_pooled(tmp_path):
@@ -123,9 +126,9 @@ def test_recordings_of_other_periods_have_curves_together_where_their_scores_are
     (read,) = read_runs([run])
     horizons_s = read.summary.pooled_horizons_s
     assert horizons_s == (0.0, 0.5, 1.0)
-    scores = read.summary.trackers["good"].pooled.strata["in-motion"]
-    curve = curves_of(run)["all recordings", "good"]["in-motion"]["2"]
-    assert ends_at_half(curve) == pytest.approx(expected_at_half(scores, 2), rel=1e-3)
+    curve = curves_of(run)["all recordings", "good"]["pr_auc"]["in-motion"]["2"]
+    expected = expected_at_half(read.summary.trackers["good"].pooled, "in-motion", 2)
+    assert ends_at_half(curve) == pytest.approx(expected, rel=1e-3)
 
 
 def numbers_of(page, figure):
@@ -139,9 +142,9 @@ def test_hidden_cells_by_time_have_bands_and_their_ends_in_the_file(page, run):
     assert section.locator("polygon.band").count() == len(SKILLS)
     assert "a band is a 95 % interval" in section.locator(".note").inner_text()
     first = numbers_of(page, "hidden-time")[0]
-    scores = read_runs([run])[0].summary.trackers["good"].pooled.strata["occluded to 0.5 s"]
-    assert float(first["good low"]) == pytest.approx(scores.f1_low[int(STEP)], rel=1e-4)
-    assert float(first["good high"]) == pytest.approx(scores.f1_high[int(STEP)], rel=1e-4)
+    point = read_runs([run])[0].summary.trackers["good"].pooled.at("occluded to 0.5 s", "f1", "f1", int(STEP))
+    assert float(first["good low"]) == pytest.approx(point.low, rel=1e-4)
+    assert float(first["good high"]) == pytest.approx(point.high, rel=1e-4)
     section.locator(".chart").focus()
     page.keyboard.press("ArrowRight")
     low, high = (f"{float(first[name]):.3f}" for name in ("good low", "good high"))
@@ -154,14 +157,14 @@ def test_precision_over_recall_has_bands_and_their_ends_in_the_file(page, report
     assert "a band is a 95 % interval" in section.locator(".note").inner_text()
     rows = [row for row in numbers_of(page, "precision-recall") if row["tracker"] == "good"]
     (pooled,) = [
-        row["bins"]
+        row["figures"]["pr_auc"]
         for recording in data_of(report.read_text())["recordings"]
         for row in recording["rows"]
         if (recording["name"], row["label"]) == ("all recordings", "good")
     ]
     curve = pooled["in-motion"][STEP]
     drawn = [tuple(float(row[f"precision{end}"]) for end in ("", " low", " high")) for row in rows]
-    ends = list(zip(*(curve[f"precision{end}"] for end in ("", "_low", "_high")), strict=True))
+    ends = list(zip(*(curve["precision"][end] for end in ("value", "low", "high")), strict=True))
     assert set(drawn) == set(ends)
     recall = [float(row["recall"]) for row in rows]
     assert (recall[0], drawn[0]) == (0.0, ends[0])
@@ -200,4 +203,4 @@ def test_of_many_bands_that_of_the_line_next_to_the_pointer_is_drawn(browser, cr
         assert figure.locator('.band[visibility="visible"]').count() == 0
         page.get_by_role("button", name="tracker 0").click()
         page.get_by_role("button", name="tracker 1").click()
-        assert figure.locator('.band[visibility="hidden"]').count() == 0, "six can be told from each other"
+        assert figure.locator('.band[visibility="hidden"]').count() == 0, "six can be distinguished"

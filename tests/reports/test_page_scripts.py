@@ -2,8 +2,8 @@
 
 import pytest
 
-from gridtrack.evaluation.results.summary import read_summary
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.runs.summarise import summarise
+from gridtrack.evaluation.runs.summary import read_summary
 from gridtrack.reports.page import render_report
 
 from scenes import synthetic_run as synthetic
@@ -14,7 +14,7 @@ RECORDINGS = [f"seed-{i:02}" for i in range(20)]
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
-    """The report of twenty recordings, on which good and fair are told apart from persistence, and twin is not."""
+    """The report of twenty recordings, on which good and fair differ from persistence, and twin does not."""
     run = tmp_path_factory.mktemp("runs") / "twenty"
     skills = {"persistence": 0.6, "good": 0.8, "fair": 0.7, "twin": 0.6, "late": 0.9}
     trials = [
@@ -32,17 +32,18 @@ def report(tmp_path_factory):
 
 def test_the_data_has_the_summarys_scores_and_intervals(report):
     summary = read_summary(report.parent.parent)
-    expected = summary.trackers["good"].pooled.strata["in-motion"]
+    expected = summary.trackers["good"].pooled.estimate("in-motion", "f1", "f1")
     (pooled,) = [one for one in data_of(report.read_text("utf-8"))["recordings"] if one["name"] == "all recordings"]
     (row,) = [one for one in pooled["rows"] if one["label"] == "good"]
-    assert row["strata"]["in-motion"]["f1"] == pytest.approx(expected.f1, rel=1e-4)
-    assert row["strata"]["in-motion"]["f1_low"] == pytest.approx(expected.f1_low, rel=1e-4)
+    shown = row["strata"]["in-motion"]["f1"]["f1"]
+    assert shown["value"] == pytest.approx(expected.value, rel=1e-4)
+    assert shown["low"] == pytest.approx(expected.low, rel=1e-4)
     assert pooled["horizons_s"] == list(summary.pooled_horizons_s)
 
 
-def test_the_tiers_join_rows_that_are_not_told_apart(report):
-    tiers = data_of(report.read_text("utf-8"))["recordings"][0]["tiers"]["f1/in-motion/8"]
-    assert tiers == {"pairs": 6, "units": 20, "groups": [["persistence", "twin"]]}
+def test_the_groups_have_rows_that_do_not_differ_significantly(report):
+    groups = data_of(report.read_text("utf-8"))["recordings"][0]["groups"]["f1.f1/in-motion/8"]
+    assert groups == {"pairs": 6, "units": 20, "groups": [["persistence", "twin"]]}
 
 
 @pytest.mark.parametrize(

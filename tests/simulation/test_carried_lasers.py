@@ -17,11 +17,10 @@ from gridtrack.common.scan import Scan
 from gridtrack.recordings import RecordingInfo, open_recording
 from gridtrack.recordings.truth import OUTLINE, truth_grid
 from gridtrack.simulation.laser import Laser
-from gridtrack.simulation.odometry import WheelOdometry
+from gridtrack.simulation.motion import WheelOdometry
 from gridtrack.simulation.tracks import Carrier, Tracks, TracksInfo
-from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks
+from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks, write_recording
 from gridtrack.simulation.traffic import check_traffic
-from gridtrack.simulation.writing import write_recording
 
 CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
 NORTH_WALL = ((-50.0, 6.0), (50.0, 6.0), (50.0, 7.0), (-50.0, 7.0))

@@ -9,8 +9,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
-from gridtrack.simulation.expected_scan import ExpectedScan
-from gridtrack.simulation.range_errors import MIN_ERRORS, RangeErrors, measure_range_errors, true_ranges
+from gridtrack.simulation.expected_scan import MIN_ERRORS, ExpectedScan, RangeErrors, measure_range_errors, true_ranges
 
 from scenes import truth_scene
 

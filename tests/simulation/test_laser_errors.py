@@ -11,8 +11,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import UNLABELLED, Scene, SceneObject
 from gridtrack.simulation.bodies import body_outline
-from gridtrack.simulation.laser import MATT, Laser, SceneSurfaces
-from gridtrack.simulation.laser_errors import LaserErrors
+from gridtrack.simulation.laser import MATT, Laser, LaserErrors, SceneSurfaces
 
 EXACT = {"std_m": 0.0, "glass_seen": 1.0, "dark_reach": 1.0}
 PANE = ((2.0, -3.0), (2.02, -3.0), (2.02, 3.0), (2.0, 3.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridtrack.simulation.odometry import WheelOdometry
+from gridtrack.simulation.motion import WheelOdometry
 
 EXACT = {"wheel_std": 0.0, "turn_std": 0.0, "diameter_std": 0.0}
 

@@ -11,7 +11,7 @@ import pytest
 from gridtrack.common.errors import RecordingError
 from gridtrack.recordings import open_recording
 from gridtrack.simulation.stanford import Video, read_stanford
-from gridtrack.simulation.writing import write_recording
+from gridtrack.simulation.tracks_file import write_recording
 
 VIDEO = Video(scale=0.05, site="quad", laser_at=(10.0, -20.0))
 

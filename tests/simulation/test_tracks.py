@@ -16,11 +16,10 @@ from gridtrack.common.errors import GridtrackError, RecordingError
 from gridtrack.recordings import RecordingInfo, open_recording, packaged_recording
 from gridtrack.simulation.bodies import body_outline
 from gridtrack.simulation.laser import Laser
-from gridtrack.simulation.rendered import rendering_folder
+from gridtrack.simulation.recording_format import rendering_folder
 from gridtrack.simulation.tracks import ONLY_LASER, Tracks, TracksInfo
-from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks, write_tracks
+from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks, write_recording, write_tracks
 from gridtrack.simulation.traffic import GRIDLOCK_S, check_traffic
-from gridtrack.simulation.writing import write_recording
 
 CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
 WALL = ((5.0, -5.0), (6.0, -5.0), (6.0, 5.0), (5.0, 5.0))
@@ -150,7 +149,7 @@ def parquet(path: Path, change: dict[str, list[object]] | None = None, about: ob
         ({"frame": [1]}, None, "a track twice in one frame"),
         ({"track": [-4]}, None, "a track below 0"),
         ({"class": [5]}, None, "a class beyond the 5"),
-        ({"length_cm": [0]}, None, "without extent"),
+        ({"length_cm": [0]}, None, "a body of size 0"),
         ({"x_cm": [None]}, None, "a value is missing"),
         (None, {"schema": 4}, "schema 4; this gridtrack reads 1 to 3"),
         (None, [], "schema None"),
@@ -166,7 +165,7 @@ def parquet(path: Path, change: dict[str, list[object]] | None = None, about: ob
         (None, {"laser": {"x": 1e300}}, "less than or equal to 1000000"),
         (None, {"rate_hz": 1e-300}, "greater than or equal to 0.001"),
         (None, {"noise_seed": 2**63}, "less than 9223372036854775808"),
-        (None, {"noise_seed": 10**30}, r"not JSON that can be read \(an integer of 31 digits; at most 64 bits"),
+        (None, {"noise_seed": 10**30}, r"not valid JSON \(an integer of 31 digits; at most 64 bits"),
         (None, {"static": [[[0, 0], [1, 1], [1e300, 0]]]}, "further than 1e\\+06 m"),
         (
             None,

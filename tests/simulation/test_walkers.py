@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridtrack.simulation.gait import feet, foot_offset, step_length_m
-from gridtrack.simulation.walkers import Walker, outlines_of
+from gridtrack.simulation.bodies import Walker, feet, foot_offset, outlines_of, step_length_m
 
 RATE_HZ = 50.0
 

@@ -11,12 +11,10 @@ import pytest
 
 from gridtrack.common.errors import GridtrackError, RecordingError
 from gridtrack.recordings import RecordingInfo, open_recording
-from gridtrack.simulation.laser import Laser
-from gridtrack.simulation.laser_errors import LaserErrors
+from gridtrack.simulation.bodies import Walker
+from gridtrack.simulation.laser import Laser, LaserErrors
 from gridtrack.simulation.tracks import ONLY_LASER, Tracks, TracksInfo, World
-from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks
-from gridtrack.simulation.walkers import Walker
-from gridtrack.simulation.writing import write_recording
+from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks, write_recording
 
 FRAMES, RATE_HZ = 30, 10.0
 WALL = ((5.0, -5.0), (6.0, -5.0), (6.0, 5.0), (5.0, 5.0))
@@ -86,8 +84,8 @@ def test_dark_clothes_and_a_pane_are_not_seen(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"glass": [1]}, "glass or a dark surface that is no static outline"),
-        ({"dark": [-1]}, "glass or a dark surface that is no static outline"),
+        ({"glass": [1]}, "a glass or dark surface without a static outline"),
+        ({"dark": [-1]}, "a glass or dark surface without a static outline"),
         ({"plane_m": 50.0}, "'world.plane_m' = 50.0"),
         ({"walkers": {"4": {"height_m": 9.0}}}, "height_m' = 9.0"),
         ({"walkers": {"4": {"companion": "elephant"}}}, "companion"),

@@ -15,16 +15,19 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import WeightsError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame  # noqa: E402
-from gridtrack.trackers import cell_training  # noqa: E402
-from gridtrack.trackers.cell_classifier import CellClassifier  # noqa: E402
-from gridtrack.trackers.cell_training import CellCollector, LabelledCells, candidate_settings, train_classifier  # noqa: E402
-from gridtrack.trackers.contract import FitOutput, stream_of  # noqa: E402
-from gridtrack.trackers.label_settings import ClassifierSettings  # noqa: E402
-from gridtrack.trackers.labelled_scans import class_indices, inverse_frequency  # noqa: E402
-from gridtrack.trackers.one_shot.tracker import OneShotTracker  # noqa: E402
+from gridtrack.trackers.contract import FitTask, stream_of  # noqa: E402
+from gridtrack.trackers.one_shot import OneShotTracker  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.transfer import latent_cells  # noqa: E402
-from gridtrack.trackers.weights import load_weights, read_card, save_weights  # noqa: E402
+from gridtrack.trackers.training import cell_training  # noqa: E402
+from gridtrack.trackers.training.cell_classifier import CellClassifier  # noqa: E402
+from gridtrack.trackers.training.cell_training import CellCollector, LabelledCells, candidate_settings, train_classifier  # noqa: E402
+from gridtrack.trackers.training.labelled_scans import (  # noqa: E402
+    ClassifierSettings,
+    class_indices,
+    inverse_frequency,
+)
+from gridtrack.trackers.training.weights import load_weights, read_card, save_weights  # noqa: E402
 from tests.trackers.scores import of_every_stratum  # noqa: E402
 
 SIZE, ROUND = 16, 12
@@ -87,9 +90,10 @@ def no_score(tracker, source, steps):
 
 def fit(tracker, folder, things, seed=3, train=None, **options):
     settings = validated(tracker.Options, {"labelled_scans": 150, **options}, "test")
-    out = FitOutput(folder / "toy.toml", f"gridtrack train {options}", seed, folder / "log", lambda line: None)
-    tracker.fit([train or Scene(things)], [Scene(things, 72, seed=1)], no_score, out, settings)
-    return out.path
+    out, sources, validation = folder / "toy.toml", [train or Scene(things)], [Scene(things, 72, seed=1)]
+    command = f"gridtrack train {options}"
+    tracker.fit(FitTask(sources, validation, no_score, out, settings, folder / "log", seed, command))
+    return out
 
 
 NETWORK = {"channels": 8, "layers": 2, "updates": 1, "warm_up": 0, "validate_every": 1, "precision": "32-true"}

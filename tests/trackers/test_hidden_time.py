@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gridtrack.common.grid import Mask, Shift
-from gridtrack.trackers.hidden_time import HiddenTime
+from gridtrack.trackers.cell_records import HiddenTime
 
 
 def seen(*cells: tuple[int, int]) -> Mask:

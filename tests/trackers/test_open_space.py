@@ -7,7 +7,7 @@ import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask, Shift
-from gridtrack.trackers.open_space import OpenSpace, open_cells
+from gridtrack.trackers.cell_records import OpenSpace, open_cells
 
 PERIOD_S = 0.1
 

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from gridtrack.trackers.own_code import code_sha256, program_sha256
+from gridtrack.trackers.registry import code_sha256
+from gridtrack.trackers.selection import Launch
 
 
 @pytest.fixture
@@ -42,8 +43,8 @@ def test_an_edit_of_the_tracker_or_of_what_lies_beside_it_changes_the_hash(own: 
 
 def test_a_program_is_hashed_by_the_files_that_its_command_names(tmp_path: Path) -> None:
     (tmp_path / "tracker").write_text("one")
-    first = program_sha256(("./tracker", "--fast"), tmp_path)
-    assert first == program_sha256(("./tracker", "--slow"), tmp_path)
+    first = Launch("own", ("./tracker", "--fast"), tmp_path).code_sha256()
+    assert first == Launch("own", ("./tracker", "--slow"), tmp_path).code_sha256()
     (tmp_path / "tracker").write_text("two")
-    assert first != program_sha256(("./tracker", "--fast"), tmp_path)
-    assert program_sha256(("nowhere",), tmp_path) == ""
+    assert first != Launch("own", ("./tracker", "--fast"), tmp_path).code_sha256()
+    assert Launch("own", ("nowhere",), tmp_path).code_sha256() == ""

@@ -29,7 +29,18 @@ class OtherNames(Fine):
     def predict(self, n, /, *rest): return super().predict(n)
 
 class OtherApi(Fine):
-    api = 2
+    api = 3
+
+class WithoutFit(Fine):
+    api = 1
+
+class OldFit(Fine):
+    learns = True
+    @classmethod
+    def fit(cls, train, validation, score, out, options): pass
+
+class OldFitOfItsApi(OldFit):
+    api = 1
 
 class LooseOptions(Fine):
     Options = dict
@@ -75,7 +86,7 @@ def one(install: Install) -> Callable[[str], str]:
     return one
 
 
-@pytest.mark.parametrize("attribute", ["Fine", "OtherNames"])
+@pytest.mark.parametrize("attribute", ["Fine", "OtherNames", "WithoutFit"])
 def test_a_tracker_that_keeps_the_contract_loads(one: Callable[..., str], attribute: str) -> None:
     assert issubclass(registry.load(one(f"mine_{attribute}:{attribute}")), Tracker)
 
@@ -83,7 +94,12 @@ def test_a_tracker_that_keeps_the_contract_loads(one: Callable[..., str], attrib
 @pytest.mark.parametrize(
     ("attribute", "message"),
     [
-        ("OtherApi", "made for contract 2; this gridtrack has contract 1"),
+        ("OtherApi", "made for contract 3; this gridtrack has contract 2"),
+        (
+            "OldFit",
+            r"fit\(train, validation, .*\) cannot be called as fit\(task\): .* contract 2 on it takes one FitTask",
+        ),
+        ("OldFitOfItsApi", r"contract 1, and fit has changed: write fit\(cls, task: FitTask\) and set api = 2"),
         ("LooseOptions", "Options is not a subclass of gridtrack.common.config.Settings"),
         ("NoUpdate", "it lacks update"),
         ("ShortSignature", r"update\(self\) cannot be called as update\(frame\)"),
@@ -157,6 +173,17 @@ def test_a_name_registered_twice_is_refused_naming_both(install: Install) -> Non
     assert registry.find("blank").problem == ""
 
 
+def test_a_class_knows_its_registered_name_and_so_does_one_that_inherits_from_it() -> None:
+    static_map = registry.load("static-map")
+    assert (
+        registry.registered_name(static_map)
+        == registry.registered_name(type("Variant", (static_map,), {}))
+        == "static-map"
+    )
+    with pytest.raises(PluginError, match=r"contract\.Tracker is not registered as a tracker"):
+        registry.registered_name(Tracker)
+
+
 def test_an_unknown_name_gets_a_suggestion() -> None:
     with pytest.raises(PluginError, match="there is no tracker 'persistance'; did you mean 'persistence'"):
         registry.load("persistance")
@@ -171,10 +198,9 @@ def test_listing_imports_no_tracker(install: Install) -> None:
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
 
 
-@pytest.mark.parametrize("package", ["recurrent", "one_shot"])
-def test_the_settings_of_a_learned_tracker_need_neither_torch_nor_numba(package: str) -> None:
+def test_the_settings_of_the_recurrent_trackers_need_neither_torch_nor_numba() -> None:
     code = (
-        f"import sys, gridtrack.trackers.{package}.settings;"
+        "import sys, gridtrack.trackers.recurrent.settings;"
         "print(sorted({'torch', 'lightning', 'numba'} & set(sys.modules)))"
     )
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
@@ -182,7 +208,7 @@ def test_the_settings_of_a_learned_tracker_need_neither_torch_nor_numba(package:
 
 def test_a_tracker_s_process_imports_only_what_it_needs() -> None:
     code = (
-        "import sys, gridtrack.trackers.serve, gridtrack.trackers.baselines.blank;"
+        "import sys, gridtrack.trackers.serve, gridtrack.trackers.baselines;"
         "print(sorted({'torch', 'gtsam', 'numba', 'polars', 'typer', 'rich', 'plotly', 'mcap'} & set(sys.modules)))"
     )
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"

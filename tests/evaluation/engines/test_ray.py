@@ -10,11 +10,11 @@ import psutil
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.engines.attempt import Attempt
-from gridtrack.evaluation.results.summary import read_summary
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.engines.task import TaskFolder
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.summary import read_summary
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 from scenes.agreement import assert_agree, counted, wait_until
 
@@ -80,7 +80,7 @@ def test_an_interrupt_ends_the_tasks_and_keeps_their_scores(settings, tmp_path, 
     nodes = cluster.list_all_nodes()
     wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
     attempts = (tmp_path / "run" / ".engine").glob
-    wait_until(lambda: any(Attempt(path.parent).progress().delivered > 90 for path in attempts("*/*/progress.json")))
+    wait_until(lambda: any(TaskFolder(path.parent).progress().delivered > 90 for path in attempts("*/*/progress.json")))
     host.send_signal(signal.SIGINT)
     assert host.wait(300) == 130
     summary = read_summary(tmp_path / "run")

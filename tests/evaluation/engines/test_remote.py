@@ -10,23 +10,20 @@ import numpy as np
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.engines.attempt import EngineError
-from gridtrack.evaluation.engines.cluster import TaskEnd
-from gridtrack.evaluation.engines.remote import RETRIES, RemoteEngine
-from gridtrack.evaluation.results.columns import PROBABILITY_BINS
-from gridtrack.evaluation.results.run_record import read_run_record
-from gridtrack.evaluation.results.trial_record import read_trial_record
-from gridtrack.evaluation.runs import orders, runner
-from gridtrack.evaluation.runs.engine_choice import engine_of
+from gridtrack.evaluation.engines.engine import EngineError
+from gridtrack.evaluation.engines.remote import RETRIES, RemoteEngine, TaskEnd
+from gridtrack.evaluation.referee.strata import STRATA
+from gridtrack.evaluation.runs import jobs, runner
+from gridtrack.evaluation.runs.jobs import SharedInputs, TrialJob
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.recipe import Recipe
-from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.shared_inputs import SharedInputs
+from gridtrack.evaluation.runs.run_record import read_run_record
+from gridtrack.evaluation.runs.runner import engine_of, run
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.runs.train import train_tracker
-from gridtrack.evaluation.runs.works import TrialWork
-from gridtrack.evaluation.scoring.strata import STRATA
-from gridtrack.evaluation.scoring.thresholds import Thresholds
+from gridtrack.evaluation.runs.trial_record import read_trial_record
+from gridtrack.evaluation.scores.cells import PROBABILITY_BINS
+from gridtrack.evaluation.scores.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation
 
 from scenes.agreement import assert_agree, counted, wait_until
@@ -221,7 +218,7 @@ def test_a_machine_with_another_recording_or_version_refuses_the_work(settings, 
     record(wall_m=2.0)
     reason = run(plan, (), progress).trackers["persistence"].recordings["room"].reason
     assert "room.mcap: another one on this machine" in reason
-    monkeypatch.setattr(orders, "versions", lambda: {"numpy": "0.1"})
+    monkeypatch.setattr(jobs, "versions", lambda: {"numpy": "0.1"})
     outcome = compare(settings("persistence", resume=True, out=plan.settings.out / "2"), progress)
     reason = outcome.trackers["persistence"].recordings["room"].reason
     assert reason.endswith(
@@ -234,14 +231,14 @@ def test_only_the_path_of_a_folder_travels_and_an_order_does_not_grow_with_the_r
         several = tuple(str(record(f"r{n}", 8, {}, wall_m=3 + n / 10)) for n in range(count))
         plan = resolve(settings("persistence", "blank", recordings=several))
         shared = SharedInputs(plan.settings, lambda text: None, tmp_path)
-        return TrialWork(plan.trials[0], tmp_path, shared).order()
+        return TrialJob(plan.trials[0], tmp_path, shared).order()
 
     assert len(order(1)) == len(order(12)) < 10_000
 
 
 def test_a_reply_that_is_none_ends_the_work_with_one_line(settings, progress, cluster, monkeypatch):
     monkeypatch.setattr(
-        "scenes.process_cluster.CARRY_OUT",
+        "scenes.process_cluster.EXECUTE",
         "import sys, pathlib; pathlib.Path(sys.argv[1], 'reply.json').write_text('{\"record\": 3}')",
     )
     reason = compare(settings("persistence"), progress).trackers["persistence"].recordings["room"].reason

@@ -10,15 +10,15 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.engines import slurm_cluster
-from gridtrack.evaluation.engines.attempt import Attempt, EngineError
+from gridtrack.evaluation.engines.engine import EngineError
 from gridtrack.evaluation.engines.remote import RemoteEngine
-from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmTask
-from gridtrack.evaluation.engines.slurm_settings import SlurmSettings, parse_slurm
-from gridtrack.evaluation.results.summary import read_summary
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmSettings, SlurmTask, parse_slurm
+from gridtrack.evaluation.engines.task import TaskFolder
+from gridtrack.evaluation.runs.jobs import execute
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.worker import carry_out
+from gridtrack.evaluation.runs.summary import read_summary
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 from scenes.agreement import assert_agree, counted, wait_until
 from studies.support.slurm_machine import missing_programs, slurm_machine
@@ -40,7 +40,7 @@ def machine():
 def slurm(machine, monkeypatch):
     """The commands of Slurm are about the cluster of this machine."""
     monkeypatch.setenv("SLURM_CONF", str(machine))
-    monkeypatch.setattr(slurm_cluster, "ASK_S", 0.5)
+    monkeypatch.setattr(slurm_cluster, "POLL_S", 0.5)
     yield
     wait_until(lambda: not jobs())
 
@@ -145,7 +145,7 @@ def test_an_interrupt_leaves_no_job_and_keeps_the_scores(settings, tmp_path):
     host = subprocess.Popen([sys.executable, "-m", "gridtrack.cli", *words])
     wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
     attempts = (tmp_path / "run" / ".engine").glob
-    wait_until(lambda: any(Attempt(path.parent).progress().delivered > 90 for path in attempts("*/*/progress.json")))
+    wait_until(lambda: any(TaskFolder(path.parent).progress().delivered > 90 for path in attempts("*/*/progress.json")))
     assert len(jobs()) == 3
     host.send_signal(signal.SIGINT)
     assert host.wait(300) == 130
@@ -165,7 +165,7 @@ def test_a_job_that_slurm_has_forgotten_is_lost_unless_it_has_replied(tmp_path):
     tasks = [SlurmTask(f"999999_{number}", tmp_path / str(number), tmp_path / "log") for number in range(2)]
     tasks[0].folder.mkdir()
     (tasks[0].folder / "reply.json").write_text("{}")
-    ends = SlurmCluster(SlurmSettings(), 1, carry_out).ended(tasks)
+    ends = SlurmCluster(SlurmSettings(), 1, execute).ended(tasks)
     assert [ends[task].lost for task in tasks] == [False, True]
 
 
@@ -213,7 +213,7 @@ def test_a_slow_scancel_is_a_note_that_says_what_to_do(progress, tmp_path, monke
         (tmp_path / name).write_text(f"#!/bin/sh\n{does}\n", "utf-8")
         (tmp_path / name).chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    cluster = SlurmCluster(SlurmSettings(), 1, carry_out)
+    cluster = SlurmCluster(SlurmSettings(), 1, execute)
     monkeypatch.setattr(slurm_cluster, "ANSWER_S", 0.2)
     (tmp_path / "run").mkdir()
     with RemoteEngine(cluster, tmp_path / "run", progress) as engine:

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridtrack.evaluation.hosting.latency import Latencies
+from gridtrack.evaluation.hosting.timing import Latencies
 
 
 @given(st.lists(st.floats(1e-3, 1e5), min_size=1, max_size=200), st.sampled_from([50, 95, 99]))

@@ -19,7 +19,7 @@ from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.sandbox import check_sandbox, code_folders
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
-from gridtrack.evaluation.results.summary import read_summary
+from gridtrack.evaluation.runs.summary import read_summary
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch, launch
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gridtrack.evaluation.hosting.shielding import shielded_environment
+from gridtrack.evaluation.hosting.host import shielded_environment
 from tests.conftest import PLUGINS
 
 PR_CAPBSET_DROP = 24

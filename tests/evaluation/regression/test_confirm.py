@@ -8,11 +8,10 @@ from xml.etree import ElementTree
 import pytest
 
 from gridtrack.evaluation.regression.confirmation import confirmed
-from gridtrack.evaluation.regression.criteria import row_tests
 from gridtrack.evaluation.regression.judging import judged_row
 from gridtrack.evaluation.regression.measurement import Baseline
 from gridtrack.evaluation.regression.measuring import measure_run
-from gridtrack.evaluation.regression.rows import paired_rows
+from gridtrack.evaluation.regression.rows import paired_rows, row_tests
 from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.evaluation.regression.verdict import compare_with_baseline
 from gridtrack.evaluation.runs.plan import resolve

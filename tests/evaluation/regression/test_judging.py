@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.regression.criteria import row_tests
 from gridtrack.evaluation.regression.judging import judged_recordings, judged_row
-from gridtrack.evaluation.regression.rows import PairedRow
+from gridtrack.evaluation.regression.rows import PairedRow, row_tests
 from gridtrack.evaluation.regression.settings import GateSettings
 
 UNITS = 20

@@ -7,16 +7,15 @@ import shutil
 
 import pytest
 
+from gridtrack.evaluation.referee.deadline import Costs
 from gridtrack.evaluation.results.columns import SCORES_TABLE
-from gridtrack.evaluation.results.passes import AtStrength, Robustness
-from gridtrack.evaluation.results.trial_record import TrialRecord
-from gridtrack.evaluation.runs import deadline_pass
+from gridtrack.evaluation.runs import deadline_pass, scorekeeper
+from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
-from gridtrack.evaluation.scoring import scorekeeper
-from gridtrack.evaluation.scoring.deadline import Costs
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.evaluation.scoring.robustness import mismatched_degradations
 from gridtrack.recordings.degradation import Degradation
 
@@ -187,7 +186,7 @@ def test_a_resumed_run_degrades_again_only_for_other_strengths(compare, monkeypa
 
 def test_an_unexpected_error_ends_its_trial_and_no_other(compare, progress, monkeypatch):
     """After a full disk or a defect in the scorer the other trials are scored and the summary is written."""
-    original = scorekeeper.count_forecast
+    original = scorekeeper.count_cells
 
     class FullDisk(OSError):
         pass
@@ -197,7 +196,7 @@ def test_an_unexpected_error_ends_its_trial_and_no_other(compare, progress, monk
             raise FullDisk(28, "No space left on device")
         return original(occupancy, *more)
 
-    monkeypatch.setattr(scorekeeper, "count_forecast", counting)
+    monkeypatch.setattr(scorekeeper, "count_cells", counting)
     summary = compare("blank", "persistence")
     failed = trial_of(summary, "blank")
     assert failed.outcome == "failed"

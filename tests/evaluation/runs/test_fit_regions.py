@@ -7,15 +7,15 @@ import pytest
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
+from gridtrack.evaluation.referee.kinds import regions_of
+from gridtrack.evaluation.referee.strata import CELL_KINDS, STRATA
 from gridtrack.evaluation.runs.fit_regions import FitScores, StretchRegions, cell_kinds_for, store_regions
-from gridtrack.evaluation.runs.stored_stretch import StoredStretch, store_stretch
-from gridtrack.evaluation.scoring.in_process import score_in_process
-from gridtrack.evaluation.scoring.regions import regions_of
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA
+from gridtrack.evaluation.runs.objective import score_in_process
+from gridtrack.evaluation.runs.stretch_files import StoredStretch, store_stretch
 from gridtrack.recordings.stream import open_stream
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
+from gridtrack.trackers.baselines import PersistenceTracker
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.excerpts import CachedSource
+from gridtrack.trackers.training.excerpts import CachedSource
 
 from scenes import drive, truth_scene
 

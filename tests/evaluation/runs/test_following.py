@@ -15,17 +15,16 @@ from mcap.reader import make_reader
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.grid import Shift
+from gridtrack.evaluation.referee.deadline import read_later
+from gridtrack.evaluation.referee.live_timeline import LiveTimeline
+from gridtrack.evaluation.referee.samples import SAMPLES, TRACKS_TOPIC
 from gridtrack.evaluation.results.columns import SCORES_TABLE
-from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.runs.following import Following, following
 from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
-from gridtrack.evaluation.scoring.deadline import read_later
-from gridtrack.evaluation.scoring.live_timeline import LiveTimeline
-from gridtrack.evaluation.scoring.samples import SAMPLES, TRACKS_TOPIC
-from gridtrack.recordings.formats import native_writer
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.trackers.contract import Forecast, TrackedObject
 
 from scenes import truth_scene
@@ -112,7 +111,7 @@ class Table:
 @pytest.fixture(autouse=True)
 def small_chunks(monkeypatch):
     """A recorder that writes a chunk every second."""
-    monkeypatch.setattr(native_writer, "CHUNK_BYTES", 8000)
+    monkeypatch.setattr(native, "CHUNK_BYTES", 8000)
 
 
 @pytest.fixture

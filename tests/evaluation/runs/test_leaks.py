@@ -11,12 +11,12 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.results.summary import read_summary
-from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.summary import read_summary
 from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.recordings import RecordingInfo, import_recording, write_native
-from gridtrack.recordings.recorded_time import WALL_CLOCK_FROM_NS
+from gridtrack.recordings.stretches import WALL_CLOCK_FROM_NS
 from tests.evaluation.conftest import RATE_HZ, SECONDS, scan
 
 
@@ -167,18 +167,18 @@ def recorded_today(path, site):
 
 def test_a_tracker_that_names_no_training_data_on_its_card_cannot_hide_it(record, tmp_path, install):
     module = """
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
-from gridtrack.trackers.card import card_for
-from gridtrack.trackers.weights import save_weights
+from gridtrack.trackers.baselines import PersistenceTracker
+from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.weights import save_weights
 
 
 class Secretive(PersistenceTracker):
     learns = True
 
     @classmethod
-    def fit(cls, train, validation, score, out, options):
-        card = card_for("secretive", out, train, validation, {})
-        save_weights(out.path, card.model_copy(update={"train": (), "validation": ()}), {})
+    def fit(cls, task):
+        card = card_for("secretive", task, {})
+        save_weights(task.out, card.model_copy(update={"train": (), "validation": ()}), {})
 """
     install("secretive", {"secretive": "secretive:Secretive"}, {"secretive.py": module})
     path = train_tracker(

@@ -8,8 +8,8 @@ from gridtrack.evaluation.results.columns import ENERGY_TABLE, FLOW_TABLE
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
-from gridtrack.evaluation.scoring.energy import ENERGY_STRATA
-from gridtrack.evaluation.scoring.flow_errors import FLOW_STRATA
+from gridtrack.evaluation.scores.energy import ENERGY_STRATA
+from gridtrack.evaluation.scores.flow_error import FLOW_STRATA
 
 from scenes import truth_scene
 

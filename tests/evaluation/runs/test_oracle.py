@@ -7,12 +7,12 @@ import pytest
 
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.raycast import cast_scan
+from gridtrack.evaluation.referee.splits import Sampling, plan_split
 from gridtrack.evaluation.runs.oracle import expected_grid, range_errors, run_oracle
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
-from gridtrack.evaluation.scoring.counting import CLIP
-from gridtrack.evaluation.scoring.splits import Sampling, plan_split
+from gridtrack.evaluation.scores.cells import CLIP
 from gridtrack.recordings.stream import open_stream
-from gridtrack.simulation.range_errors import true_ranges
+from gridtrack.simulation.expected_scan import true_ranges
 
 from scenes import truth_scene
 

@@ -5,12 +5,12 @@ import polars as pl
 import pytest
 
 from gridtrack.evaluation.results.columns import PRIOR_TABLE
-from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.recipe import Recipe
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.stream import GridStream
 

@@ -14,7 +14,7 @@ from gridtrack.evaluation.runs.recipe import Recipe, complete_recipe, read_recip
 from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.trackers import registry
 from gridtrack.trackers.selection import parse_selection
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 
 RECIPES = Path(__file__).parents[3] / "studies" / "recipes"
 CARDS = sorted(Path(str(resources.files("gridtrack.data"))).glob("weights/*/*.toml"))

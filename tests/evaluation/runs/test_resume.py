@@ -16,15 +16,15 @@ from gridtrack.common.errors import GridtrackError, WeightsError
 from gridtrack.evaluation.regression.measurement import Unmeasured
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
-from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.results.trial_record import read_trial_record
-from gridtrack.evaluation.runs import plan, run_folder, works
+from gridtrack.evaluation.runs import jobs, plan, run_folder
+from gridtrack.evaluation.runs.jobs import SharedInputs
 from gridtrack.evaluation.runs.learned import find_weights
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.shared_inputs import SharedInputs
 from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.reports.run import read_runs
 
 from scenes import truth_scene
@@ -180,7 +180,7 @@ def test_an_oracle_that_fails_before_it_starts_leaves_no_scores_of_the_earlier_r
     def lost(*_):
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr(works, "run_oracle", lost)
+    monkeypatch.setattr(jobs, "run_oracle", lost)
     run(resolve(scored.model_copy(update={"resume": True})), (), progress)
     assert read_trial_record(oracle) is None
     assert read_trial_record(tmp_path / "run" / "persistence@scene").outcome == "ok"

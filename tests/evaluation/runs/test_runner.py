@@ -16,18 +16,18 @@ import psutil
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation.referee.referee import Delivery
+from gridtrack.evaluation.referee.samples import read_samples
+from gridtrack.evaluation.referee.splits import EvaluationSplit
 from gridtrack.evaluation.results.columns import SCORES_TABLE
-from gridtrack.evaluation.results.files import RunError, json_of
-from gridtrack.evaluation.results.summary import read_summary
-from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.runs import run_folder, trial
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.result_files import RunError, json_of
 from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.summary import read_summary
 from gridtrack.evaluation.runs.train import train_tracker
-from gridtrack.evaluation.scoring.referee import Delivery
-from gridtrack.evaluation.scoring.samples import read_samples
-from gridtrack.evaluation.scoring.splits import EvaluationSplit
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 pytestmark = pytest.mark.usefixtures("staged")
 

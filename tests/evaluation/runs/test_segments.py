@@ -8,10 +8,10 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.results.columns import SCORES_TABLE
-from gridtrack.evaluation.runs.orders import Order
+from gridtrack.evaluation.runs.jobs import JobOrder, SharedInputs
 from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.run_record import description_of
 from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.shared_inputs import SharedInputs
 
 COUNTED = ("tp", "fp", "fn", "tn")
 
@@ -51,7 +51,7 @@ def test_a_segment_is_delivered_its_warm_up_which_is_not_scored(settings, long):
     assert first.test.stretch_s[0] == 0.0
     assert second.test.stretch_s == (7.0, 21.1)
     assert (first.warm_up, second.warm_up) == (20, 40)
-    assert [split.description().warm_up_frames for split in plan.splits] == [20, 40, 40, 40]
+    assert [description_of(split).warm_up_frames for split in plan.splits] == [20, 40, 40, 40]
     due = [index for index in range(len(second.test)) if second.schedule.due(index)]
     assert due == list(range(40, 131, 5))
 
@@ -77,7 +77,7 @@ def test_another_machine_finds_the_same_segment(settings, long, tmp_path):
     plan = resolve(settings("persistence", **long, segment_s=10.0))
     shared = SharedInputs(plan.settings, lambda text: None, tmp_path)
     for split in plan.splits:
-        order = Order.read(Order.of("oracle", split, shared).model_dump_json(by_alias=True))
+        order = JobOrder.read(JobOrder.of("oracle", split, shared).model_dump_json(by_alias=True))
         assert order.split().identity() == split.identity()
 
 

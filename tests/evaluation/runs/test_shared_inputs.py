@@ -9,10 +9,10 @@ import pytest
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.engines.engine import Interrupted
+from gridtrack.evaluation.runs.jobs import SharedInputs
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.shared_inputs import SharedInputs
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 
 
 class Split:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gridtrack.common.errors import StoreError
-from gridtrack.evaluation.results.files import RunError
+from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.runs.stored_run import stored_run
 
 URL = "memory://bucket/runs/hall"

@@ -15,18 +15,18 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError, PluginError, WeightsError
 from gridtrack.evaluation.runs.recipe import Recipe
-from gridtrack.evaluation.runs.stored_stretch import StoredStretch, store_stretch
+from gridtrack.evaluation.runs.stretch_files import StoredStretch, store_stretch
 from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.recordings import RecordingInfo, write_native
 from gridtrack.recordings.stream import frame_digest, open_stream
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 from tests.conftest import PLUGINS
 from tests.evaluation.conftest import RATE_HZ, SECONDS, scan
 
 FITS = '''
 import os, time
 from gridtrack.common.errors import WeightsError
-from gridtrack.trackers.baselines.static_map import StaticMapOptions, StaticMapTracker
+from gridtrack.trackers.baselines import StaticMapOptions, StaticMapTracker
 
 
 class Options(StaticMapOptions):
@@ -39,20 +39,21 @@ class Fits(StaticMapTracker):
     Options = Options
 
     @classmethod
-    def fit(cls, train, validation, score, out, options):
-        if options.how == "raises":
+    def fit(cls, task):
+        how = task.options.how
+        if how == "raises":
             raise ValueError("no\\nminimum")
-        if options.how == "refuses":
+        if how == "refuses":
             raise WeightsError("too few frames")
-        if options.how == "dies":
+        if how == "dies":
             os.abort()
-        if options.how == "writes-and-sleeps":
-            super().fit(train, validation, score, out, options)
+        if how == "writes-and-sleeps":
+            super().fit(task)
         try:
-            out.report(f"{os.getpid()}")  # the test interrupts as soon as it has read this line
+            task.report(f"{os.getpid()}")  # the test interrupts as soon as it has read this line
             time.sleep(60)
         except KeyboardInterrupt:
-            out.report("saved")
+            task.report("saved")
             raise
 '''
 

@@ -8,11 +8,11 @@ import polars as pl
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation.referee.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.evaluation.results.columns import SCORES_TABLE, SEMANTICS_TABLE
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
-from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
 
 from scenes import truth_scene
 

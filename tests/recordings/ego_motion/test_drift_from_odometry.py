@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from gridtrack.common.geometry import SE2
-from gridtrack.recordings.ego_motion.drift_from_odometry import DriftFromOdometry
+from gridtrack.recordings.ego_motion.matching import DriftFromOdometry
 
 PERIOD_NS, POSITION_M = 100_000_000, 0.006
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -130,7 +130,7 @@ def test_over_an_empty_field_the_poses_are_those_of_odometry() -> None:
     assert outcomes(found) == {"start": 1, "few-returns": 29}
     for scan, pose in zip(scans, found.matched, strict=True):
         assert same_pose(pose, scan.world_T_sensor)
-    assert "96.7% of them, 2.9 s, have the recorded motion in place of the match" in found.describe("refined")
+    assert "96.7% of them, 2.9 s, use the recorded motion instead of the match" in found.describe("refined")
 
 
 def test_scans_of_another_place_are_not_matched() -> None:
@@ -176,16 +176,14 @@ def test_a_crowd_that_hides_the_walls_is_told_and_odometry_followed(static: tupl
 
 
 @pytest.mark.parametrize("crowded", [False, True])
-def test_a_sensor_that_stands_is_given_no_jitter(write: Callable[..., Path], tmp_path: Path, crowded: bool) -> None:
+def test_a_sensor_that_stands_is_given_no_jitter(write, tmp_path: Path, crowded: bool) -> None:
     source = write(drive(ROOM, still, 60, **({"crowd": one_way} if crowded else {})))
     imported = import_recording(source, tmp_path / "out.mcap", ego_motion="kiss-icp")
     assert not imported.survey.moves
-    assert imported.info.poses.endswith("the sensor stands still")
+    assert imported.info.poses.endswith("the sensor is at rest")
 
 
-def test_an_import_says_where_the_poses_come_from_and_gives_the_same_bytes_again(
-    write: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_an_import_says_where_the_poses_come_from_and_gives_the_same_bytes_again(write, tmp_path: Path) -> None:
     source = write([replace(s, reference_T_sensor=None) for s in drive(ROOM, around, 60, odometry_noise=0.1)])
     out = ["--out", str(tmp_path / "out.mcap"), "--overwrite"]
     arguments = ["recording", "import", str(source), *out, "--ego-motion", "refined"]
@@ -201,7 +199,7 @@ def test_an_import_says_where_the_poses_come_from_and_gives_the_same_bytes_again
     assert [s.pose_quality.outcome for s in imported.scans() if s.pose_quality] == ["start", *["matched"] * 59]
 
 
-def test_a_second_sensor_keeps_its_place_on_the_first(write: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_second_sensor_keeps_its_place_on_the_first(write, tmp_path: Path) -> None:
     mount = SE2(-0.8, 0.1, math.pi)
     front = drive(ROOM, around, 40, odometry_noise=0.1, sensor="front")
     rear = drive(ROOM, around, 40, odometry_noise=0.1, sensor="rear", mount=mount)
@@ -214,9 +212,7 @@ def test_a_second_sensor_keeps_its_place_on_the_first(write: Callable[..., Path]
         assert same_pose(one.world_T_sensor @ mount, other.world_T_sensor)
 
 
-def test_where_truth_is_known_the_recorded_poses_become_the_reference(
-    write: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_where_truth_is_known_the_recorded_poses_become_the_reference(write, tmp_path: Path) -> None:
     scene = Scene(ROOM, UNLABELLED, ())
     made = [replace(s, scene=scene, reference_T_sensor=None) for s in drive(ROOM, around, 20)]
     imported = import_recording(write(made), tmp_path / "out.mcap", ego_motion="kiss-icp")
@@ -225,9 +221,7 @@ def test_where_truth_is_known_the_recorded_poses_become_the_reference(
         assert same_pose(found.reference_T_sensor, source.world_T_sensor)
 
 
-def test_without_kiss_icp_the_extra_is_named(
-    write: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_kiss_icp_the_extra_is_named(write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "kiss_icp.mapping", None)
     with pytest.raises(RecordingError, match=r"pip install 'gridtrack\[ego-motion\]'"):
         import_recording(write(drive(ROOM, still, 2)), tmp_path / "out.mcap", ego_motion="kiss-icp")

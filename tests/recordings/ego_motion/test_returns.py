@@ -9,8 +9,8 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.ego_motion.moving_returns import EarlierScans
 from gridtrack.recordings.ego_motion.returns import (
+    EarlierScans,
     PlaneArray,
     ScanReturns,
     deskewed,

@@ -71,8 +71,8 @@ def test_angles_of_a_number_of_beams_that_no_known_laser_has_are_told(tmp_path: 
     assert math.degrees(scan.angle_increment) == pytest.approx(2.0)
     (warning,) = recording.overview().warnings
     assert warning.endswith(
-        "FLASER lines do not contain the angles of their beams, and 91 beams are those of no known laser: taken as 180"
-        " deg, as CARMEN does; where that is wrong, ROBOTLASER1 lines contain the angles"
+        "FLASER lines do not contain the angles of their beams, and no known laser has 91 beams: 180 deg are assumed,"
+        " as in CARMEN; if that is wrong, use ROBOTLASER1 lines, which contain the angles"
     )
 
 
@@ -86,7 +86,7 @@ def test_robotlaser_lines_contain_their_angles(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("old", "new"), [("-0.3 0.6", "-1e308 0.6"), ("0.2 30.0", "1e308 30.0"), ("30.0", "1e308")])
 def test_a_geometry_beyond_the_limits_is_refused(old: str, new: str, tmp_path: Path) -> None:
     path = log(tmp_path / "a.clf", robotlaser(3).replace(old, new, 1))
-    with pytest.raises(RecordingError, match=r"expected (radians|finite ones up to 1e\+06 m)"):
+    with pytest.raises(RecordingError, match=r"expected (radians|finite limits up to 1e\+06 m)"):
         list(open_recording(path).scans())
 
 
@@ -111,7 +111,7 @@ def test_a_warning_gives_the_number_of_an_invalid_line(line: str, tmp_path: Path
     recording = open_recording(path)
     assert len(list(recording.scans())) == 1
     assert len(recording.warnings) == 1
-    assert "line 4: not a FLASER" in recording.warnings[0]
+    assert "line 4: not a readable FLASER" in recording.warnings[0]
     with pytest.raises(RecordingError, match="line 4"):
         list(open_recording(path, strict=True).scans())
 

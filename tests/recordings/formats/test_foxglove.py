@@ -20,11 +20,11 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import import_recording, open_recording
 from gridtrack.recordings.frames.transform import SE3
-from gridtrack.recordings.protobuf_time import timestamp_of
+from gridtrack.recordings.native_messages import timestamp_of
 
 from scenes import drive_bag as made
 
-LIMIT = "topic '/front': its scans have no limits of their ranges; the longest, "
+LIMIT = "topic '/front': its scans do not contain their range limits; the longest range, "
 
 
 def stamp(at_ms: float) -> Any:
@@ -144,7 +144,7 @@ def without_rotation(message: Any) -> Any:
     return message
 
 
-ZEROS = "have a rotation of all zeros, as Protobuf has where none is set: taken as not turned"
+ZEROS = "have a rotation of all zeros, the default of Protobuf: read as no rotation"
 
 
 def test_a_mount_without_a_rotation_is_not_turned_and_told(mcap) -> None:
@@ -194,4 +194,6 @@ def test_a_scan_with_a_place_of_its_laser_that_is_no_number_is_left_out(mcap) ->
     messages[2].pose.position.x = math.nan
     recording = open_recording(mcap([("/front", 100 * k, message) for k, message in enumerate(messages)]))
     assert len(list(recording.scans())) == 4
-    assert any("scans of sensor 'front' whose pose is not finite, left out: 1 of them" in w for w in recording.warnings)
+    assert any(
+        "scans of sensor 'front' with a pose that is not finite, left out: 1 of them" in w for w in recording.warnings
+    )

@@ -23,9 +23,8 @@ from gridtrack.simulation.junction.drives import (
 )
 from gridtrack.simulation.sumo import SimulationError
 from gridtrack.simulation.tracks import Tracks, TracksInfo
-from gridtrack.simulation.tracks_file import read_tracks, write_tracks
+from gridtrack.simulation.tracks_file import read_tracks, write_recording, write_tracks
 from gridtrack.simulation.traffic import check_traffic, inside
-from gridtrack.simulation.writing import write_recording
 
 CAR = layout.JUNCTION_CLASSES.index("car")
 FRAMES = 160
@@ -189,7 +188,7 @@ def test_the_same_seed_gives_the_same_drive() -> None:
 def test_nobody_who_drives_for_so_long_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drives, "simulate_traffic", lambda frames, seed, start_s: drive().traffic)
     assert simulate_drive(0.15, 3, 60.0, "car").track == 0
-    with pytest.raises(SimulationError, match=r"no car goes through .* in a stretch of 0\.4 minutes with seed 3"):
+    with pytest.raises(SimulationError, match=r"no car drives through .* for 0\.4 minutes with seed 3"):
         simulate_drive(0.4, 3, 60.0, "car")
 
 

@@ -15,8 +15,8 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
 from gridtrack.recordings import open_recording, packaged_recording
 from gridtrack.simulation import junction, sumo
-from gridtrack.simulation.junction import JUNCTION_SET, demand, layout, simulate_junction
-from gridtrack.simulation.junction.patience import Patience
+from gridtrack.simulation.junction import JUNCTION_SET, layout, road_users, simulate_junction
+from gridtrack.simulation.junction.road_users import Patience
 from gridtrack.simulation.tracks_file import read_tracks, write_tracks
 from gridtrack.simulation.traffic import check_traffic
 
@@ -73,16 +73,16 @@ def test_the_signals_repeat_in_the_cycle_that_the_recording_names() -> None:
 
 
 def test_the_demand_sums_to_its_rates() -> None:
-    root = ET.fromstring(demand.routes())
+    root = ET.fromstring(road_users.routes())
     rates = dict.fromkeys(("car", "bus", "cyclist", "pedestrian"), 0.0)
     for flow in (*root.iter("flow"), *root.iter("personFlow")):
         rates[flow.get("type")] += float(flow.get("period")[4:-1])
     assert rates == pytest.approx(
         {
-            "car": demand.CARS,
-            "bus": demand.BUSES,
-            "cyclist": demand.CYCLISTS,
-            "pedestrian": demand.PEDESTRIANS,
+            "car": road_users.CARS,
+            "bus": road_users.BUSES,
+            "cyclist": road_users.CYCLISTS,
+            "pedestrian": road_users.PEDESTRIANS,
         },
         abs=1e-4,
     )

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gridtrack.simulation import junction
-from gridtrack.simulation.junction import JUNCTION_SET, MARGIN_S, layout, patience
-from gridtrack.simulation.junction.patience import FROM_S, PATIENCE_S, Patience
+from gridtrack.simulation.junction import JUNCTION_SET, MARGIN_S, layout, road_users
+from gridtrack.simulation.junction.road_users import FROM_S, PATIENCE_S, Patience
 from gridtrack.simulation.sumo import Movements, run_sumo
 
 pytest.importorskip("traci", reason="SUMO is not installed")
@@ -109,11 +109,11 @@ def longest_wait_s(movements: Movements) -> float:
 
 def test_drivers_of_sumo_follow_the_parameters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("sumo", reason="SUMO is not installed")
-    monkeypatch.setattr(patience, "CORNER_M", 0.0)  # the snail stands in the way
-    monkeypatch.setattr(patience, "FROM_S", 0.0)
+    monkeypatch.setattr(road_users, "CORNER_M", 0.0)  # the snail stands in the way
+    monkeypatch.setattr(road_users, "FROM_S", 0.0)
     waits = []
     for limit_s in (60.0, 1000.0):
-        monkeypatch.setattr(patience, "PATIENCE_S", limit_s)
+        monkeypatch.setattr(road_users, "PATIENCE_S", limit_s)
         folder = tmp_path / str(limit_s)
         folder.mkdir()
         signals = (HERE / "signals.add.xml",)

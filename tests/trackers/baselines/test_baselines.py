@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,14 @@ from gridtrack.common.config import Settings
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.baselines.blank import BlankTracker
-from gridtrack.trackers.baselines.cell_rates import smoothed_rate
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
-from gridtrack.trackers.baselines.static_map import StaticMapOptions, StaticMapTracker
-from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
+from gridtrack.trackers.baselines import (
+    BlankTracker,
+    PersistenceTracker,
+    StaticMapOptions,
+    StaticMapTracker,
+    smoothed_rate,
+)
+from gridtrack.trackers.contract import FitTask, StreamSpec, StretchScore
 
 GRID = GridSpec(2, 1.0)
 STREAM = StreamSpec(GRID, 0.1, "here")
@@ -99,19 +102,20 @@ def test_the_static_map_is_the_rate_of_each_cell_with_the_overall_rate_as_prior(
     full = [[1, 1], [1, 0]]
     frames = [frame(full, [[1, 0], [0, 0]]), frame(full, [[1, 1], [0, 0]]), frame([[1, 0], [0, 0]], [[1, 0], [0, 0]])]
     lines: list[str] = []
-    out = FitOutput(tmp_path / "here.toml", "gridtrack train", 0, tmp_path, lines.append)
-    StaticMapTracker.fit([Frames(frames)], [], no_score, out, StaticMapOptions())
-    tracker = StaticMapTracker(StreamSpec(GRID, 0.1, "here", weights=out.path), StaticMapOptions(prior_frames=1.0))
+    out = fitted(tmp_path, *frames, report=lines.append)
+    tracker = StaticMapTracker(StreamSpec(GRID, 0.1, "here", weights=out), StaticMapOptions(prior_frames=1.0))
     rate = 4 / 7  # 3 + 1 occupied of 3 + 2 + 2 visible
     expected = [[(3 + rate) / 4, (1 + rate) / 3], [rate / 3, rate]]
     np.testing.assert_allclose(tracker.predict(1).occupancy, [expected, expected], rtol=1e-6)
     assert len(lines) == 1
 
 
-def fitted(tmp_path: Path, *frames: GridFrame) -> Path:
-    out = FitOutput(tmp_path / "here.toml", "gridtrack train", 0, tmp_path, lambda line: None)
-    StaticMapTracker.fit([Frames(list(frames))], [], no_score, out, StaticMapOptions())
-    return out.path
+def fitted(tmp_path: Path, *frames: GridFrame, report: Callable[[str], None] = print) -> Path:
+    out = tmp_path / "here.toml"
+    StaticMapTracker.fit(
+        FitTask([Frames(list(frames))], [], no_score, out, StaticMapOptions(), tmp_path, report=report)
+    )
+    return out
 
 
 def test_a_window_takes_the_part_of_the_static_map_at_its_place_and_the_overall_rate_outside(tmp_path: Path) -> None:
@@ -125,20 +129,6 @@ def test_a_window_takes_the_part_of_the_static_map_at_its_place_and_the_overall_
     assert tracker.predict(0).occupancy.tolist() == [[[0.25, 0.25], [0.25, 1]]]
     tracker.update(frame(all_seen, all_seen, x=1e4, y=1.0))
     assert tracker.predict(0).occupancy.tolist() == [[[0.25, 0.25], [0.25, 0.25]]]
-
-
-def test_a_static_map_of_an_earlier_gridtrack_lies_in_the_first_window(tmp_path: Path) -> None:
-    path = fitted(tmp_path, frame([[1, 1], [1, 1]], [[1, 0], [0, 0]], x=7.0))
-    lines = path.read_text().splitlines()
-    at = lines.index("world_T_grid = [")
-    path.write_text("\n".join(lines[:at] + lines[at + 4 :]))
-    tracker = StaticMapTracker(StreamSpec(GRID, 0.1, "here", weights=path), StaticMapOptions(prior_frames=0.0))
-    for start in (30.0, 50.0):
-        tracker.reset(0)
-        tracker.update(frame([[0, 0], [0, 0]], [[0, 0], [0, 0]], x=start))
-        assert tracker.predict(0).occupancy.tolist() == [[[1, 0], [0, 0]]]
-        tracker.update(frame([[0, 0], [0, 0]], [[0, 0], [0, 0]], x=start - 1))
-        assert tracker.predict(0).occupancy.tolist() == [[[0.25, 1], [0.25, 0]]]
 
 
 def test_a_static_map_spans_the_windows_of_a_training_on_a_moving_sensor(tmp_path: Path) -> None:
@@ -163,7 +153,7 @@ def test_a_static_map_spans_the_windows_of_a_training_on_a_moving_sensor(tmp_pat
 def test_a_static_map_of_a_long_drive_is_refused_in_one_line(tmp_path: Path) -> None:
     all_seen = [[1, 1], [1, 1]]
     frames = [frame(all_seen, all_seen), frame(all_seen, all_seen, x=5000.0)]
-    with pytest.raises(WeightsError, match="5002 cells, and a map has at most 4096 a side"):
+    with pytest.raises(WeightsError, match="5002 cells, and a map has at most 4096 per side"):
         fitted(tmp_path, *frames)
 
 
@@ -178,9 +168,8 @@ def test_a_frequency_is_a_probability(counts: list[tuple[int, int]], prior_frame
 
 
 def test_the_static_map_refuses_training_data_without_visible_cells(tmp_path: Path) -> None:
-    out = FitOutput(tmp_path / "here.toml", "gridtrack train", 0, tmp_path)
     with pytest.raises(WeightsError, match="no cell is visible in rec@0s-1s"):
-        StaticMapTracker.fit([Frames([frame([[0, 0]] * 2, [[0, 0]] * 2)])], [], no_score, out, StaticMapOptions())
+        fitted(tmp_path, frame([[0, 0]] * 2, [[0, 0]] * 2))
 
 
 def test_the_static_map_without_weights_names_the_command_that_makes_them() -> None:

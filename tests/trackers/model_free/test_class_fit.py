@@ -14,15 +14,15 @@ pytest.importorskip("sklearn")
 
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
-from gridtrack.trackers import searched_fit
-from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of
-from gridtrack.trackers.labelled_scans import LabelledScans
-from gridtrack.trackers.model_free.class_training import count_cells
+from gridtrack.trackers.contract import FitTask, StretchScore, stream_of
 from gridtrack.trackers.model_free.classes import ClassModel
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
-from gridtrack.trackers.weights import load_weights, read_card, save_weights
+from gridtrack.trackers.model_free.training import count_cells
+from gridtrack.trackers.training import searched_fit
+from gridtrack.trackers.training.labelled_scans import LabelledScans
+from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
 
 from scenes.street import GRID, Street, frame_of
 
@@ -34,10 +34,10 @@ def no_score(tracker, source, steps):
 
 def fit(folder, tracker=KalmanTracker, street=None, **options):
     street = street or Street()
-    out = FitOutput(folder / "street.toml", f"gridtrack train {options}", 3, folder / "log", lambda line: None)
+    out, command = folder / "street.toml", f"gridtrack train {options}"
     settings = ModelFreeSettings(**({"labelled_scans": 80, "link_m": 0.5} | options))
-    tracker.fit([street], [street], no_score, out, settings)
-    return out.path
+    tracker.fit(FitTask([street], [street], no_score, out, settings, folder / "log", 3, command))
+    return out
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -11,17 +11,15 @@ import pytest
 pytest.importorskip("filterpy")
 from gridtrack.common.errors import RecordingError, WeightsError
 from gridtrack.common.grid import GridSpec, Shift
-from gridtrack.trackers import searched_fit
-from gridtrack.trackers.card import card_for
-from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
+from gridtrack.trackers.contract import FitTask, StreamSpec, StretchScore
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP
 from gridtrack.trackers.model_free.kalman import KalmanTracker
-from gridtrack.trackers.model_free.open_cells import OpenOnMap
 from gridtrack.trackers.model_free.residence import fit_residence, resampled
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
-from gridtrack.trackers.site_map import SiteMap
-from gridtrack.trackers.tuning import FINALISTS
-from gridtrack.trackers.weights import load_weights, read_card, save_weights
+from gridtrack.trackers.training import searched_fit
+from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.search import FINALISTS
+from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
 
 from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
 from scenes.scrolling import scrolled
@@ -54,6 +52,15 @@ def test_weights_with_an_unknown_setting_are_refused(tmp_path):
         KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
 
 
+def fit(out, objective, options=None, train=None, validation=None, **more):
+    """Train `kalman`; returns the card."""
+    sources, options = (train or [Source()], [validation or Source()]), options or ModelFreeSettings()
+    KalmanTracker.fit(
+        FitTask(*sources, objective, out, options, out.parent / "log", 3, "gridtrack train kalman", **more)
+    )
+    return out
+
+
 class Source:
     """A source of 30 frames."""
 
@@ -84,8 +91,7 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
 
     paths = [tmp_path / run / "hall.toml" for run in ("one", "two")]
     for path in paths:
-        out = FitOutput(path, "gridtrack train kalman", 3, path.parent / "log", report=lambda line: None)
-        KalmanTracker.fit([Source()], [Source()], score, out, ModelFreeSettings(link_m=0.77))
+        fit(path, score, ModelFreeSettings(link_m=0.77))
     one, two = (read_card(path) for path in paths)
     assert one == two
     assert all(settings.link_m == 0.77 for settings in asked)
@@ -99,8 +105,7 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
 
 
 def fit_hall(tmp_path, score, told, validation=None):
-    out = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", report=told.append)
-    KalmanTracker.fit([Source()], [validation or Source()], score, out, ModelFreeSettings())
+    fit(tmp_path / "hall.toml", score, validation=validation, report=told.append)
 
 
 def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, monkeypatch):
@@ -151,7 +156,7 @@ class Scores:
 
 
 def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_been(tmp_path, caplog, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 6)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 6)
     fit_hall(tmp_path / "whole", Scores(), [])
     with pytest.raises(KeyboardInterrupt):
         fit_hall(tmp_path, Scores(interrupt_after=4), [])
@@ -168,7 +173,7 @@ def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_bee
 
 
 def test_an_interrupted_search_keeps_the_weights_of_an_earlier_training(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 3)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 3)
     fit_hall(tmp_path, Scores(), [])
     earlier = (tmp_path / "hall.toml").read_bytes()
     with pytest.raises(KeyboardInterrupt):
@@ -185,12 +190,11 @@ class Driven(Source):
 
 
 def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 1)
     told = []
-    out = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", report=told.append)
-    KalmanTracker.fit([Driven()], [Driven()], Scores(), out, ModelFreeSettings())
+    out = fit(tmp_path / "hall.toml", Scores(), train=[Driven()], validation=Driven(), report=told.append)
     assert any("the sensor moves: no map of the place is learned" in line for line in told)
-    stream = StreamSpec(GRID, PERIOD_S, "hall", weights=out.path)
+    stream = StreamSpec(GRID, PERIOD_S, "hall", weights=out)
     arrays = load_weights(stream, "kalman").arrays
     assert np.ptp(arrays["occupancy_rate"]) == 0.0
     assert (arrays["neighbourhood_rate"] == OUTSIDE_MAP).all()
@@ -218,13 +222,12 @@ CELLS = np.ones((2, 2), bool)
 
 
 def test_a_general_training_learns_no_map_and_runs_on_any_grid_and_period(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
-    out = FitOutput(tmp_path / "general.toml", "gridtrack train kalman", 3, tmp_path / "log", general=True)
-    KalmanTracker.fit([Source(), Fine()], [Fine()], Scores(), out, ModelFreeSettings())
-    card = read_card(out.path)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 1)
+    out = fit(tmp_path / "general.toml", Scores(), train=[Source(), Fine()], validation=Fine(), general=True)
+    card = read_card(out)
     assert (card.general, card.cells_m) == (True, (Fine.grid.cell_m, GRID.cell_m))
     for source in (Source(), Fine()):
-        stream = StreamSpec(source.grid, source.period_s, "elsewhere", weights=out.path)
+        stream = StreamSpec(source.grid, source.period_s, "elsewhere", weights=out)
         assert load_weights(stream, "kalman").arrays["occupancy_rate"].shape == (1, 1)
         tracker = KalmanTracker(stream, PipelineSettings())
         for frame in source:
@@ -236,15 +239,15 @@ def test_a_general_training_learns_no_map_and_runs_on_any_grid_and_period(tmp_pa
 def general_weights(folder):
     """General weights of which a training at a site takes the settings."""
     path = folder / "general.toml"
-    out = FitOutput(path, "gridtrack train kalman --general", 3, folder / "log", general=True)
     settings = PipelineSettings(acceleration=0.31, link_m=0.6)
-    save_weights(path, card_for("kalman", out, [Source()], [], settings.model_dump()), {})
+    task = FitTask([Source()], [], None, path, settings, folder / "log", general=True)
+    save_weights(path, card_for("kalman", task, settings.model_dump()), {})
     return path
 
 
 def test_at_a_site_settings_are_searched_near_the_general_ones_and_those_of_its_map_everywhere(tmp_path, monkeypatch):
     """The map of the place is what general weights do not know; classes are added to weights of the site."""
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 9)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 9)
     general = general_weights(tmp_path)
     asked = []
 
@@ -253,8 +256,7 @@ def test_at_a_site_settings_are_searched_near_the_general_ones_and_those_of_its_
         flat = np.full(steps + 1, 0.5)
         return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
 
-    at_site = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", start=general)
-    KalmanTracker.fit([Source()], [Source()], score, at_site, ModelFreeSettings(link_m=0.7))
+    fit(tmp_path / "hall.toml", score, ModelFreeSettings(link_m=0.7), start=general)
     assert {one.link_m for one in asked} == {0.7}, "was given"
     assert asked[0].acceleration == 0.31
     assert len({one.acceleration for one in asked}) == 9
@@ -273,7 +275,7 @@ def test_the_validation_recordings_decide_whether_the_map_of_the_place_serves(
     tmp_path, monkeypatch, source, with_map, chosen
 ):
     """What stands for the whole of a short training is a wall on its map; what is hidden only a map knows."""
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 3)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 3)
     general, validation, told = general_weights(tmp_path), source(), []
     validation.name = "hall@3s-6s"
 
@@ -283,14 +285,14 @@ def test_the_validation_recordings_decide_whether_the_map_of_the_place_serves(
         flat = np.full(steps + 1, 0.5 if without else with_map)
         return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
 
-    at_site = FitOutput(tmp_path / "hall.toml", "train", 3, tmp_path / "log", report=told.append, start=general)
-    KalmanTracker.fit([source()], [validation], score, at_site, ModelFreeSettings())
-    assert read_card(at_site.path).settings["background"] == chosen
+    more = {"report": told.append, "start": general}
+    at_site = fit(tmp_path / "hall.toml", score, train=[source()], validation=validation, **more)
+    assert read_card(at_site).settings["background"] == chosen
     assert any("the map is not used" in line for line in told) == (chosen == "none")
 
 
 def test_a_background_that_is_given_is_not_chosen(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 1)
     asked = []
 
     def score(tracker, source, steps):
@@ -298,8 +300,8 @@ def test_a_background_that_is_given_is_not_chosen(tmp_path, monkeypatch):
         flat = np.full(steps + 1, 0.5)
         return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
 
-    at_site = FitOutput(tmp_path / "hall.toml", "train", 3, tmp_path / "log", start=general_weights(tmp_path))
-    KalmanTracker.fit([Source()], [Source()], score, at_site, ModelFreeSettings(background="fitted"))
+    options = ModelFreeSettings(background="fitted")
+    fit(tmp_path / "hall.toml", score, options, start=general_weights(tmp_path))
     assert set(asked) == {"fitted"}
 
 
@@ -313,7 +315,7 @@ def test_a_life_table_of_another_period_has_the_probabilities_of_its_times():
 
 
 def open_everywhere():
-    return OpenOnMap(SiteMap(np.ones(GRID.shape, bool), True, GRID.cell_m))
+    return lambda frame: np.ones(GRID.shape, bool)
 
 
 def test_residence_and_calibration_are_counted_in_the_world():

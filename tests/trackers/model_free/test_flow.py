@@ -8,8 +8,8 @@ import pytest
 pytest.importorskip("filterpy")
 from gridtrack.common.grid import GridSpec
 from gridtrack.trackers.model_free.background import BackgroundMap
-from gridtrack.trackers.model_free.flow import draw_flow, flow_of
-from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.forecast import draw_flow, flow_of
+from gridtrack.trackers.model_free.kalman import KalmanEstimator
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings

@@ -25,12 +25,6 @@ for frame in stream:
     tracker.update(frame)
 print(tracker.predict(5).occupancy.shape, len(tracker.tracks) > 0)
 """
-LIBRARIES = ("numba", "gtsam", "filterpy", "scipy", "sklearn", "optuna", "torch")
-LOADED = """
-import sys
-import gridtrack.trackers.{module}
-print([library for library in {libraries} if library in sys.modules])
-"""
 
 
 def printed_by(program: str) -> str:
@@ -44,8 +38,3 @@ def test_a_tracker_runs_without_the_library_of_the_other_estimator(tracker, miss
     if importlib.util.find_spec(needed) is None:
         pytest.skip(f"{needed} is not installed")
     assert printed_by(UPDATE_AND_FORECAST.format(tracker=tracker, missing=missing)) == "(6, 100, 100) True\n"
-
-
-@pytest.mark.parametrize("module", ["model_free", "model_free.motion", "model_free.settings", "dogma.settings"])
-def test_options_are_imported_without_the_libraries_of_the_estimation(module):
-    assert printed_by(LOADED.format(module=module, libraries=LIBRARIES)) == "[]\n"

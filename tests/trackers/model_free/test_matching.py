@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 pytest.importorskip("filterpy")
-from gridtrack.trackers.model_free.matching import UNKNOWN, match
-from gridtrack.trackers.model_free.motion.estimator import is_positive_definite
-from gridtrack.trackers.model_free.outlines import Match, Outlines, Pairs
+from gridtrack.trackers.model_free.estimators import is_positive_definite
+from gridtrack.trackers.model_free.matching import UNKNOWN, Match, Outlines, Pairs, match
 from gridtrack.trackers.model_free.shape import MAX_POINTS, Shape, rotation, to_body, to_grid
 
 SURFACE_M = 0.1

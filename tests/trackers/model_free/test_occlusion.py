@@ -8,11 +8,10 @@ import pytest
 pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.model_free.initiation import MOVING_MPS, initiate
-from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
-from gridtrack.trackers.model_free.motion.regimes import SwitchingEstimator
-from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off_returns
-from gridtrack.trackers.model_free.segmentation import Cluster
+from gridtrack.trackers.model_free.estimators import SwitchingEstimator
+from gridtrack.trackers.model_free.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.lifecycle import MOVING_MPS, initiate
+from gridtrack.trackers.model_free.segmentation import BACKGROUND, Cluster, cut_off_returns
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import Shape
 from gridtrack.trackers.model_free.tracks import Track

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("filterpy")
-from gridtrack.trackers.model_free.ragged import bounds_of, means_of, owners_of, spans_of, split
+from gridtrack.trackers.model_free.arrays import bounds_of, means_of, owners_of, spans_of, split
 
 PARTS = [np.array([(0.0, 0.0), (3.0, 1.0)]), np.array([(5.0, 5.0)]), np.array([(1.0, 0.0), (1.0, 4.0), (4.0, 2.0)])]
 ROWS, BOUNDS = np.concatenate(PARTS), bounds_of(PARTS)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("filterpy")
-from gridtrack.trackers.model_free.blurring import WINDOW_SIGMAS
-from gridtrack.trackers.model_free.rasterise import Motions, Resident, Surfaces, draw_track, draw_tracks
+from gridtrack.trackers.model_free.rasterise import WINDOW_SIGMAS, Motions, Resident, Surfaces, draw_track, draw_tracks
 
 
 def gauss(low, high, mean, sigma):

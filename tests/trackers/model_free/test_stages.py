@@ -11,7 +11,6 @@ pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP, Background, BackgroundMap, fit_background
-from gridtrack.trackers.model_free.open_cells import OpenOnMap
 from gridtrack.trackers.model_free.residence import (
     NOT_OCCUPIED,
     PRIOR_RETURNS,
@@ -21,8 +20,7 @@ from gridtrack.trackers.model_free.residence import (
 )
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import existence_when_detected, existence_when_missed
-from gridtrack.trackers.site_map import SiteMap
-from gridtrack.trackers.site_rate import PRIOR_FRAMES
+from gridtrack.trackers.site_map import PRIOR_FRAMES
 
 
 def frame_of(visible, occupied):
@@ -179,7 +177,7 @@ def test_the_age_of_a_return_continues_in_a_neighbour_cell_and_restarts_elsewher
 def test_the_life_table_counts_returns_in_place_in_visible_cells():
     seen, hidden = np.ones((5, 5), bool), np.zeros((5, 5), bool)
     frames = [frame_of(seen, cells_at((1, 1))), frame_of(seen, cells_at((1, 1))), frame_of(hidden, cells_at())]
-    table = fit_residence([frames] * 100, lambda: OpenOnMap(SiteMap(np.ones((5, 5), bool), True, 0.2)), (3, 3), 0.2)
+    table = fit_residence([frames] * 100, lambda: lambda frame: np.ones((5, 5), bool), (3, 3), 0.2)
     known = 1.0 / (1.0 + PRIOR_RETURNS / 100)
     assert table[0] == pytest.approx([known, known, 0.0])  # after two steps nothing is seen: the prior stands
     assert table[1] == pytest.approx([known, 0.0, 0.0])

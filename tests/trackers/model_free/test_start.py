@@ -13,16 +13,16 @@ STARTED_AND_FED = """
 from gridtrack.recordings.stream import open_stream
 from gridtrack.recordings import packaged_recording
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.model_free import association, matching, occlusion, rasterise, segmentation
+from gridtrack.trackers.model_free import association, estimators, kalman, matching, motion
+from gridtrack.trackers.model_free import rasterise, segmentation, shape
 from gridtrack.trackers.model_free.kalman import KalmanTracker
-from gridtrack.trackers import calibration
-from gridtrack.trackers.model_free import shape
-from gridtrack.trackers.model_free.motion import kalman, model, regimes
 from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.training import calibration
 
 def compiled():
-    kernels = segmentation._segment, occlusion._cut_off, association._distances_to, matching._match, shape._update
-    kernels = *kernels, model.predict_state, model.propagate_all, regimes._updated_probabilities, regimes._mixture
+    kernels = segmentation._segment, segmentation._cut_off, association._distances_to, matching._match, shape._update
+    kernels = *kernels, motion.predict_state, motion.propagate_all, estimators._mixture
+    kernels = *kernels, estimators._updated_probabilities
     kernels = *kernels, rasterise.draw_tracks, calibration._apply, kalman._normalise_state
     return [len(kernel.signatures) for kernel in kernels]
 

@@ -9,10 +9,9 @@ pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, with_neighbours
 from gridtrack.trackers.contract import StreamSpec
-from gridtrack.trackers.model_free.kalman import KalmanTracker
-from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.kalman import KalmanEstimator, KalmanTracker
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.weights import save_weights
+from gridtrack.trackers.training.weights import save_weights
 
 from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
 
@@ -236,8 +235,7 @@ def test_an_empty_stream_is_forecast_as_background(tracker):
 
 def test_restarts_of_a_smoother_are_counted_until_the_reset(weights):
     gtsam = pytest.importorskip("gtsam")
-    from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
-    from gridtrack.trackers.model_free.motion.factor_graph import LAG_S
+    from gridtrack.trackers.model_free.factor_graph import LAG_S, FactorGraphTracker
 
     save_weights(weights, card().model_copy(update={"tracker": "factor-graph"}), OPEN | {"residence": GLIDING})
     tracker = FactorGraphTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=weights), PipelineSettings())

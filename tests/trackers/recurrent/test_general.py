@@ -12,19 +12,22 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame  # noqa: E402
-from gridtrack.trackers import cell_training  # noqa: E402
-from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
-from gridtrack.trackers.excerpts import VALIDATED_S, excerpts_of_places  # noqa: E402
-from gridtrack.trackers.label_settings import ClassifierSettings  # noqa: E402
-from gridtrack.trackers.one_shot.tracker import OneShotTracker  # noqa: E402
+from gridtrack.trackers.contract import FitTask, StretchScore, stream_of  # noqa: E402
+from gridtrack.trackers.one_shot import OneShotTracker  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.network import channels_last  # noqa: E402
-from gridtrack.trackers.recurrent.resolution_input import resolution_of, set_resolution  # noqa: E402
-from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
+from gridtrack.trackers.recurrent.fit import validation_scores
+from gridtrack.trackers.recurrent.network import (
+    channels_last,
+    resolution_of,
+    set_resolution,
+)
 from gridtrack.trackers.recurrent.sequences import SequenceDataset  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
-from gridtrack.trackers.recurrent.training import validation_scores  # noqa: E402
-from gridtrack.trackers.weights import read_card  # noqa: E402
+from gridtrack.trackers.training import cell_training  # noqa: E402
+from gridtrack.trackers.training.excerpts import VALIDATED_S, excerpts_of_places  # noqa: E402
+from gridtrack.trackers.training.labelled_scans import ClassifierSettings  # noqa: E402
+from gridtrack.trackers.training.weights import read_card  # noqa: E402
 from tests.trackers.scores import of_every_stratum  # noqa: E402
 
 TRACKERS = [DilatedConvGRUTracker, DeepTrackingRNNTracker]
@@ -77,9 +80,10 @@ HELD_OUT = (Walk(20, 0.1, 0.1), Walk(9, 0.3, 0.25))
 def fit(tracker, folder, sources, held_out=HELD_OUT, **options):
     given = {"batch": 2, "warm_up": 0, "precision": "32-true", **SMALL[tracker], **options}
     lines: list[str] = []
-    out = FitOutput(folder / "general.toml", "gridtrack train ...", 7, folder / "log", lines.append, general=True)
-    tracker.fit(sources, held_out, no_score, out, validated(tracker.Options, given, "test"))
-    return out.path, lines
+    options, out = validated(tracker.Options, given, "test"), folder / "general.toml"
+    more = {"general": True, "report": lines.append}
+    tracker.fit(FitTask(sources, held_out, no_score, out, options, folder / "log", 7, "gridtrack train ...", **more))
+    return out, lines
 
 
 def items(*sources, **options):
@@ -252,11 +256,11 @@ def test_classes_are_learned_from_all_recordings_and_a_dot_is_told_by_the_size_o
         cell_training, "candidate_settings", lambda given, seed: [ClassifierSettings(**(short | dict(given)))]
     )
     settings = validated(tracker.Options, {"labelled_scans": 40, **options}, "test")
-    out = FitOutput(tmp_path / "general.toml", "gridtrack train", 3, tmp_path / "log", lambda line: None, general=True)
-    tracker.fit([FINE, COARSE], [FINE, COARSE], no_score, out, settings)
-    assert set(read_card(out.path).classes) == {"walker", "car"}
+    sources, out = [FINE, COARSE], tmp_path / "general.toml"
+    tracker.fit(FitTask(sources, sources, no_score, out, settings, tmp_path / "log", 3, general=True))
+    assert set(read_card(out).classes) == {"walker", "car"}
     for source, expected in ((FINE, "car"), (COARSE, "walker")):
-        made = tracker(stream_of(source, out.path), tracker.Options())
+        made = tracker(stream_of(source, out), tracker.Options())
         for frame in source:
             made.update(frame)
         ((row, column),) = np.argwhere(frame.occupied)

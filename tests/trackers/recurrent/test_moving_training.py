@@ -14,14 +14,14 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec  # noqa: E402
-from gridtrack.trackers.contract import FitOutput, stream_of  # noqa: E402
-from gridtrack.trackers.recurrent import precision  # noqa: E402
+from gridtrack.trackers.contract import FitTask, stream_of  # noqa: E402
+from gridtrack.trackers.recurrent import precision
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.sequences import SequenceDataset  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.transfer import PastStates  # noqa: E402
-from gridtrack.trackers.weights import read_card  # noqa: E402
+from gridtrack.trackers.training.weights import read_card  # noqa: E402
 from tests.trackers.scores import of_every_stratum  # noqa: E402
 
 SIZE, CELL_M = 12, 0.5
@@ -64,9 +64,10 @@ def no_score(tracker, source, steps):
 def fit(tracker, folder, sources=None, **options):
     given = {"batch": 1, "warm_up": 0, "updates": 1, "validate_every": 1, "precision": "32-true", **options}
     lines: list[str] = []
-    out = FitOutput(folder / "drive.toml", "gridtrack train ...", 7, folder / "log", lines.append)
-    tracker.fit(sources or [Drive()], [Drive(15)], no_score, out, validated(tracker.Options, given, "test"))
-    return out.path, lines
+    options, out = validated(tracker.Options, given, "test"), folder / "drive.toml"
+    train, validation = sources or [Drive()], [Drive(15)]
+    tracker.fit(FitTask(train, validation, no_score, out, options, folder / "log", 7, report=lines.append))
+    return out, lines
 
 
 def of_eight(**options):

@@ -12,13 +12,13 @@ torch = pytest.importorskip("torch")
 from gridtrack.common.errors import WeightsError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec  # noqa: E402
-from gridtrack.trackers.card import Card  # noqa: E402
-from gridtrack.trackers.cell_training import LabelledCells, logits_of  # noqa: E402
 from gridtrack.trackers.contract import StreamSpec  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells, seen_cells_of  # noqa: E402
-from gridtrack.trackers.scan_classifier import planes_of, scan_classifier  # noqa: E402
-from gridtrack.trackers.weights import Weights, load_weights, save_weights  # noqa: E402
+from gridtrack.trackers.training.card import Card  # noqa: E402
+from gridtrack.trackers.training.cell_classifier import planes_of, scan_classifier  # noqa: E402
+from gridtrack.trackers.training.cell_training import LabelledCells, logits_of  # noqa: E402
+from gridtrack.trackers.training.weights import Weights, load_weights, save_weights  # noqa: E402
 
 SIZE, CLASSES = 12, ("pedestrian", "car", "static")
 GRID = GridSpec(SIZE, 0.5)

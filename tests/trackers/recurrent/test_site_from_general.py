@@ -12,11 +12,12 @@ pytest.importorskip("lightning")
 
 from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
-from gridtrack.trackers.contract import FitOutput, stream_of  # noqa: E402
+from gridtrack.trackers.contract import FitTask, stream_of  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.general_network import settings_from_general  # noqa: E402
-from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
-from gridtrack.trackers.weights import load_start, read_card  # noqa: E402
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
+from gridtrack.trackers.recurrent.fit import settings_from_general
+from gridtrack.trackers.registry import registered_name  # noqa: E402
+from gridtrack.trackers.training.weights import load_start, read_card  # noqa: E402
 from tests.trackers.recurrent.test_general import HELD_OUT, SMALL, TRACKERS, LabelledWalk, Walk, fit  # noqa: E402
 from tests.trackers.scores import of_every_stratum  # noqa: E402
 
@@ -47,7 +48,7 @@ def general(request, tmp_path_factory):
     )
     assert any(
         np.abs(value).max() > 0
-        for name, value in load_start(path, request.param.name).arrays.items()
+        for name, value in load_start(path, registered_name(request.param)).arrays.items()
         if "shift" in name
     )
     return request.param, path
@@ -84,12 +85,13 @@ def train_at_site(tracker, start, folder, score, source=None, **options):
 def train(tracker, start, path, score, sources, options, *, general=False):
     lines: list[str] = []
     log = path.parent / "log"
-    out = FitOutput(path, "gridtrack train ...", 7, log, lines.append, general=general, start=start)
     given = {"precision": "32-true", **options}
     if tracker is DilatedConvGRUTracker:
         given = {"stage": "occupancy", **given}
-    tracker.fit(sources, sources, score, out, validated(tracker.Options, given, "test"))
-    return out.path, lines
+    options = validated(tracker.Options, given, "test")
+    more = {"general": general, "start": start, "report": lines.append}
+    tracker.fit(FitTask(sources, sources, score, path, options, log, 7, **more))
+    return path, lines
 
 
 def test_before_the_first_update_the_forecasts_are_those_of_the_general_weights(general, tmp_path):
@@ -123,7 +125,7 @@ def test_a_general_training_goes_on_with_the_same_network(general, tmp_path):
     path, _ = train(tracker, start, tmp_path / "general.toml", score, sources, options, general=True)
     expected = forecasts_of(tracker(stream_of(SITE, start), tracker.Options()), SITE)
     np.testing.assert_array_equal(score.forecasts[0], expected)
-    arrays, theirs = load_arrays(path), load_start(start, tracker.name).arrays
+    arrays, theirs = load_arrays(path), load_start(start, registered_name(tracker)).arrays
     assert {name: value.shape for name, value in arrays.items()} == {n: theirs[n].shape for n in arrays}
     assert any(np.abs(value - theirs[name]).max() > 1e-3 for name, value in arrays.items())
     assert read_card(path).general
@@ -138,7 +140,7 @@ def load_arrays(card_path):
 def test_general_weights_that_no_update_improves_are_kept(general, tmp_path):
     tracker, path = general
     card_path, lines = train_at_site(tracker, path, tmp_path, Scores(0.9, 0.2), updates=2, learning_rate=0.1)
-    arrays, theirs = load_arrays(card_path), load_start(path, tracker.name).arrays
+    arrays, theirs = load_arrays(card_path), load_start(path, registered_name(tracker)).arrays
     for name, value in arrays.items():
         np.testing.assert_array_equal(value, np.broadcast_to(theirs[name], value.shape))
     assert read_card(card_path).results["score"] == pytest.approx(0.9)
@@ -156,7 +158,7 @@ def test_at_nearly_the_same_f1_the_log_loss_decides_whether_they_are_kept(genera
 
 def test_settings_are_those_of_the_general_weights_but_for_the_length_of_the_training(general):
     tracker, path = general
-    weights = load_start(path, tracker.name)
+    weights = load_start(path, registered_name(tracker))
     of_accelerator = replace(
         weights,
         card=weights.card.model_copy(update={"settings": {**weights.card.settings, "batch": 32, "burn_in": 80}}),
@@ -193,8 +195,8 @@ def test_checkpoints_of_a_start_from_other_weights_are_refused(general, tmp_path
 
 
 def test_without_labels_the_class_decoder_of_the_general_weights_is_left_out(tmp_path, monkeypatch):
-    from gridtrack.trackers import cell_training
-    from gridtrack.trackers.label_settings import ClassifierSettings
+    from gridtrack.trackers.training import cell_training
+    from gridtrack.trackers.training.labelled_scans import ClassifierSettings
 
     monkeypatch.setattr(
         cell_training, "candidate_settings", lambda given, seed: [ClassifierSettings(updates=2, **dict(given))]

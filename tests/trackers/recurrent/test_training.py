@@ -21,17 +21,19 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridFrame, GridSpec  # noqa: E402
-from gridtrack.trackers.contract import FitOutput, stream_of  # noqa: E402
-from gridtrack.trackers.recurrent import accelerated_convgru, training  # noqa: E402
+from gridtrack.trackers.contract import FitTask, stream_of  # noqa: E402
+from gridtrack.trackers.recurrent import accelerated_convgru, training
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.entered_cells import near_entered_cells  # noqa: E402
-from gridtrack.trackers.recurrent.resolution_input import set_resolution  # noqa: E402
-from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
-from gridtrack.trackers.recurrent.sequence_loss import sequence_loss  # noqa: E402
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
+from gridtrack.trackers.recurrent.motion import near_entered_cells
+from gridtrack.trackers.recurrent.network import set_resolution
 from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset, superposed  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
-from gridtrack.trackers.recurrent.training_module import TrainingModule  # noqa: E402
-from gridtrack.trackers.weights import read_card  # noqa: E402
+from gridtrack.trackers.recurrent.training_module import (
+    TrainingModule,
+    sequence_loss,
+)
+from gridtrack.trackers.training.weights import read_card  # noqa: E402
 from tests.trackers.scores import of_every_stratum  # noqa: E402
 
 SIZE = 12
@@ -75,9 +77,11 @@ def no_score(tracker, source, steps):
 def fit(tracker, folder, **options):
     settings = validated(tracker.Options, {"batch": 2, "warm_up": 0, "precision": "32-true", **options}, "test")
     lines: list[str] = []
-    out = FitOutput(folder / "shuttle.toml", "gridtrack train ...", 7, folder / "log", lines.append)
-    tracker.fit([Shuttle()], [Shuttle(30)], no_score, out, settings)
-    return out, lines
+    out, train, validation = folder / "shuttle.toml", [Shuttle()], [Shuttle(30)]
+    more = {"command": "gridtrack train ...", "report": lines.append}
+    task = FitTask(train, validation, no_score, out, settings, folder / "log", 7, **more)
+    tracker.fit(task)
+    return task, lines
 
 
 def forecast(tracker, weights, frames=25, steps=3):
@@ -90,8 +94,8 @@ def forecast(tracker, weights, frames=25, steps=3):
 
 
 def test_a_trained_network_forecasts_a_moving_dot(tmp_path):
-    out, _ = fit(DilatedConvGRUTracker, tmp_path, updates=150, validate_every=75, learning_rate=0.01, channels=8)
-    occupancy = forecast(DilatedConvGRUTracker, out.path)
+    task, _ = fit(DilatedConvGRUTracker, tmp_path, updates=150, validate_every=75, learning_rate=0.01, channels=8)
+    occupancy = forecast(DilatedConvGRUTracker, task.out)
     assert occupancy.shape == (4, SIZE, SIZE)
     assert occupancy.dtype == np.float32
     assert occupancy[:, 0].min() > 0.8  # the wall
@@ -108,9 +112,9 @@ def test_a_training_does_not_repeat_what_its_libraries_warn_of_each_other(tmp_pa
 def fit_paper_rnn(folder, score):
     options = {"variant": "paper", "updates": 6, "validate_every": 2, "batch": 2, "warm_up": 0, "precision": "32-true"}
     settings = validated(DeepTrackingRNNTracker.Options, options, "test")
-    out = FitOutput(folder / "shuttle.toml", "gridtrack train ...", 7, folder / "log", lambda line: None)
-    DeepTrackingRNNTracker.fit([Shuttle()], [Shuttle(30)], score, out, settings)
-    return read_card(out.path)
+    out, train, validation = folder / "shuttle.toml", [Shuttle()], [Shuttle(30)]
+    DeepTrackingRNNTracker.fit(FitTask(train, validation, score, out, settings, folder / "log", 7))
+    return read_card(out)
 
 
 def test_a_resumed_training_equals_an_uninterrupted_one(tmp_path):
@@ -172,8 +176,8 @@ def test_an_interrupt_keeps_the_best_weights_and_a_checkpoint_between_validation
     InterruptedDataset.end = 100
     resumed, _ = fit(DilatedConvGRUTracker, tmp_path / "parts", **options)
     assert drawn == list(range(2 * done, 12))
-    assert np.array_equal(forecast(DilatedConvGRUTracker, resumed.path), forecast(DilatedConvGRUTracker, whole.path))
-    assert read_card(resumed.path).interrupted == ""
+    assert np.array_equal(forecast(DilatedConvGRUTracker, resumed.out), forecast(DilatedConvGRUTracker, whole.out))
+    assert read_card(resumed.out).interrupted == ""
 
 
 def test_a_log_folder_of_another_training_is_refused(tmp_path):
@@ -183,8 +187,8 @@ def test_a_log_folder_of_another_training_is_refused(tmp_path):
 
 
 def test_the_card_has_the_settings_and_data_of_the_training(tmp_path):
-    out, lines = fit(DeepTrackingRNNTracker, tmp_path, updates=2, validate_every=1, variant="paper")
-    card = read_card(out.path)
+    task, lines = fit(DeepTrackingRNNTracker, tmp_path, updates=2, validate_every=1, variant="paper")
+    card = read_card(task.out)
     assert (card.tracker, card.site, card.seed, card.period_s) == ("deep-tracking-rnn", "shuttle", 7, 0.25)
     assert card.settings["variant"] == "paper"
     assert card.train[0].recording == "shuttle"
@@ -192,8 +196,8 @@ def test_the_card_has_the_settings_and_data_of_the_training(tmp_path):
 
 
 def test_an_option_that_contradicts_the_weights_is_refused(tmp_path):
-    out, _ = fit(DeepTrackingRNNTracker, tmp_path, updates=1, validate_every=1, variant="paper")
-    stream = stream_of(Shuttle(), out.path)
+    task, _ = fit(DeepTrackingRNNTracker, tmp_path, updates=1, validate_every=1, variant="paper")
+    stream = stream_of(Shuttle(), task.out)
     with pytest.raises(WeightsError, match="variant=paper"):
         DeepTrackingRNNTracker(stream, DeepTrackingRNNTracker.Options(variant="code"))
 
@@ -305,17 +309,17 @@ def test_the_loss_of_a_batch_is_that_of_the_cells_of_all_its_windows(monkeypatch
 @pytest.mark.parametrize(("every", "validated_after"), [(50, ["3"]), (2, ["2", "3"])])
 def test_a_training_ends_after_its_updates_and_is_validated(tmp_path, every, validated_after):
     lines = []
-    out = FitOutput(tmp_path / "shuttle.toml", "", 1, tmp_path / "log", lines.append)
     options = {"channels": 4, "updates": 3, "validate_every": every, "precision": "32-true", "stage": "occupancy"}
     options = validated(DilatedConvGRUTracker.Options, options, "test")
 
     def score(tracker, source, steps):
         return of_every_stratum(1.0, 0.1, steps)
 
-    DilatedConvGRUTracker.fit([Shuttle()], [Shuttle(30)], score, out, options)
+    out, log = tmp_path / "shuttle.toml", tmp_path / "log"
+    DilatedConvGRUTracker.fit(FitTask([Shuttle()], [Shuttle(30)], score, out, options, log, 1, report=lines.append))
 
     assert [line.split()[1] for line in lines if line.startswith("update")] == validated_after
-    assert read_card(out.path).results["score"] == 1.0
+    assert read_card(out).results["score"] == 1.0
 
 
 def of_ten(**options):
@@ -389,13 +393,13 @@ def test_a_training_on_two_devices_has_the_weights_of_one(tmp_path, monkeypatch,
     one, lines = fit(tracker, tmp_path / "one", **options)
     two, lines_of_two = fit(tracker, tmp_path / "two", **options, devices=2)
 
-    expected, found = (load_file(out.path.with_suffix(".safetensors")) for out in (one, two))
+    expected, found = (load_file(task.out.with_suffix(".safetensors")) for task in (one, two))
     for name, value in expected.items():
         np.testing.assert_allclose(found[name], value, atol=2e-5, err_msg=name)
     updates = [[line.split()[1] for line in each if line.startswith("update")] for each in (lines, lines_of_two)]
     assert updates == [["2", "4"], ["2", "4"]], "a device tells this process of its validations"
-    assert read_card(two.path).settings["devices"] == 2
-    assert read_card(two.path).results == pytest.approx(read_card(one.path).results, abs=1e-4)
+    assert read_card(two.out).settings["devices"] == 2
+    assert read_card(two.out).results == pytest.approx(read_card(one.out).results, abs=1e-4)
 
 
 def test_an_interrupt_of_a_training_on_two_devices_ends_them_and_keeps_the_best_weights(tmp_path, monkeypatch):
@@ -411,12 +415,12 @@ def test_an_interrupt_of_a_training_on_two_devices_ends_them_and_keeps_the_best_
 
     options = {"variant": "paper", "updates": 6, "validate_every": 2, "batch": 2, "precision": "32-true", "devices": 2}
     options = validated(DeepTrackingRNNTracker.Options, options, "test")
-    out = FitOutput(tmp_path / "shuttle.toml", "", 7, tmp_path / "log", lambda line: None)
+    out, log = tmp_path / "shuttle.toml", tmp_path / "log"
     with pytest.raises(KeyboardInterrupt):
-        DeepTrackingRNNTracker.fit([Shuttle()], [Shuttle(30)], score, out, options)
+        DeepTrackingRNNTracker.fit(FitTask([Shuttle()], [Shuttle(30)], score, out, options, log, 7))
 
     assert multiprocessing.active_children() == []
-    assert re.fullmatch("update [24] of 6", read_card(out.path).interrupted)
+    assert re.fullmatch("update [24] of 6", read_card(out).interrupted)
 
 
 @pytest.mark.parametrize(
