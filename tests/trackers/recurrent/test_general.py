@@ -18,7 +18,7 @@ from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.fit import validation_scores
 from gridtrack.trackers.recurrent.network import (
-    channels_last,
+    channels_last,  # noqa: E402
     resolution_of,
     set_resolution,
 )

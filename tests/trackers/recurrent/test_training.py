@@ -30,7 +30,7 @@ from gridtrack.trackers.recurrent.network import set_resolution
 from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset, superposed  # noqa: E402
 from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
 from gridtrack.trackers.recurrent.training_module import (
-    TrainingModule,
+    TrainingModule,  # noqa: E402
     sequence_loss,
 )
 from gridtrack.trackers.training.weights import read_card  # noqa: E402
