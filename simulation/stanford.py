@@ -20,7 +20,7 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError
-from gridtrack.common.options import Option
+from gridtrack.common.options import Option, from_text
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.motion import headings, smoothed, unbroken_tracks
