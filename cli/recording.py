@@ -94,6 +94,10 @@ def recording_view(
     ] = None,
     grid: GridOption = None,
     rate: RateOption = None,
+    foreign_format: Annotated[
+        str | None,
+        typer.Option("--format", metavar="NAME", help="Recording format of another package, loaded only by this name"),
+    ] = None,
 ) -> None:
     """Write frames, poses of the sensors and ground truth as a file for the Rerun viewer. It starts no viewer."""
     from rich.console import Console
@@ -101,7 +105,7 @@ def recording_view(
 
     from gridtrack.reports.viewers import default_name, write_rerun_recording
 
-    stream = open_stream(recording, grid=GridSpec.parse(grid) if grid else None, rate_hz=rate)
+    stream = open_stream(recording, grid=GridSpec.parse(grid) if grid else None, rate_hz=rate, format=foreign_format)
     path = out or Path(default_name(recording))
     if path.suffix != ".rrd":
         raise ConfigurationError(f"{path}: a Rerun recording is written as .rrd")
