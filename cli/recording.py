@@ -65,11 +65,21 @@ def recording_import(
     as_json: JsonOption = False,
 ) -> None:
     """Write a recording of any format (ROS 1 or 2 bag, ROS or Foxglove MCAP, CARMEN log, ...) as a native one."""
-    given = {"site": site, "grid": grid, "rate_hz": rate, "licence": licence, "credit": credit, "labels": labels}
-    stretches = dict(parse_named_stretch(text) for text in stretch or ())
-    how = {"ego_motion": ego_motion, "overwrite": overwrite}
     try:
-        recording = import_recording(Path(source), out, stretches=stretches, **given, **how, **values)
+        recording = import_recording(
+            Path(source),
+            out,
+            site=site,
+            grid=grid,
+            rate_hz=rate,
+            stretches=dict(parse_named_stretch(text) for text in stretch or ()),
+            licence=licence,
+            credit=credit,
+            labels=labels,
+            ego_motion=ego_motion,
+            overwrite=overwrite,
+            **values,
+        )
     except KeyboardInterrupt:
         print_note(f"interrupted: {out} is as it was before, or written whole")
         raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
@@ -84,6 +94,10 @@ def recording_view(
     ] = None,
     grid: GridOption = None,
     rate: RateOption = None,
+    foreign_format: Annotated[
+        str | None,
+        typer.Option("--format", metavar="NAME", help="Recording format of another package, loaded only by this name"),
+    ] = None,
 ) -> None:
     """Write frames, poses of the sensors and ground truth as a file for the Rerun viewer. It starts no viewer."""
     from rich.console import Console
@@ -91,7 +105,7 @@ def recording_view(
 
     from gridtrack.reports.viewers import default_name, write_rerun_recording
 
-    stream = open_stream(recording, grid=GridSpec.parse(grid) if grid else None, rate_hz=rate)
+    stream = open_stream(recording, grid=GridSpec.parse(grid) if grid else None, rate_hz=rate, format=foreign_format)
     path = out or Path(default_name(recording))
     if path.suffix != ".rrd":
         raise ConfigurationError(f"{path}: a Rerun recording is written as .rrd")

@@ -7,6 +7,7 @@ import keyword
 import re
 import shlex
 import sys
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
@@ -171,7 +172,7 @@ def new_command(
     typer.echo(f"tracker: {module}\nnext: pip install -e {with_tests} && gridtrack trackers check {name}")
 
 
-def _refuse_untrained(launched: Launch, options: dict[str, Any], limits: Limits, site: str) -> None:
+def _refuse_untrained(launched: Launch, options: Mapping[str, Any], limits: Limits, site: str) -> None:
     """Raises ConfigurationError for a tracker without the weights that it needs: nothing can be checked."""
     where = f"of site '{site}'" if site else "here"
     with suppress(PluginError):  # a tracker that cannot be loaded fails the first check

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from gridtrack.common.config import Settings
+from gridtrack.common.config import Settings, parse_pairs, validated
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2, wrap_angle
+from gridtrack.common.options import Option, from_text
 from gridtrack.common.scan import MAX_POSITION_M, MAX_RANGE_M
 
 MOUNT_FORM = "SENSOR=X,Y,ANGLE, as in front_laser=0.4,0.2,45deg (metres; deg or rad; ',mirrored' if upside down)"
@@ -93,21 +94,31 @@ class CloudSlice(Settings):
         return self
 
 
-class ReadOptions(Settings):
-    """How a recording is read. Opening a file refuses options that its format cannot use."""
+def parse_cloud_slice(text: str) -> CloudSlice:
+    """Read `low_m=0.2,high_m=1.0,...`. Raises ConfigurationError."""
+    return validated(CloudSlice, parse_pairs(text, "--cloud-slice"), "--cloud-slice")
 
-    format: str | None = None
-    """The name of a recording format of another package; formats of gridtrack are found by the file itself."""
-    topic: str | None = None
-    """Read the scans of this topic only."""
+
+class ReadOptions(Settings):
+    """How a recording is read: the options of `recording info` and `recording import`, and of `open_recording`.
+
+    Opening a file refuses options that its format cannot use.
+    """
+
+    format: Annotated[str | None, Option(metavar="NAME")] = None
+    """Recording format of another package, which is loaded only by this name; the formats of gridtrack are found by the
+    file itself"""
+    topic: Annotated[str | None, Option(metavar="TOPIC")] = None
+    """Read the scans of this topic only, if the recording has several"""
     strict: bool = False
-    """Raise RecordingError instead of giving a warning."""
-    cloud_slice: CloudSlice | None = None
-    """How a point cloud becomes a scan."""
-    pose_topic: str | None = None
-    """The topic with the poses of the robot; "none" if it stands still."""
-    mounts: tuple[Mount, ...] = ()
-    """The places of sensors on the robot."""
+    """Refuse a recording with a fault, instead of giving a warning"""
+    cloud_slice: Annotated[CloudSlice | None, Option(metavar="KEY=VALUE,..."), from_text(parse_cloud_slice)] = None
+    """How a point cloud becomes a scan: low_m=0.2,high_m=1.0; bearings without points are free up to range_max_m, or
+    unknown with empty=unknown"""
+    pose_topic: Annotated[str | None, Option(metavar="TOPIC")] = None
+    """Topic with the poses of the robot, if the transforms are wrong; none: it stands still"""
+    mounts: Annotated[tuple[Annotated[Mount, from_text(parse_mount)], ...], Option("mount", "SENSOR=X,Y,ANGLE")] = ()
+    """Place of a sensor on the robot: laser=0.4,0.2,45deg, with ,mirrored if it is upside down; repeat for several"""
     zero_range: Literal["free", "unknown"] | None = None
-    """The meaning of a range of exactly 0.0, in every format: no return ("free" up to the maximum range) or invalid
-    ("unknown"). Without this option it is like any range: invalid below the minimum range."""
+    """Meaning of a range of exactly 0.0, in every format: free up to the maximum range (no return), or unknown
+    (invalid); default: as any range, invalid below the minimum range"""

@@ -20,7 +20,7 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError
-from gridtrack.common.options import Option
+from gridtrack.common.options import Option, from_text
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.motion import headings, smoothed, unbroken_tracks
@@ -48,15 +48,19 @@ MAX_ANNOTATION_LINES, MAX_PIXELS, MAX_FRAME = 5_000_000, 1e6, 5_000_000
 class Video(Settings):
     """Values that the annotations do not contain."""
 
-    scale: float = Field(gt=0.0, le=10.0)
-    """Metres per pixel."""
+    scale: Annotated[float, Option(metavar="METRES")] = Field(gt=0.0, le=10.0)
+    """Metres per pixel"""
     site: str = Field(min_length=1)
     """Site of the recording"""
     rate_hz: float = Field(default=8.0, gt=0.0, le=VIDEO_HZ)
-    grid: str = "100x0.2"
-    laser_at: tuple[float, float] | None = None
-    """Metres, x right and y up from the upper left corner of the image. None: the position nearest to the median of all
-    paths with CLEARANCE_M to every road user."""
+    """Scans per second"""
+    grid: Annotated[str, Option(metavar="CELLSxMETRES[@X,Y]")] = "100x0.2"
+    """Grid around the laser"""
+    laser_at: Annotated[tuple[float, float] | None, Option(metavar="X,Y"), from_text(lambda text: text.split(","))] = (
+        None
+    )
+    """Position of the laser, metres from the image's upper left corner, x right and y up; default: the position nearest
+    to the median of all paths that is clear of every road user"""
     seed: int = Field(default=0, ge=0)
     """Seed of the range noise"""
     licence: Annotated[str, Option(metavar="TEXT")] = ""

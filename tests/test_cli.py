@@ -180,9 +180,14 @@ def test_the_help_of_the_gate_names_its_default_margins(monkeypatch):
 )
 def test_the_words_of_settings_give_the_same_settings_again(values):
     given: list[dict[str, Any]] = []
-    command = typer.Typer()
-    command.command()(settings_options(CompareSettings)(given.append))
-    CliRunner().invoke(command, option_words(CompareSettings, values), catch_exceptions=False)
+    one = typer.Typer()
+
+    @one.command()
+    @settings_options(CompareSettings)
+    def command(values: dict[str, Any]) -> None:
+        given.append(values)
+
+    CliRunner().invoke(one, option_words(CompareSettings, values), catch_exceptions=False)
     assert validated(CompareSettings, given[0], "") == validated(CompareSettings, values, "")
 
 

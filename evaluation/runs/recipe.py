@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import read_bounded
-from gridtrack.common.options import Option
+from gridtrack.common.options import Option, option_words
 from gridtrack.common.remote_files import local_folder
 from gridtrack.common.untrusted import parse_toml
 from gridtrack.recordings.stretches import fetched
@@ -39,21 +39,23 @@ class Recipe(Settings):
     validation: Annotated[tuple[str, ...], Option(metavar="RECORDING[@RANGE]")] = ()
     """Recording, or folder of recordings, to validate on; repeat for several; default: the validation stretch of each
     recording"""
-    out: Annotated[Path | None, Option(metavar="FOLDER")] = None
-    """Folder of weights to write to; default: your own"""
     seed: int = Field(1, ge=0, lt=2**31)
     """Seed of the training; without it, the seed of the recipe or the card"""
     grid: Annotated[str | None, Option(metavar="CELLSxMETRES[@X,Y]")] = None
     """Grid, such as 100x0.2; default: the grid of the recordings"""
     rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
     """Frames per second; default: the rate of the recordings"""
+    format: Annotated[str | None, Option(metavar="NAME")] = None
+    """Recording format of another package, which is loaded only by this name"""
     general: bool = False
     """Learn for any site, from recordings of many sites"""
+    from_scratch: bool = False
+    """Do not start from general weights"""
     weights: Annotated[str | None, Option(metavar="FOLDER")] = None
     """Folder of general weights to start from, or its URL, searched before your own and the shipped ones; a general
     training starts from general weights only if this names them"""
-    from_scratch: bool = False
-    """Do not start from general weights"""
+    out: Annotated[Path | None, Option(metavar="FOLDER")] = None
+    """Folder of weights to write to; default: your own"""
 
     @model_validator(mode="after")
     def _one_start(self) -> Recipe:
@@ -66,15 +68,7 @@ class Recipe(Settings):
         """The command line that repeats this training; it does not need the recipe file."""
         options = ",".join(f"{key}={_option_text(value)}" for key, value in self.options.items())
         words = ["gridtrack", "train", f"{self.tracker}:{options}" if options else self.tracker, *self.recordings]
-        for stretch in self.validation:
-            words += ["--validation", stretch]
-        words += ["--seed", str(self.seed)]
-        words += ["--grid", self.grid] if self.grid else []
-        words += ["--rate", f"{self.rate_hz:g}"] if self.rate_hz else []
-        words += ["--general"] if self.general else []
-        words += ["--from-scratch"] if self.from_scratch else []
-        words += ["--weights", self.weights] if self.weights else []
-        words += ["--out", str(self.out)] if self.out else []
+        words += option_words(Recipe, self.model_dump(exclude={"tracker", "options", "recordings"}))
         return shlex.join(words)
 
 

@@ -51,7 +51,8 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
     that says what is kept.
     """
     cache, local = stretch_cache(report), with_local_copies(recipe, report)
-    named = {use: _named(texts) for use, texts in ((TRAIN, local.recordings), (VALIDATION, local.validation))}
+    uses = ((TRAIN, local.recordings), (VALIDATION, local.validation))
+    named = {use: _named(texts, local.format) for use, texts in uses}
     with (
         TrainingProcess(recipe.tracker, [path for found in named.values() for path, _ in found]) as process,
         TemporaryDirectory(prefix="gridtrack-train-") as folder,
@@ -159,7 +160,7 @@ def _stretches(
     with progress.stage("recording", sum(map(len, named.values()))) as stage:
         for use, found in named.items():
             for path, stretch in found:
-                recording = surveyed(open_recording(path), cache)
+                recording = surveyed(open_recording(path, format=recipe.format), cache)
                 opened[use].append(_stretch(recording, stretch, use, grid, recipe.rate_hz))
                 stage.advance(path.name)
     train_on, validate_on = opened[TRAIN], opened[VALIDATION]
@@ -198,19 +199,19 @@ def _make_folder(folder: Path) -> None:
         raise ConfigurationError(f"{folder}: may not be written to; name another folder for weights with --out")
 
 
-def _named(texts: Sequence[str]) -> list[NamedStretch]:
+def _named(texts: Sequence[str], format: str | None) -> list[NamedStretch]:
     """The recordings and stretches of each RECORDING[@range], or of all recordings in a folder."""
     parsed = map(parse_stretch, texts)
-    return [(found, stretch) for path, stretch in parsed for found in recordings_at(path)]
+    return [(found, stretch) for path, stretch in parsed for found in recordings_at(path, format)]
 
 
-def _each_of(text: str) -> list[str]:
+def _each_of(text: str, format: str | None) -> list[str]:
     """RECORDING[@range] of each recording that `text` names; a URL unchanged."""
     if is_url(text):
         return [text]
     path, stretch = parse_stretch(text)
     range_ = "" if stretch is None else f"@{text.rpartition('@')[2]}"
-    return [f"{found}{range_}" for found in recordings_at(path)]
+    return [f"{found}{range_}" for found in recordings_at(path, format)]
 
 
 def _stretch(
@@ -230,7 +231,10 @@ def _own_validation(recipe: Recipe, train_on: Sequence[GridStream]) -> list[Grid
     found = [own_validation(stream) for stream in train_on if VALIDATION in stream.recording.info.stretches]
     if not found:
         cut = in_two(train_on[0])
-        recordings = (cut.recording, *[text for named in recipe.recordings for text in _each_of(named)][1:])
+        recordings = (
+            cut.recording,
+            *[text for named in recipe.recordings for text in _each_of(named, recipe.format)][1:],
+        )
         command = recipe.model_copy(update={"recordings": recordings, "validation": (cut.validation,)}).command
         raise ConfigurationError(
             f"{train_on[0].name}: no validation stretch; name one with --validation, or run `{command}`"
