@@ -18,7 +18,7 @@ from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.run_record import read_run_record
 from gridtrack.evaluation.runs.runner import engine_of, run
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
-from gridtrack.evaluation.runs.trial_record import read_trial_record
+from gridtrack.evaluation.runs.trial_record import ThresholdsUsed, read_trial_record
 from gridtrack.evaluation.scores.cells import PROBABILITY_BINS
 from gridtrack.evaluation.scores.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation
@@ -66,7 +66,7 @@ def test_two_engines_agree_to_the_last_count(compare, progress, tmp_path, train,
 def test_thresholds_that_a_process_has_chosen_are_found_by_the_next(tmp_path):
     bins = np.random.default_rng(0).integers(1, PROBABILITY_BINS, (11, len(STRATA)))
     chosen = Thresholds(bins, "room.mcap@validation", STRATA)
-    SharedThresholds(tmp_path).learn("a key", chosen.used())
+    SharedThresholds(tmp_path).learn("a key", ThresholdsUsed.of(chosen))
     other = SharedThresholds(tmp_path)
     assert (other.known("a key"), other.known("another")) == (True, False)
     found = other.of("a key", lambda: pytest.fail("chosen again"))
@@ -226,5 +226,5 @@ def test_what_a_cluster_cannot_do_is_refused_in_one_line(settings, engine, given
 
 
 def test_an_address_without_a_cluster_is_refused(settings):
-    with pytest.raises(ConfigurationError, match="--address names a Ray cluster"):
+    with pytest.raises(ConfigurationError, match="--address is for a Ray cluster"):
         resolve(settings("persistence", address="10.0.0.1:6379"))

@@ -254,5 +254,5 @@ def test_a_wrong_request_to_slurm_is_one_line(text, message):
 def test_requests_to_slurm_without_slurm_are_refused(settings):
     with pytest.raises(ConfigurationError, match="--slurm is for a Slurm cluster"):
         resolve(settings("persistence", engine="ray", slurm=SlurmSettings()))
-    with pytest.raises(ConfigurationError, match="--address names a Ray cluster"):
+    with pytest.raises(ConfigurationError, match="--address is for a Ray cluster"):
         resolve(settings("persistence", engine="slurm", address="10.0.0.1:6379"))

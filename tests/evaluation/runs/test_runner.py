@@ -13,7 +13,7 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.referee.referee import Delivery
 from gridtrack.evaluation.referee.samples import read_samples
 from gridtrack.evaluation.referee.splits import EvaluationSplit
-from gridtrack.evaluation.runs import run_folder, scorekeeper, trial
+from gridtrack.evaluation.runs import run_folder, trial
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.result_files import RunError, json_of
 from gridtrack.evaluation.runs.runner import run
@@ -126,14 +126,14 @@ def test_recoveries_of_a_tracker_are_in_its_outcome_and_give_a_notice(compare, t
 
 def test_an_unexpected_error_ends_its_trial_and_no_other(compare, progress, monkeypatch):
     """After a full disk or a defect in the scorer the other trials are scored and the summary is written."""
-    original = scorekeeper.count_cells
+    original = cells.count_cells
 
     def counting(occupancy, *more):
         if not occupancy.any():  # as blank forecasts
             raise OSError(28, "No space left on device")
         return original(occupancy, *more)
 
-    monkeypatch.setattr(scorekeeper, "count_cells", counting)
+    monkeypatch.setattr(cells, "count_cells", counting)
     summary = compare("blank", "persistence")
     failed = trial_of(summary, "blank")
     assert (failed.outcome, progress.records["blank@room"].outcome) == ("failed", "failed")

@@ -9,7 +9,7 @@ import pytest
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.runs.jobs import JobOrder, SharedInputs
 from gridtrack.evaluation.runs.plan import resolve
-from gridtrack.evaluation.runs.run_record import description_of
+from gridtrack.evaluation.runs.run_record import description_of, identity_of
 from gridtrack.evaluation.runs.sums import SUMS_FILE
 
 pytestmark = pytest.mark.usefixtures("trackers_here")
@@ -69,7 +69,7 @@ def test_another_machine_finds_the_same_segment(settings, long, tmp_path):
     shared = SharedInputs(plan.settings, lambda text: None, tmp_path)
     for split in plan.splits:
         order = JobOrder.read(JobOrder.of("oracle", split, shared).model_dump_json(by_alias=True))
-        assert order.split().identity() == split.identity()
+        assert identity_of(order.split()) == identity_of(split)
 
 
 def test_frames_at_periods_that_are_no_decimals_are_cut_without_a_gap(settings, long):
