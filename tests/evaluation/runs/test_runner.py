@@ -20,6 +20,7 @@ from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.summary import read_summary
 from gridtrack.evaluation.runs.sums import SUMS_FILE
 from gridtrack.evaluation.runs.trial_record import read_trial_record
+from gridtrack.evaluation.scores import cells
 from tests.scenes.room import curve
 
 from scenes.room import trial_of

@@ -166,10 +166,10 @@ def test_a_class_that_a_tracker_lacks_gives_a_notice_and_counts_as_misclassified
 def test_recall_by_class_is_that_of_dynamic_cells_of_the_class(complete):
     summary, _ = complete
     recall = {name: curve(trial_of(summary, "persistence"), name, "class_recall.recall") for name in (
-        "dynamic cyclist", "occluded dynamic pedestrian",
+        "dynamic cyclist", "occluded pedestrian",
     )}  # fmt: skip
     assert recall["dynamic cyclist"][0] == 1.0, "step 0 of what is seen is copying"
     assert recall["dynamic cyclist"][STEPS] < 0.6, "it has ridden on by then"
-    assert 0.0 < recall["occluded dynamic pedestrian"][0] < 0.5
+    assert 0.0 < recall["occluded pedestrian"][0] < 0.5
     cells = curve(trial_of(summary, "persistence"), "dynamic static", "class_recall.cells")
     assert not any(cells), "static objects are not in dynamic cells"
