@@ -34,6 +34,7 @@ from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.segmentation import Cluster, joined
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
+from gridtrack.trackers.registry import registered_name
 
 from studies.support.results_file import measured_table, write_table
 from studies.support.shipped import JUNCTION, STEPS, with_shipped_weights
@@ -52,7 +53,9 @@ REPLACED = {
     "young": "the velocity of tracks visible for at most one second",
 }
 """What is taken from the truth, and how the table names it."""
-TRACKERS: dict[str, type[ModelFreeTracker]] = {kind.name: kind for kind in (KalmanTracker, FactorGraphTracker)}
+TRACKERS: dict[str, type[ModelFreeTracker]] = {
+    registered_name(kind): kind for kind in (KalmanTracker, FactorGraphTracker)
+}
 
 
 class TrueFrame(NamedTuple):
@@ -214,7 +217,7 @@ def owner_of(points: Points, truth: TrueFrame, grid: GridSpec) -> int | None:
 
 def scores(kind: type[ModelFreeTracker], stream: GridStream) -> list[float]:
     """F1 of dynamic and of visible cells at HORIZONS."""
-    tracker = with_shipped_weights(kind, kind.name, stream)
+    tracker = with_shipped_weights(kind, registered_name(kind), stream)
     found = score_in_process(tracker, stream, STEPS, regions_of(stream, STRATA))
     return [float(found.f1[stratum][step]) for stratum in ("dynamic", "visible") for step in HORIZONS.values()]
 
@@ -238,9 +241,9 @@ def main() -> None:
         without = without or values
         rows.append([name, *(f"{value:.3f}" for value in values)])
         gains |= {f"gain, {name}: {c}": f"{v - w:.3f}" for c, v, w in zip(columns, values, without, strict=True)}
-    table = measured_table([f"{kind.name}, with the truth of", *columns], rows)
+    table = measured_table([f"{registered_name(kind)}, with the truth of", *columns], rows)
     print(table.markdown())
-    write_table(arguments.out, "stage costs", table, f"python -m studies.stage_costs {kind.name}", gains)
+    write_table(arguments.out, "stage costs", table, f"python -m studies.stage_costs {registered_name(kind)}", gains)
 
 
 if __name__ == "__main__":
