@@ -18,6 +18,7 @@ from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.settings import Precision
+from gridtrack.trackers.registry import registered_name
 
 from benchmarks.timing import median_ms
 from studies.support.results_file import measured_table, write_table
@@ -50,7 +51,7 @@ def training_rate(kind: type[RecurrentTracker], precision: Precision, threads: i
 
     seconds = median_ms(one_update, runs=3) / 1e3
     rate = options.batch * options.length / seconds
-    print(f"{kind.name}: {rate:.0f} training frames/s ({threads} threads, {precision})", flush=True)
+    print(f"{registered_name(kind)}: {rate:.0f} training frames/s ({threads} threads, {precision})", flush=True)
     return rate
 
 
@@ -63,8 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows, values = [], {}
     for kind in (DilatedConvGRUTracker, DeepTrackingRNNTracker):
         rates = [training_rate(kind, precision, threads) for precision, threads in cases]
-        rows.append([kind.name, *(f"{rate / rates[0]:.2f}" for rate in rates)])
-        values[f"{kind.name}, frames a second"] = f"{rates[0]:.0f}"
+        rows.append([registered_name(kind), *(f"{rate / rates[0]:.2f}" for rate in rates)])
+        values[f"{registered_name(kind)}, frames a second"] = f"{rates[0]:.0f}"
     columns = [f"{precision}, {threads} thread{'s' if threads > 1 else ''}" for precision, threads in cases]
     table = measured_table(("frames a second, times the first", *columns), rows)
     write_table(given.out, "training speed", table, "python -m benchmarks.recurrent", values)
