@@ -10,8 +10,6 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
-from tests.trackers.labelled_scenes import SIZE, Scene, accuracy, fit, stands, walks  # noqa: E402
-
 from gridtrack.common.errors import WeightsError  # noqa: E402
 from gridtrack.common.grid import GridSpec  # noqa: E402
 from gridtrack.trackers.contract import StreamSpec, stream_of  # noqa: E402
@@ -27,6 +25,7 @@ from gridtrack.trackers.training.cell_classifier import planes_of, scan_classifi
 from gridtrack.trackers.training.cell_training import LabelledCells, logits_of  # noqa: E402
 from gridtrack.trackers.training.labelled_scans import ClassifierSettings  # noqa: E402
 from gridtrack.trackers.training.weights import Weights, load_weights, read_card, save_weights  # noqa: E402
+from tests.trackers.labelled_scenes import SIZE, Scene, accuracy, fit, stands, walks  # noqa: E402
 from tests.trackers.recurrent import sources  # noqa: E402
 from tests.trackers.recurrent.sources import Walk, frame_of  # noqa: E402
 
