@@ -12,7 +12,7 @@ import argparse
 import functools
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from torch import Tensor, nn
 
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
+from gridtrack.trackers.recurrent.kernels import convgru, rnn
 from gridtrack.trackers.recurrent.network import Recurrence, State, as_tensor, channels_last
 
 from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section
@@ -189,12 +190,12 @@ def table_of(name: str, medians_ms: dict[str, dict[str, float]]) -> ResultTable:
     return measured_table((f"{name}, times ours in float32", *CASES), rows)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--peers", action="store_true", help="time torch.compile and ONNX Runtime too")
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/recurrent.json")
-    given = parser.parse_args(arguments)
+    given = parser.parse_args()
     torch.set_num_threads(1)
     tables, values = {}, {}
     for name, kind, kernels in (
