@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +18,6 @@ INCOMPLETE = 3
 """Exit code where a tracker has no weights for the place."""
 
 
-def compared(folder: Path, *arguments: str, codes: tuple[int, ...] = (0,)) -> tuple[str, dict[str, Any]]:
-    """Standard error and the summary of `gridtrack compare` in a folder; the run is the one that it made there."""
-    command = [sys.executable, "-m", "gridtrack.cli", "compare", *arguments]
-    environment = {**os.environ, "XDG_DATA_HOME": str(folder)}
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode in codes, done.stderr
-    (summary,) = folder.glob("runs/*/summary.json")
-    return done.stderr, json.loads(summary.read_text())
-
-
 def assert_scored(summary: dict[str, Any], tracker: str) -> None:
     (trial,) = summary["trackers"][tracker]["recordings"].values()
     assert trial["outcome"] == "ok"
@@ -38,12 +25,18 @@ def assert_scored(summary: dict[str, Any], tracker: str) -> None:
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_a_drive_is_compared_without_an_option_about_poses(tmp_path: Path, version: int) -> None:
+def test_a_drive_is_compared_without_an_option_about_poses(
+    tmp_path: Path, version: int, gridtrack: Any, trackers_here: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     ros = made.Ros(version)
     ros.write(tmp_path / "drive.bag", made.two_scanner_drive(ros, 12_000))
     # A ROS 1 bag with every tracker that there is; most have no weights for the place.
     trackers = () if version == 1 else ("--tracker", "persistence", "--tracker", "blank")
-    said, summary = compared(tmp_path, "drive.bag", *trackers, codes=(0, INCOMPLETE) if version == 1 else (0,))
-    assert f"drive.bag: {CHAINS}\n" in said
+    done = gridtrack("compare", "drive.bag", *trackers)
+    assert done.code in ((0, INCOMPLETE) if version == 1 else (0,)), done.err
+    assert f"drive.bag: {CHAINS}\n" in done.err
+    summary = json.loads((tmp_path / "runs" / "latest" / "summary.json").read_text())
     for tracker in ("persistence", "blank"):
         assert_scored(summary, tracker)

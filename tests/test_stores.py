@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -19,83 +16,91 @@ RECORDING = f"{packaged_recording('leg_tracker')}@90s-96s"
 SHORT = ("--horizon", "0.5s", "--every", "0.5s")
 
 
+pytestmark = pytest.mark.usefixtures("trackers_here")
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """The working folder, with the user's folders in it; `store` in it is the store."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def gridtrack(*words, folder, code=0):
-    command = [sys.executable, "-m", "gridtrack.cli", *words]
-    done = subprocess.run(command, cwd=folder, env=dict(os.environ), capture_output=True, text=True, check=False)
-    assert done.returncode == code, done.stdout + done.stderr
-    return done
+@pytest.fixture
+def gridtrack(gridtrack, folder):
+    """`gridtrack(*words, code=0)` runs the command in the working folder, to this exit code."""
+
+    def run(*words, code=0):
+        done = gridtrack(*words)
+        assert done.code == code, done.out + done.err
+        return done
+
+    return run
 
 
 def json_in(path):
     return json.loads(path.read_text())
 
 
-def test_weights_in_a_store_are_those_of_a_run_and_the_command_is_what_was_typed(folder):
+def test_weights_in_a_store_are_those_of_a_run_and_the_command_is_what_was_typed(gridtrack, folder):
     shutil.copytree(SHIPPED, folder / "store" / "weights" / "static-map")
     url = f"file://{folder}/store/weights"
     rows = ("--tracker", f"new=static-map:weights={url}", "--tracker", "static-map:points=centres")
-    done = gridtrack("compare", RECORDING, *rows, "--weights", url, *SHORT, "--out", "run", folder=folder)
-    assert done.stderr.count("fetching") == 1
+    done = gridtrack("compare", RECORDING, *rows, "--weights", url, *SHORT, "--out", "run")
+    assert done.err.count("fetching") == 1
     record = json_in(folder / "run" / "run.json")
     assert f"new=static-map:weights={url}" in record["command"]
     new, other = record["weights"].values()
     assert new == other
     assert new["name"].startswith("static-map/")
-    listed = json.loads(gridtrack("trackers", "list", "--json", "--weights", url, folder=folder).stdout)
+    listed = json.loads(gridtrack("trackers", "list", "--json", "--weights", url).out)
     assert {row["name"]: row["state"] for row in listed}["static-map"] == "ready"
-    missing = gridtrack("trackers", "check", "static-map", "--weights", f"{url}-none", folder=folder, code=2)
-    assert missing.stderr == f"gridtrack: {url}-none: there is no such folder, or no file in it\n"
+    missing = gridtrack("trackers", "check", "static-map", "--weights", f"{url}-none", code=2)
+    assert missing.err == f"gridtrack: {url}-none: there is no such folder, or no file in it\n"
 
 
-def test_a_row_may_name_its_weights_in_a_store_that_is_not_there(folder):
+def test_a_row_may_name_its_weights_in_a_store_that_is_not_there(gridtrack, folder):
     row = f"static-map:points=raw,weights=file://{folder}/none"
-    failed = gridtrack("compare", RECORDING, "--tracker", row, folder=folder, code=2)
-    assert failed.stderr == f"gridtrack: file://{folder}/none: there is no such folder, or no file in it\n"
+    failed = gridtrack("compare", RECORDING, "--tracker", row, code=2)
+    assert failed.err == f"gridtrack: file://{folder}/none: there is no such folder, or no file in it\n"
 
 
-def test_the_card_of_a_training_names_what_was_typed(folder):
+def test_the_card_of_a_training_names_what_was_typed(gridtrack, folder):
     """Whoever repeats the command has the store, and not this machine's cache."""
     shutil.copytree(SHIPPED, folder / "store" / "weights" / "static-map")
     shutil.copy(packaged_recording("leg_tracker"), folder / "store")
     weights, recording = f"file://{folder}/store/weights", f"file://{folder}/store/leg_tracker.mcap"
     stretches = (f"{recording}@0s-20s", "--validation", f"{recording}@20s-40s")
-    done = gridtrack("train", "static-map", *stretches, "--weights", weights, "--out", "own", folder=folder)
-    assert done.stdout.count("fetching") == 2
+    done = gridtrack("train", "static-map", *stretches, "--weights", weights, "--out", "own")
+    assert done.out.count("fetching") == 2
     card = (folder / "own" / "static-map" / "leg_tracker.toml").read_text()
     assert f"gridtrack train static-map {' '.join(stretches)} --seed 1 --weights {weights} --out own" in card
     assert str(folder / "cache") not in card
 
 
 @pytest.fixture
-def run_url(folder):
+def run_url(gridtrack, folder):
     """A run in the store, which is nowhere else."""
     out = ("--out", "store/hall")
-    gridtrack("compare", RECORDING, "--tracker", "persistence", "--tracker", "blank", *SHORT, *out, folder=folder)
+    gridtrack("compare", RECORDING, "--tracker", "persistence", "--tracker", "blank", *SHORT, *out)
     shutil.rmtree(folder / "store" / "hall" / "report")
     return f"file://{folder}/store/hall"
 
 
-def test_a_run_in_a_store_is_reported_judged_and_loaded(folder, run_url, monkeypatch):
+def test_a_run_in_a_store_is_reported_judged_and_loaded(gridtrack, folder, run_url, monkeypatch):
     stored = sorted(path.name for path in (folder / "store").rglob("*"))
-    done = gridtrack("report", run_url, folder=folder)
-    assert done.stdout == "report: hall-report/index.html\n"
+    done = gridtrack("report", run_url)
+    assert done.out == "report: hall-report/index.html\n"
     assert (folder / "hall-report" / "index.html").is_file()
-    several = gridtrack("report", run_url, "store/hall", folder=folder)
-    assert several.stdout == "report: hall-side-by-side/index.html\n"
-    assert "persistence" in gridtrack("report", run_url, "--format", "markdown", folder=folder).stdout
-    gridtrack("regress", run_url, "--baseline", "hall.json", "--update", folder=folder)
-    gridtrack("regress", run_url, "--baseline", "hall.json", folder=folder)
-    missing = gridtrack("report", f"{run_url}-none", folder=folder, code=2)
-    assert missing.stderr == f"gridtrack: {run_url}-none: there is no such folder, or no file in it\n"
-    monkeypatch.chdir(folder)
+    several = gridtrack("report", run_url, "store/hall")
+    assert several.out == "report: hall-side-by-side/index.html\n"
+    assert "persistence" in gridtrack("report", run_url, "--format", "markdown").out
+    gridtrack("regress", run_url, "--baseline", "hall.json", "--update")
+    gridtrack("regress", run_url, "--baseline", "hall.json")
+    missing = gridtrack("report", f"{run_url}-none", code=2)
+    assert missing.err == f"gridtrack: {run_url}-none: there is no such folder, or no file in it\n"
     run = Run.load(run_url)
     assert run.url == run_url
     assert repr(run).startswith(f"Run('{run_url}': persistence, blank")
@@ -111,51 +116,51 @@ def kept_runs(folder):
     return [path.parent for path in (folder / "home").rglob("run.json")]
 
 
-def test_a_run_is_made_in_a_store_and_continued_from_there(folder):
+def test_a_run_is_made_in_a_store_and_continued_from_there(gridtrack, folder):
     url = f"file://{folder}/store/hall"
-    done = gridtrack("compare", RECORDING, *ROW, *SHORT, "--out", url, folder=folder)
-    assert done.stdout.endswith(f"report: {url}/report/index.html\n")
+    done = gridtrack("compare", RECORDING, *ROW, *SHORT, "--out", url)
+    assert done.out.endswith(f"report: {url}/report/index.html\n")
     stored = folder / "store" / "hall"
     assert json_in(stored / "run.json")["status"] == "complete"
     assert (stored / "summary.json").is_file()
     assert (stored / "report" / "index.html").is_file()
     assert kept_runs(folder) == []
     assert not list(stored.rglob(".*"))
-    again = gridtrack("compare", RECORDING, *ROW, *SHORT, "--out", url, folder=folder, code=2)
-    assert again.stderr.splitlines()[-1] == (
+    again = gridtrack("compare", RECORDING, *ROW, *SHORT, "--out", url, code=2)
+    assert again.err.splitlines()[-1] == (
         f"gridtrack: {url} holds a run already: continue it with --resume, or name another folder with --out"
     )
     more = (*ROW, "--tracker", "persistence")
     outcome = (stored / "blank@leg_tracker@90s-96s" / "outcome.json").read_bytes()
-    gridtrack("compare", RECORDING, *more, *SHORT, "--out", url, "--resume", folder=folder)
+    gridtrack("compare", RECORDING, *more, *SHORT, "--out", url, "--resume")
     assert sorted(json_in(stored / "summary.json")["trackers"]) == ["blank", "persistence"]
     assert (stored / "blank@leg_tracker@90s-96s" / "outcome.json").read_bytes() == outcome
     assert kept_runs(folder) == []
 
 
-def test_what_cannot_be_uploaded_stays_here_and_is_uploaded_by_the_command_that_is_told(folder):
+def test_what_cannot_be_uploaded_stays_here_and_is_uploaded_by_the_command_that_is_told(gridtrack, folder):
     blocking = folder / "store" / "hall" / "report"
     blocking.parent.mkdir(parents=True)
     blocking.write_text("a file where the folder of the report should be")
     url = f"file://{folder}/store/hall"
     command = ("compare", RECORDING, *ROW, *SHORT, "--out", url)
-    failed = gridtrack(*command, folder=folder, code=2)
+    failed = gridtrack(*command, code=2)
     (kept,) = kept_runs(folder)
-    told, reason = failed.stderr.splitlines()[-2:]
-    assert told.startswith(f"gridtrack: {kept} keeps the run, which is not in {url} as it is here: run `gridtrack")
+    told, reason = failed.err.splitlines()[-2:]
+    assert told.startswith(f"gridtrack: {kept} keeps the run, which {url} does not have in this state: run `gridtrack")
     assert "--resume`" in told
     assert reason.startswith(f"gridtrack: {url}: cannot be uploaded to (")
     assert not (folder / "store" / "hall" / "run.json").exists()
     blocking.unlink()
-    refused = gridtrack(*command, folder=folder, code=2)
-    assert "holds a run already: continue it with --resume" in refused.stderr
-    gridtrack(*command, "--resume", folder=folder)
+    refused = gridtrack(*command, code=2)
+    assert "holds a run already: continue it with --resume" in refused.err
+    gridtrack(*command, "--resume")
     assert json_in(folder / "store" / "hall" / "run.json")["status"] == "complete"
     assert kept_runs(folder) == []
 
 
-def test_a_comparison_that_does_not_begin_leaves_nothing(folder):
+def test_a_comparison_that_does_not_begin_leaves_nothing(gridtrack, folder):
     url = f"file://{folder}/store/hall"
-    gridtrack("compare", RECORDING, "--tracker", "none-such", *SHORT, "--out", url, folder=folder, code=2)
+    gridtrack("compare", RECORDING, "--tracker", "none-such", *SHORT, "--out", url, code=2)
     assert not (folder / "store").exists()
     assert not list((folder / "home").rglob("hall"))

@@ -16,6 +16,8 @@ from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.weights import read_card
 
+pytestmark = pytest.mark.usefixtures("trackers_here")
+
 DEMO = str(packaged_recording("leg_tracker"))
 
 
