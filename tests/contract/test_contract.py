@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +12,11 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting.contract_clauses import CLAUSES
 from gridtrack.evaluation.hosting.contract_scene import drive, empty_stream, scene
-from gridtrack.evaluation.hosting.contract_suite import CHECKS, ClauseResult, check_tracker
-from gridtrack.evaluation.runs.learned import find_weights
+from gridtrack.evaluation.hosting.contract_suite import (
+    CHECKS,
+    ClauseResult,
+    check_tracker,
+)
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.registry import entries
 from gridtrack.trackers.selection import launch
@@ -25,12 +27,8 @@ SMALL = StreamSpec(GridSpec(40, 0.2), 0.125, "here")
 
 
 @pytest.mark.parametrize("name", entries())
-def test_a_registered_tracker_satisfies_the_contract(name: str) -> None:
-    known = [
-        (stream, learned) for stream in (LEG_TRACKER, JUNCTION) if (learned := find_weights(name, stream.site, None))
-    ]
-    stream, learned = known[0] if known else (LEG_TRACKER, None)
-    results = check_tracker(launch(name), replace(stream, weights=learned and learned.path))
+def test_a_registered_tracker_satisfies_the_contract(name: str, trackers_here: None) -> None:
+    results = check_tracker(launch(name), stream_for(name))
     if missing := [r.observed for r in results[:3] if "No module named" in r.observed]:
         pytest.skip(missing[0])
     assert [r for r in results if not r.kept] == []
@@ -103,20 +101,16 @@ def test_probabilities_of_classes_that_do_not_sum_to_1_are_no_valid_forecast() -
 
 
 @pytest.mark.usefixtures("bad_trackers")
-def test_what_needs_a_broken_clause_is_not_checked_and_names_the_first_broken_one() -> None:
+def test_a_clause_that_needs_a_broken_one_is_not_checked_and_names_the_first_broken_one() -> None:
     unchecked = verdicts("wrong-shape", "not checked")
     assert {result.observed for result in unchecked.values()} == {"needs valid-forecast"}
     assert len(unchecked) == len(CLAUSES) - CLAUSES.index(next(iter(unchecked.values())).clause)
-
-
-@pytest.mark.usefixtures("bad_trackers")
-def test_a_tracker_without_the_weights_that_it_needs_is_not_checked_further() -> None:
     unchecked = verdicts("needs-weights", "not checked", at="start")
     assert unchecked["starts"].observed == "untrained: needs-weights: no weights"
     assert len(unchecked) == len(CLAUSES) - 2
 
 
-@pytest.mark.usefixtures("bad_trackers")
+@pytest.mark.usefixtures("bad_trackers", "trackers_here")
 def test_an_option_that_the_tracker_refuses_is_an_error_of_the_user() -> None:
     with pytest.raises(ConfigurationError, match="there is no option 'speed'"):
         check_tracker(launch("good"), SMALL, {"speed": 2})
