@@ -77,7 +77,7 @@ LONG = {
     "studies.report_screenshots": A_RUN,
     "studies.site_minutes": DRAWN,
     "studies.site_start": DRAWN,
-    "studies.variants": "trains networks",
+    "studies.variants": DRAWN,
     "studies.worlds_results": DRAWN,
 }
 """Why the others do not run here."""
