@@ -77,7 +77,7 @@ docs: $(VENV)/.installed-docs ## build the documentation site in runs/site; ever
 figures: $(VENV)/.installed-dev ## write the numbers of the pages from docs/results, and draw the label budget
 	$(BIN)/python -m studies.label_curve
 	$(BIN)/python -m studies.figures
-	$(BIN)/python -m studies.contract_page
+	$(BIN)/python -m studies.defined_pages
 
 size: $(VENV)/.installed-dev ## count lines, files and words (REV=v0.2.0: beside those of that revision)
 	$(BIN)/python -m studies.size $(REV)

@@ -33,7 +33,7 @@ QUICK = {
     "benchmarks.stone_soup": "--people 3 --frames 24 --seeds 1 --out TMP/model-free.json",
     "studies.cards": "--out TMP",
     "studies.class_losses": "--recordings 1 --stretch 0s-8s --out TMP/one-shot.json",
-    "studies.contract_page": "--check",
+    "studies.defined_pages": "--check",
     "studies.coverage": "--draws 10 --out TMP/statistics.json",
     "studies.ego_motion": "maps data/drives/car-202.tracks --scans 60 --out TMP/ego_motion.json",
     "studies.estimator_errors": "--runs 2 --out TMP/estimators.json",
