@@ -109,8 +109,8 @@ def _score_panels(entries: Sequence[HistoryEntry]) -> Iterator[Panel]:
             point = Point(row.value, row.standing, row.value, row.value, f"{row.label} {row.value:.4f}")
             lines.setdefault(printable(row.label), {})[at] = point
     for (score, stratum, band), lines in drawn.items():
-        lower = "" if score == "F1" else " (lower is better)"
-        yield f"{_score_name(score, stratum, band)}{lower}", lines
+        lower = any(row.score == score and row.lower_is_better for _, row in scores)
+        yield f"{_score_name(score, stratum, band)}{' (lower is better)' if lower else ''}", lines
 
 
 def _score_name(score: str, stratum: str, band: str) -> str:

@@ -137,7 +137,7 @@ def _section(title: str, headings: Sequence[str], rows: Sequence[Any], cells: An
 def _row_cells(row: VerdictRow) -> list[str]:
     sizes = [amount_text(row, value) for value in (row.fall, row.smallest, row.margin)]
     values = [score_text(row.baseline), score_text(row.run), *sizes, score_text(row.spread)]
-    return [row.label, row.score, row.stratum, band_text(row.band), *values]
+    return [row.label, row.name, row.stratum, band_text(row.band), *values]
 
 
 def _speed_cells(row: SpeedRow) -> list[str]:
@@ -146,8 +146,8 @@ def _speed_cells(row: SpeedRow) -> list[str]:
 
 def _verdict_text(verdict: Verdict, row: VerdictRow) -> str:
     standing = verdict.standing_of(row)
-    if row.criterion in {"large", "collapse"}:
-        return f"{standing} ({row.criterion})"
+    if row.criterion == "collapse":
+        return f"{standing} (collapse)"
     return standing if row.verdict == "worse" or not row.recording else NO_COLLAPSE
 
 
@@ -189,4 +189,4 @@ def _case_name(row: AnyRow) -> str:
         return f"speed of {row.call} in turns with {row.base}"
     if isinstance(row, RecoveryRow):
         return "recoveries"
-    return f"{f'{row.recording}: ' if row.recording else ''}{row.score}, {place_of(row)}"
+    return f"{f'{row.recording}: ' if row.recording else ''}{row.name}, {place_of(row)}"

@@ -81,12 +81,6 @@ def _ranges_of(baseline: Baseline) -> Iterator[str]:
         )
 
 
-def name_of_score(row: VerdictRow) -> str:
-    """The title of the score in a sentence: `F1`, `log loss`."""
-    lower = len(row.title) > 1 and row.title[1].islower()
-    return row.title[:1].lower() + row.title[1:] if lower else row.title
-
-
 def sentence_of(row: AnyRow) -> str:
     """One row as a sentence."""
     if isinstance(row, VerdictRow):
@@ -122,7 +116,7 @@ def _change_text(row: AnyRow) -> str:
     significance = "" if row.p is None else f", p {row.p:.4f}"
     spread = "" if row.spread is None else f", spread between trainings {row.spread:.4f}"
     return (
-        f"{name_of_score(row)} {score_text(row.baseline)} to {score_text(row.run)}, "
+        f"{row.name} {score_text(row.baseline)} to {score_text(row.run)}, "
         f"{_fall_text(row)}{significance}{spread}"
         f"{REASONS[row.criterion]}"
     )

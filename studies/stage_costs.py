@@ -32,6 +32,7 @@ from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.segmentation import Cluster, joined
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
+from gridtrack.trackers.registry import registered_name
 
 from studies.support.results_file import measured_table, study_parser, write_table
 from studies.support.shipped import JUNCTION, STEPS, with_shipped_weights
@@ -212,7 +213,7 @@ def owner_of(points: Points, truth: TrueFrame, grid: GridSpec) -> int | None:
 
 def scores(kind: type[ModelFreeTracker], stream: GridStream) -> list[float]:
     """F1 of dynamic and of visible cells at HORIZONS."""
-    tracker = with_shipped_weights(kind, kind.name, stream)
+    tracker = with_shipped_weights(kind, registered_name(kind), stream)
     found = score_in_process(tracker, stream, STEPS, regions_of(stream, STRATA))
     return [float(found.f1[stratum][step]) for stratum in ("dynamic", "visible") for step in HORIZONS.values()]
 
@@ -235,7 +236,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         without = without or values
         rows.append([name, *(f"{value:.3f}" for value in values)])
         gains |= {f"gain, {name}: {c}": f"{v - w:.3f}" for c, v, w in zip(columns, values, without, strict=True)}
-    table = measured_table([f"{kind.name}, with the truth of", *columns], rows)
+    table = measured_table([f"{registered_name(kind)}, with the truth of", *columns], rows)
     print(table.markdown())
     write_table(given.out, "stage costs", table, f"python -m studies.stage_costs {kind.name}", gains)
 

@@ -95,8 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     medians = {}
     for name in given.trackers:
         by_class = errors_by_class(name, RECORDINGS[: given.recordings])
-        for label, (error, given) in {**by_class, "all": np.concatenate(list(by_class.values()), axis=1)}.items():
-            texts = f"{math.sqrt((error**2).mean()):.2f}", f"{np.median(error):.2f}", f"{100 * given.mean():.0f} %"
+        for label, (error, known) in {**by_class, "all": np.concatenate(list(by_class.values()), axis=1)}.items():
+            texts = f"{math.sqrt((error**2).mean()):.2f}", f"{np.median(error):.2f}", f"{100 * known.mean():.0f} %"
             rows.setdefault(label, [label, str(error.size)]).extend(texts)
             medians[f"{name}, {label}: median, m/s"] = texts[1]
     columns = [text for name in given.trackers for text in (f"{name} RMS m/s", "median", "with a velocity")]

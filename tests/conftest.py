@@ -101,3 +101,12 @@ def serious_findings() -> Callable[[Any], list[tuple[str, str]]]:
         return [(one["id"], one["nodes"][0]["html"]) for one in violations if one["impact"] in ("serious", "critical")]
 
     return found
+
+
+@pytest.fixture
+def trackers_here() -> Iterator[None]:
+    """Trackers and trainings run in this process: for claims that are not about processes."""
+    from scenes.programs_here import programs_here
+
+    with programs_here():
+        yield

@@ -53,7 +53,7 @@ def test_scores_are_a_row_for_each_tracker_stratum_and_step(compared):
         pl.col("tracker") == "persistence", pl.col("stratum") == "dynamic", pl.col("horizon_s") == 1.0
     )
     trial = compared.summary.trackers["persistence"].recordings["leg_tracker@114s-124s"]
-    assert row["f1"].to_list() == [trial.strata["dynamic"].f1[10]]
+    assert row["f1"].to_list() == [trial.at("dynamic", "f1", "f1", 10).value]
     assert row["step"].to_list() == [10]
     assert row["f1_low"].to_list() == [None]
 
@@ -110,7 +110,7 @@ def notebook(tmp_path):
         [sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
         assert process.stderr is not None
-        scores = tmp_path / "run" / "persistence@leg_tracker@0s-20s" / "scores.parquet.partial"
+        scores = tmp_path / "run" / "persistence@leg_tracker@0s-20s" / "sums.parquet.partial"
         until_s = math.inf
         while (used_s := psutil.Process(process.pid).cpu_times().user) < until_s:
             assert process.poll() is None, process.stderr.read()

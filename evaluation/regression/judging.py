@@ -75,6 +75,12 @@ class VerdictRow:
     default_margin: float = MARGIN
 
     @property
+    def name(self) -> str:
+        """The title of the score in a sentence: `F1`, `log loss`."""
+        lower = len(self.title) > 1 and self.title[1].islower()
+        return self.title[:1].lower() + self.title[1:] if lower else self.title
+
+    @property
     def severity(self) -> float:
         """The fall in margins: rows of unlike scores compare."""
         return self.fall / self.default_margin

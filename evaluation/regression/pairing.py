@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from gridtrack.common.errors import ConfigurationError
@@ -18,6 +18,8 @@ from gridtrack.evaluation.regression.measurement import (
 )
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
+CELLS = "cells"
+"""The part of a score that counts cells whatever the forecast: it is equal for the same frames and rules."""
 _SAME_ROW = ("tracker", "options", "points", "program")
 """What is one tracker under a label; its weights and its seed may be another training's."""
 
@@ -111,7 +113,8 @@ def _other_splits(baseline: Measurement, run: Measurement) -> Iterator[str]:
 def _other_units(baseline: Measurement, run: Measurement) -> Iterator[str]:
     usual: dict[str, int] = {}
     for label, name, then in baseline.trials():
-        problem = _unit_mismatch(then, run.trackers[label].recordings[name])
+        cells = {score: parts.index(CELLS) for score, parts in baseline.scores[label].items() if CELLS in parts}
+        problem = _unit_mismatch(then, run.trackers[label].recordings[name], cells)
         if not problem and len(then.units) != usual.setdefault(name, len(then.units)):
             problem = "its number of units is not that of the other trackers"
         if problem:
@@ -169,8 +172,8 @@ def _other_measurements(baseline: Measurement, run: Measurement) -> Iterator[str
                 yield f"{label}@{name}: measured with {option} {what} in the run: {_as_then(baseline)}"
 
 
-def _unit_mismatch(then: TrialSums, now: TrialSums) -> str:
-    """The reason why the units of two trials do not pair; empty where they do."""
+def _unit_mismatch(then: TrialSums, now: TrialSums, cells: Mapping[str, int]) -> str:
+    """The reason why the units of two trials do not pair; empty where they do. `cells`: the place of CELLS by score."""
     if len(then.units) != len(now.units):
         return f"{len(then.units)} units in the baseline, {len(now.units)} in the run"
     for one, other in zip(then.units, now.units, strict=True):
@@ -178,11 +181,15 @@ def _unit_mismatch(then: TrialSums, now: TrialSums) -> str:
             return "other frames were delivered than for the baseline"
         if missing := one.sums.keys() - other.sums.keys():
             return f"{', '.join(sorted(missing))} was scored for the baseline, and is not in the run"
-        if any(_places(one, score) != _places(other, score) for score in one.sums):
-            return "other strata were scored than for the baseline"
+        if any(_places(one, score, cells) != _places(other, score, cells) for score in one.sums):
+            return "other strata or cells were scored than for the baseline"
     return ""
 
 
-def _places(unit: UnitSums, score: str) -> dict[str, set[str]]:
-    """The step bands of each stratum of a score."""
-    return {stratum: set(bands) for stratum, bands in unit.sums[score].items()}
+def _places(unit: UnitSums, score: str, cells: Mapping[str, int]) -> dict[str, dict[str, float | None]]:
+    """The step bands of each stratum of a score, with its cells where it counts them."""
+    place = cells.get(score)
+    return {
+        stratum: {band: None if place is None else sums[place] for band, sums in bands.items()}
+        for stratum, bands in unit.sums[score].items()
+    }

@@ -10,6 +10,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from gridtrack.common.config import Settings, validated
@@ -24,9 +25,17 @@ from gridtrack.trackers.wire import Message, encode, fill_from, receive, write_t
 
 
 def main() -> None:
-    """Load the tracker named on the command line, run its `fit`, and exit."""
+    """Run the `fit` of the tracker named on the command line, and exit."""
     read_fd, write_fd = take_wire()
     faulthandler.enable()
+    try:
+        run_fit(sys.argv[1], read_fd, write_fd)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED_EXIT_CODE)
+
+
+def run_fit(name: str, read_fd: int, write_fd: int) -> None:
+    """Load the tracker `name` and run its `fit`, as the messages from `read_fd` request; answers go to `write_fd`."""
     fill = fill_from(read_fd)
     sending, asking = threading.Lock(), threading.Lock()
 
@@ -34,24 +43,21 @@ def main() -> None:
         with sending:
             write_to(write_fd, encode(Message(kind, 0, fields)))
 
+    def regions_of(number: int) -> Path:
+        with asking:
+            send("regions", number=number)
+            return Path(receive(fill, 0).value("path", str))
+
     try:
         request = receive(fill, 0)
-        tracker, settings = _load(sys.argv[1], request)
+        tracker, settings = _load(name, request)
         send("loaded", starts_from_general=tracker.starts_from_general(settings))
         with ProgressLines(lambda text: send("report", text=text)) as lines:
-            fit = receive(fill, 0)
-
-            def regions_of(number: int) -> Path:
-                with asking:
-                    send("regions", number=number)
-                    return Path(receive(fill, 0).value("path", str))
-
-            _fit(tracker, settings, fit, lines, regions_of)
+            _fit(tracker, settings, receive(fill, 0), lines, regions_of)
         send("done")
-    except KeyboardInterrupt:
-        sys.exit(INTERRUPTED_EXIT_CODE)
-    except Exception as error:  # noqa: BLE001 - any exception of `fit` is reported to the command
-        send("error", **_error_fields(error))
+    except Exception as error:  # noqa: BLE001 any exception of `fit` is reported to the command
+        with suppress(BrokenPipeError):  # the command has ended
+            send("error", **_error_fields(error))
 
 
 def _load(name: str, request: Message) -> tuple[type[Tracker], Settings]:

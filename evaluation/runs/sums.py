@@ -161,8 +161,10 @@ class TrialSums:
 
         At these steps, strata and `parts` (none: all), each in its order.
         """
-        layout = self.layouts[score]
+        layout = self.layouts.get(score, Layout((), ()))
         parts = tuple(parts) or layout.parts
+        if not {*strata} <= {*layout.strata} or not {*parts} <= {*layout.parts}:
+            raise ScoresError(f"{self.path}: no sums of {score} in {', '.join(strata)}; run it again")
         number, shape = int(units.max(initial=-1)) + 1, (len(steps), len(strata))
         place = np.full((self.steps + 1, len(layout.strata)), -1)
         place[np.ix_(steps, [layout.strata.index(name) for name in strata])] = np.arange(shape[0] * shape[1]).reshape(

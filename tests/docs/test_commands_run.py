@@ -29,9 +29,9 @@ from studies.support.slurm_machine import missing_programs, slurm_machine
 
 THEMES = {
     "hall": (
-        *("README.md", "docs/importing.md", "docs/importing.md 2", "docs/scale.md", "docs/scale.md 3"),
-        *("docs/weights.md 2", "docs/statistics.md", "docs/export.md 2", "docs/viewers.md", "docs/export.md"),
-        *("docs/viewers.md 2", "docs/follow.md"),
+        *("README.md", "docs/export.md", "docs/export.md 2", "docs/importing.md", "docs/importing.md 2"),
+        *("docs/scale.md", "docs/scale.md 3", "docs/weights.md 2", "docs/statistics.md"),
+        *("docs/viewers.md", "docs/viewers.md 2", "docs/follow.md"),
     ),
     "formats": (
         *(f"docs/importing.md {number}" for number in range(3, 8)),
@@ -60,7 +60,7 @@ SMALLER = (
     ("validation=600s-700s --stretch test=700s-", "validation=14s-20s --stretch test=20s-"),
     ("train=0s-75s --stretch validation=75s-90s --stretch test=90s-", "train=0s-20s"),
     ("data/junction/test-*.tracks", "data/junction/test-101.tracks@0s-12s data/junction/test-102.tracks@0s-12s"),
-    ("data/junction/train.tracks", "data/junction/validation.tracks@20s-80s"),
+    ("data/junction/train.tracks", "data/junction/validation.tracks@20s-40s"),
     ("data/junction/validation.tracks ", "data/junction/validation.tracks@0s-8s "),
     ("data/junction/validation.tracks@0s-90s", "data/junction/validation.tracks@0s-8s"),
     ("data/junction/validation.tracks@0s-60s", "data/junction/validation.tracks@0s-8s"),

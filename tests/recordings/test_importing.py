@@ -48,14 +48,14 @@ def test_importing_again_gives_the_same_bytes(log: Path, tmp_path: Path) -> None
     assert import_recording(log, out, site="hall", overwrite=True).path.read_bytes() == once
 
 
-def test_a_stretch_that_the_recording_does_not_have_is_refused_before_anything_is_written(log, tmp_path) -> None:
+def test_a_stretch_outside_the_recording_is_refused_before_anything_is_written(log, tmp_path) -> None:
     out = tmp_path / "out.mcap"
     with pytest.raises(RecordingError, match=r"building.clf@100s-200s: the recording is 4\.0 s long: name a range"):
         import_recording(log, out, stretches={"train": (0.0, 2.0), "test": (100.0, 200.0)})
     assert not out.exists()
 
 
-def test_an_import_replaces_a_recording_only_where_it_is_told_to(log: Path, tmp_path: Path) -> None:
+def test_an_import_replaces_a_recording_only_with_overwrite(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     before = import_recording(log, out, site="hall").path.read_bytes()
     with pytest.raises(RecordingError, match="exists already; choose another place for the result, or replace it with"):

@@ -59,7 +59,7 @@ def test_an_empty_scene_round_trips(write, scan) -> None:
     assert found.scene == Scene((), 255, ())
 
 
-def test_a_scan_without_truth_does_not_get_that_of_the_scan_before(write, scan) -> None:
+def test_a_scan_without_truth_does_not_get_the_scene_of_the_scan_before(write, scan) -> None:
     path = write([replace(scan(0), scene=scene(0)), scan(1)], classes=CLASSES)
     assert [found.scene is not None for found in open_recording(path).scans()] == [True, False]
 
@@ -98,7 +98,7 @@ def test_the_messages_place_the_outlines_at_the_poses(recording: Path) -> None:
     assert line.color.a == 1.0
 
 
-def test_an_object_of_a_class_that_the_recording_does_not_name_is_refused(write, scan) -> None:
+def test_an_object_of_an_unknown_class_is_refused(write, scan) -> None:
     with pytest.raises(RecordingError, match="'static 0' is of class 2; the recording names only 0"):
         write([replace(scan(0), scene=scene(0))])
 
@@ -140,7 +140,7 @@ def test_an_invalid_message_is_one_clear_line(change: Callable[[SceneUpdate], ob
     assert "\n" not in str(error.value)
 
 
-def test_bytes_that_are_not_a_message_and_too_large_messages_are_refused() -> None:
+def test_other_bytes_and_too_large_messages_are_refused() -> None:
     with pytest.raises(DamageError, match=r"not a foxglove\.SceneUpdate"):
         SceneReader(CLASSES).add(OBJECTS, b"\xff" * 40)
     with pytest.raises(DamageError, match="at most 8388608 are read"):

@@ -28,7 +28,8 @@ from gridtrack.reports.page import render_report
 from gridtrack.trackers.contract import Forecast
 
 from scenes.report_page import HOSTILE
-from scenes.synthetic_run import DESCRIBED, write_run_record
+from scenes.synthetic_run import DESCRIBED, description, write_run_record
+from scenes.synthetic_run import write_trial as write_drawn_trial
 
 GRID = GridSpec(32, 0.2, (-3.2, 0.0))
 PERIOD_S, STEPS, FRAMES, WARM_UP, EVERY = 0.125, 20, 120, 20, 4
@@ -154,11 +155,59 @@ def write_run(run, trackers=None, broken=(), notices=(), chosen_on="crossing@0s-
     return run
 
 
+@pytest.fixture(scope="package")
+def browser():
+    """Chromium, one for all tests of reports; they are skipped where there is none."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
+    if (program := shutil.which("chromium")) is None:
+        pytest.skip("Chromium is not installed (Debian: apt install chromium)")
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
 @pytest.fixture(scope="session")
 def run_folder(tmp_path_factory):
     """A run of two trackers and two of the floor that all finished, and one tracker that crashed half-way."""
     run = tmp_path_factory.mktemp("runs") / "demo"
     return write_run(run, broken=[("unlucky", 7, "crashed", "ValueError: lost my way")])
+
+
+TWENTY = [f"seed-{i:02}" for i in range(20)]
+TWENTY_SKILLS = {"persistence": 0.6, "good": 0.8, "<b>even": 0.6, "unlucky": 0.9, "oracle": 1.0}
+"""Of each tracker on every recording; `unlucky` did not complete the first one."""
+
+
+@pytest.fixture(scope="session")
+def twenty(tmp_path_factory):
+    """A run on twenty recordings, so with intervals and tests, at 2 Hz and in few strata so that it is small."""
+    folder = tmp_path_factory.mktemp("runs") / "twenty"
+    described = dict.fromkeys(TWENTY, description(period_s=0.5, steps=5))
+    trials = [
+        write_drawn_trial(
+            folder,
+            label,
+            name,
+            skill,
+            seed=i,
+            frames=4,
+            scored=2 if (label, i) == ("unlucky", 0) else 4,
+            strata=(*STRATA, "occluded", "occluded to 0.5 s", "occluded 0.5-1 s"),
+            steps=5,
+        )
+        for i, name in enumerate(TWENTY)
+        for label, skill in TWENTY_SKILLS.items()
+    ]
+    summarise(described, trials, [], False).write(folder)
+    write_run_record(folder, described)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def twenty_report(twenty):
+    """The report of `twenty`."""
+    return render_report([twenty])
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ import shutil
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
 from gridtrack.evaluation.runs.summarise import summarise
 from gridtrack.evaluation.scores.cells import PROBABILITY_EDGES
 from gridtrack.reports.page import render_report
@@ -21,7 +20,7 @@ from scenes.report_page import data_of, opened
 
 RECORDINGS = [f"seed-{i:02}" for i in range(20)]
 SKILLS = {"persistence": 0.6, "good": 0.8}
-STEPS, STEP = 8, "8"
+STEPS, STEP = 5, "2"
 """Steps of a forecast, and the one 1 s ahead."""
 TOP_BIN = 5
 """Bins from the last one to that of the cells that are called occupied at a threshold of 0.5."""
@@ -40,15 +39,13 @@ def written(run, recordings, steps=STEPS, skills=SKILLS, **trial):
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """Twenty recordings with ground truth."""
-    described = dict.fromkeys(RECORDINGS, synthetic.description(steps=STEPS))
-    return written(tmp_path_factory.mktemp("runs") / "twenty", described, frames=2, strata=STRATA_WITH_TRUTH)
+def run(twenty):
+    return twenty
 
 
 @pytest.fixture(scope="module")
-def report(run):
-    return render_report([run])
+def report(twenty_report):
+    return twenty_report
 
 
 @pytest.fixture
@@ -119,10 +116,10 @@ def test_where_scores_have_no_interval_precision_has_none(run):
 def test_recordings_of_other_periods_have_curves_together_where_their_scores_are_pooled(tmp_path):
     periods_s = np.where(np.arange(20) < 10, 0.125, 0.25)
     described = {
-        name: synthetic.description(period_s=period_s, steps=STEPS)
+        name: synthetic.description(period_s=period_s, steps=8)
         for name, period_s in zip(RECORDINGS, periods_s, strict=True)
     }
-    run = written(tmp_path / "run", described, frames=2)
+    run = written(tmp_path / "run", described, 8, frames=2)
     (read,) = read_runs([run])
     horizons_s = read.summary.pooled_horizons_s
     assert horizons_s == (0.0, 0.5, 1.0)
@@ -139,7 +136,7 @@ def numbers_of(page, figure):
 
 def test_hidden_cells_by_time_have_bands_and_their_ends_in_the_file(page, run):
     section = page.locator("#hidden-time")
-    assert section.locator("polygon.band").count() == len(SKILLS)
+    assert section.locator("polygon.band").count() == 4
     assert "a band is a 95 % interval" in section.locator(".note").inner_text()
     first = numbers_of(page, "hidden-time")[0]
     point = read_runs([run])[0].summary.trackers["good"].pooled.at("occluded to 0.5 s", "f1", "f1", int(STEP))
@@ -153,7 +150,7 @@ def test_hidden_cells_by_time_have_bands_and_their_ends_in_the_file(page, run):
 
 def test_precision_over_recall_has_bands_and_their_ends_in_the_file(page, report):
     section = page.locator("#precision-recall")
-    assert section.locator("polygon.band").count() == len(SKILLS)
+    assert section.locator("polygon.band").count() == 4
     assert "a band is a 95 % interval" in section.locator(".note").inner_text()
     rows = [row for row in numbers_of(page, "precision-recall") if row["tracker"] == "good"]
     (pooled,) = [
@@ -181,9 +178,9 @@ def test_a_file_without_intervals_has_no_columns_of_their_ends(page):
 def crowded(tmp_path_factory):
     """Eight trackers, each a little better than the one before."""
     run = tmp_path_factory.mktemp("runs") / "crowded"
-    described = dict.fromkeys(RECORDINGS, synthetic.description(steps=STEPS))
+    described = dict.fromkeys(RECORDINGS, synthetic.description(steps=2, period_s=0.5))
     skills = {f"tracker {n}": 0.2 + 0.1 * n for n in range(8)}
-    return render_report([written(run, described, frames=2, skills=skills)])
+    return render_report([written(run, described, 2, skills, frames=2)])
 
 
 def test_of_many_bands_that_of_the_line_next_to_the_pointer_is_drawn(browser, crowded):
@@ -204,3 +201,19 @@ def test_of_many_bands_that_of_the_line_next_to_the_pointer_is_drawn(browser, cr
         page.get_by_role("button", name="tracker 0").click()
         page.get_by_role("button", name="tracker 1").click()
         assert figure.locator('.band[visibility="hidden"]').count() == 0, "six can be distinguished"
+
+
+def test_a_browser_draws_ranking_groups_and_curves_without_an_error(browser, twenty_report):
+    page = browser.new_page()
+    page.set_default_timeout(120_000)
+    faults = []
+    page.on("console", lambda message: message.type == "error" and faults.append(message.text))
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto(twenty_report.as_uri())
+    page.locator("#every-score table").wait_for()
+    assert faults == []
+    assert page.locator("#ranking .whisker").count() == 4
+    assert page.locator("#ranking circle.tier").count() == 2
+    assert page.locator("#curves .band").count() == 4
+    assert page.locator('[aria-pressed="true"]').count() == 5
+    page.close()

@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from gridtrack.evaluation.runs.summarise import summarise
-from gridtrack.evaluation.runs.summary import UNKNOWN, PairFamily, PairTest
+from gridtrack.evaluation.runs.summary import UNKNOWN, PairFamily, PairTest, read_summary
 from gridtrack.reports import terminal
 from gridtrack.reports.answer import answer_of
 from gridtrack.reports.chosen_scores import exported_tables
@@ -26,33 +25,16 @@ from gridtrack.reports.page import render_page
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_markdown, headline_tables, main_tables
 
-from scenes import synthetic_run as synthetic
 from scenes.edited_run import put
+from scenes.report_page import data_of
 
 RECORDINGS = [f"seed-{i:02}" for i in range(20)]
-SKILLS = {"persistence": 0.6, "good": 0.8, "<b>even": 0.6, "unlucky": 0.9, "oracle": 1.0}
+SKILLS = ("persistence", "good", "<b>even", "unlucky", "oracle")
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs") / "twenty"
-    trials = [
-        synthetic.write_trial(
-            folder,
-            label.replace("/", ""),
-            name,
-            skill,
-            seed=i,
-            frames=4,
-            scored=2 if (label, i) == ("unlucky", 0) else 4,
-        )
-        for i, name in enumerate(RECORDINGS)
-        for label, skill in SKILLS.items()
-    ]
-    described = {name: synthetic.description() for name in RECORDINGS}
-    summarise(described, trials, [], False).write(folder)
-    synthetic.write_run_record(folder, described)
-    return folder
+def run(twenty):
+    return twenty
 
 
 @pytest.fixture(scope="module")
@@ -62,8 +44,8 @@ def pooled(run):
 
 
 @pytest.fixture(scope="module")
-def page(run):
-    return render_page(read_runs([run]))
+def page(twenty_report):
+    return twenty_report.read_text("utf-8")
 
 
 def test_all_recordings_together_are_the_first_and_the_main_table(run, pooled):
@@ -223,7 +205,7 @@ def test_the_floor_that_no_tracker_beats_differs_significantly_or_not(run, tmp_p
     folder = shutil.copytree(run, tmp_path / "run")
     summary = json.loads((folder / "summary.json").read_text())
     summary["trackers"] = {label: summary["trackers"][label] for label in ("persistence", "<b>even")}
-    put(summary["trackers"]["persistence"]["pooled"], "in-motion", "f1.f1", 0.9)
+    put(summary["trackers"]["persistence"]["pooled"], "in-motion", "f1.f1", 0.9, steps=5)
     (folder / "summary.json").write_text(json.dumps(summary))
     (lead,) = answer_of(read_runs([folder])[0]).leads
     assert lead.startswith("No tracker beats the floor on in-motion cells")
@@ -308,3 +290,32 @@ def test_two_rows_share_a_group_exactly_where_they_do_not_differ(different):
     groups = groups_of(family("abcdef", different))
     for pair in combinations("abcdef", 2):
         assert any(set(pair) <= set(group) for group in groups) == (pair not in different)
+
+
+def test_the_data_has_the_summarys_scores_and_intervals(twenty, page):
+    summary = read_summary(twenty)
+    expected = summary.trackers["good"].pooled.estimate("in-motion", "f1", "f1")
+    (pooled,) = [one for one in data_of(page)["recordings"] if one["name"] == "all recordings"]
+    (row,) = [one for one in pooled["rows"] if one["label"] == "good"]
+    shown = row["strata"]["in-motion"]["f1"]["f1"]
+    assert shown["value"] == pytest.approx(expected.value, rel=1e-4)
+    assert shown["low"] == pytest.approx(expected.low, rel=1e-4)
+    assert pooled["horizons_s"] == list(summary.pooled_horizons_s)
+
+
+def test_the_groups_have_rows_that_do_not_differ_significantly(twenty, page):
+    groups = data_of(page)["recordings"][0]["groups"]["f1.f1/in-motion/2"]
+    assert groups == {"pairs": 3, "units": 20, "groups": [["persistence", "<b>even"]]}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "<dt>Compared on</dt><dd>20 recordings: 80 forecasts scored, of 800 frames, the longest forecast 2.5 s ahead",
+        "<dt>Weights</dt><dd>none: persistence, good, &lt;b&gt;even, unlucky</dd>",
+        "<dt>Keeps up with the sensor</dt><dd>not measured: gridtrack compare --latency measures it</dd>",
+        "<dt>Not ranked</dt><dd>unlucky: crashed on 1 of 20 recordings</dd>",
+    ],
+)
+def test_the_answer_is_a_line_each(page, line):
+    assert line in page

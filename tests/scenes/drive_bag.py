@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -77,10 +77,10 @@ class Ros:
     """Messages of one version of ROS, stamped at milliseconds since the start."""
 
     def __init__(self, version: int) -> None:
-        self.version, self._store = version, ROS1 if version == 1 else ROS2
+        self.version, self.store = version, ROS1 if version == 1 else ROS2
 
     def make(self, kind: str, **fields: Any) -> Any:
-        return self._store.types[kind](**fields)
+        return self.store.types[kind](**fields)
 
     def header(self, at_ms: float, frame: str) -> Any:
         stamp_ns = START_NS + round(at_ms * MS)
@@ -159,15 +159,31 @@ class Ros:
         message = self.make(POSE, header=self.header(at_ms, frame), pose=self._pose(pose))
         return (topic, POSE, START_NS + round(at_ms * MS), message)
 
-    def write(self, path: Path, messages: Iterable[Message], storage: StoragePlugin = StoragePlugin.SQLITE3) -> Path:
-        """A bag of the messages in the order of their reception; a folder for ROS 2."""
-        opened = Writer1(path) if self.version == 1 else Writer2(path, version=9, storage_plugin=storage)
-        encode: Callable[..., Any] = ROS1.serialize_ros1 if self.version == 1 else ROS2.serialize_cdr
+    def write(
+        self,
+        path: Path,
+        messages: Iterable[Message],
+        storage: StoragePlugin = StoragePlugin.SQLITE3,
+        compression: Writer1.CompressionFormat | None = None,
+        chunk_bytes: int = 1 << 20,
+    ) -> Path:
+        """A bag of the messages in the order of their reception: a file for ROS 1, a folder for ROS 2.
+
+        `storage` is for ROS 2; `compression` and `chunk_bytes` are for ROS 1.
+        """
+        opened: Any
+        if self.version == 1:
+            opened, encode = Writer1(path), ROS1.serialize_ros1
+            opened.chunk_threshold = chunk_bytes
+            if compression is not None:
+                opened.set_compression(compression)
+        else:
+            opened, encode = Writer2(path, version=9, storage_plugin=storage), ROS2.serialize_cdr
         with opened as writer:
             connections: dict[str, Any] = {}
             for topic, kind, received_ns, message in sorted(messages, key=lambda m: m[2]):
                 if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, kind, typestore=self._store)
+                    connections[topic] = writer.add_connection(topic, kind, typestore=self.store)
                 writer.write(connections[topic], received_ns, encode(message, kind))
         return path
 

@@ -14,7 +14,7 @@ from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.run_record import RecordingDescription, RecordingIdentity, RunConfiguration, RunRecord
 from gridtrack.evaluation.runs.scorekeeper import Counter
 from gridtrack.evaluation.runs.summarise import summarise
-from gridtrack.evaluation.runs.sums import Layout, SumsWriter
+from gridtrack.evaluation.runs.sums import Layout, SumsWriter, TrialSums
 from gridtrack.evaluation.runs.trial_record import TRIAL_SCHEMA, ThresholdsUsed, TrialRecord
 from gridtrack.evaluation.scores.beam_error import BEAM_ERROR, BINS
 from gridtrack.evaluation.scores.brier import BRIER
@@ -135,14 +135,22 @@ def counted_forecast(stamp_ns: int, last_ns: int, tally: Tally, neighbourhoods: 
 def write_confusion(
     folder: Path, classes: Sequence[str], counts: Mapping[int, Sequence[Sequence[int]]], steps: int = STEPS
 ) -> None:
-    """Replace the sums of a trial by those of one forecast with these confusion matrices of visible cells, by step."""
+    """Add to the sums of a trial those of one forecast with these confusion matrices of visible cells, by step."""
     facts = TrialFacts(0.2, steps, ("visible",), half(steps, ("visible",)), tuple(classes), tuple(classes))
     layout = Layout(CLASS_LOG_LOSS.strata(facts), CLASS_LOG_LOSS.parts(facts))
     found = np.zeros((steps + 1, 1, len(layout.parts)))
     for step, matrix in counts.items():
         found[step, 0, -np.size(matrix) :] = np.ravel(matrix)
-    with SumsWriter(folder, {CLASS_LOG_LOSS.name: layout}, steps) as sums:
-        sums.add(1, "0" * 32, CLASS_LOG_LOSS.name, found)
+    kept = TrialSums(folder)
+    counted = {
+        name: kept.by_frame(name, range(steps + 1), own.strata, own.parts).values for name, own in kept.layouts.items()
+    }
+    frames = list(zip(kept.frames.stamps_ns.tolist(), kept.frames.delivered.tolist(), strict=True))
+    with SumsWriter(folder, kept.layouts | {CLASS_LOG_LOSS.name: layout}, steps) as sums:
+        for i, (stamp_ns, digest) in enumerate(frames):
+            for name, own in counted.items():
+                sums.add(stamp_ns, digest, name, own[i])
+        sums.add(*frames[0], CLASS_LOG_LOSS.name, found)
 
 
 def write_trial(

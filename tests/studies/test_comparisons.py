@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import importlib
+import shlex
+import shutil
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.runs.finished import FinishedTrial
+from gridtrack.evaluation.runs.run_record import RecordingDescription
 from gridtrack.evaluation.runs.summarise import summarise
 
+from docs.test_commands import problem_of
+from scenes import drive, truth_scene
 from scenes.synthetic_run import description, write_trial
-from studies import moving
+from studies import moving, real_results
 from studies.real_results import sections_of as sections_of_real
 from studies.site_minutes import rows_of, section_of, share_closed
 from studies.support.place_command import draw_skill, skill_curves
 from studies.support.real_recordings import REAL
-from studies.support.results_file import measured_table
+from studies.support.results_file import NONE, measured_table, read_sections
 from studies.support.unseen_places import PlaceScores, general_rows, not_measured
 from studies.worlds_results import (
     DRIVES,
@@ -25,6 +35,7 @@ from studies.worlds_results import (
     STANDS,
     aim_met,
     aim_table,
+    drift_text,
     laser_of,
     pair_tables,
     poses_section,
@@ -36,17 +47,17 @@ PERIODS_S = (0.1, 0.105263, 0.0625)
 SKILLS = {"oracle": 1.0, "persistence": 0.5, "kalman": 0.8}
 
 
-def scores_of(
+def trials_of(
     folder: Path,
     names: Sequence[str],
-    skills: dict[str, float],
+    skills: Mapping[str, float],
     *,
     scored: int = 2,
     periods_s: Sequence[float] = PERIODS_S,
     longest_s: float = 1.0,
     delivered: str = "",
     start_s: int = 10,
-) -> PlaceScores:
+) -> tuple[dict[str, RecordingDescription], list[FinishedTrial]]:
     """A comparison on recordings of these periods in turns, two forecasts on each; counts are random.
 
     Recordings of the same name have the same counts, except for the skill.
@@ -75,10 +86,12 @@ def scores_of(
         name: description(2, source_sha256=name.ljust(64, "0"), period_s=period_s[name], steps=steps[name])
         for name in names
     }
-    if scored < 2:
-        summarise(described, trials, [], interrupted=False).write(folder)
-        return PlaceScores.read(folder)
-    return PlaceScores(described, trials)
+    return described, trials
+
+
+def scores_of(folder: Path, names: Sequence[str], skills: Mapping[str, float], **how: Any) -> PlaceScores:
+    """The scores of a drawn comparison; `how` as of `trials_of`."""
+    return PlaceScores(*trials_of(folder, names, skills, **how))
 
 
 @pytest.fixture(scope="module")
@@ -179,9 +192,14 @@ def test_worlds_with_refined_poses_replace_those_with_the_poses_of_the_wheels(tm
     assert verdicts == {"recorded": "not met", "refined": "met"}
 
 
-def test_the_laser_of_a_world_stands_or_drives_with_exact_poses_or_with_those_of_its_wheels() -> None:
-    test = ROOT / "data" / "worlds" / "test"
-    assert {laser_of(path) for path in sorted(test.glob("*.tracks"))} == {STANDS, DRIVES, ODOMETRY}
+def test_the_laser_of_a_world_stands_or_drives_with_exact_poses_or_with_those_of_its_wheels(tmp_path: Path) -> None:
+    recordings = {
+        STANDS: truth_scene.write_recording(tmp_path / "standing.mcap", 2),
+        DRIVES: drive.write_recording(tmp_path / "driving.mcap", 2, with_truth=False),
+        ODOMETRY: drive.write_recording(tmp_path / "wheels.mcap", 2),
+    }
+    assert {kind: laser_of(path) for kind, path in recordings.items()} == {kind: kind for kind in recordings}
+    assert drift_text(recordings[DRIVES]) == NONE  # in two seconds no wall is seen twice a second apart
 
 
 def test_recordings_of_one_period_have_the_steps_nearest_to_the_horizons(tmp_path: Path) -> None:
@@ -192,8 +210,10 @@ def test_recordings_of_one_period_have_the_steps_nearest_to_the_horizons(tmp_pat
 
 
 def test_a_comparison_that_ended_early_is_refused(tmp_path: Path) -> None:
+    described, trials = trials_of(tmp_path, ["indoors-1", "indoors-2"], {"persistence": 0.5}, scored=1)
+    summarise(described, trials, [], interrupted=False).write(tmp_path)
     with pytest.raises(SystemExit, match="not complete"):
-        scores_of(tmp_path, ["indoors-1", "indoors-2"], {"persistence": 0.5}, scored=1)
+        PlaceScores.read(tmp_path)
 
 
 def test_rows_are_those_without_weights_and_those_with_general_ones(tmp_path: Path) -> None:
@@ -249,19 +269,20 @@ def test_the_share_of_a_gap_is_given_if_there_is_a_gap(start: float, now: float 
 
 
 def drives(
-    folder: Path, kind: str, skill: float, floor: float = 0.3, *, number: int, start_s: int = 10
+    folder: Path, kind: str, skill: float, floor: float = 0.3, *, cars: int, robots: int = 0, start_s: int = 10
 ) -> moving.Comparison:
     """A comparison of kalman with persistence and the oracle on drives, with one kind of poses."""
-    names = [f"{('car', 'robot')[k % 2]}-{200 + k}" for k in range(number)]
+    carriers = ["car"] * cars + ["robot"] * robots
+    names = [f"{carrier}-{200 + k}-{kind}" for k, carrier in enumerate(carriers)]
     skills = {"kalman": skill, "persistence": floor, "oracle": 1.0}
-    places = {"periods_s": (0.125,), "longest_s": 2.5, "delivered": kind, "start_s": start_s}
-    return moving.Comparison(kind, scores_of(folder / f"{kind}-{skill}", names, skills, **places))  # type: ignore[arg-type]
+    how = {"periods_s": (0.125,), "longest_s": 2.5, "delivered": kind, "start_s": start_s}
+    return moving.Comparison(kind, scores_of(folder / f"{kind}-{skill}", names, skills, **how))
 
 
 @pytest.fixture(scope="module")
 def perfect(tmp_path_factory: pytest.TempPathFactory) -> moving.Comparison:
     """Twenty drives with perfect poses."""
-    return drives(tmp_path_factory.mktemp("drives"), "perfect", 0.7, 0.3, number=20)
+    return drives(tmp_path_factory.mktemp("drives"), "perfect", 0.6, cars=20)
 
 
 def ends_of(text: str) -> list[float]:
@@ -270,7 +291,7 @@ def ends_of(text: str) -> list[float]:
 
 
 def test_the_loss_without_ego_motion_is_paired_over_twenty_drives(perfect: moving.Comparison, tmp_path: Path) -> None:
-    section = moving.difference_section([perfect, drives(tmp_path, "ignored", 0.4, number=20)], ["kalman"])
+    section = moving.difference_section([perfect, drives(tmp_path, "ignored", 0.3, cars=20)], ["kalman"])
     value, low, high = ends_of(section.values["kalman, perfect less ignored, dynamic, 1 s"])
     assert 0.1 < low < value < high < 0.4
     assert set(section.tables) == {"in motion", "dynamic", "visible", "hidden"}
@@ -279,7 +300,7 @@ def test_the_loss_without_ego_motion_is_paired_over_twenty_drives(perfect: movin
 def test_a_loss_that_persistence_has_too_is_one_of_the_view(perfect: moving.Comparison, tmp_path: Path) -> None:
     text = {}
     for kind, floor in (("both-lose", 0.5), ("kalman-loses", 0.3)):
-        standing = drives(tmp_path, kind, 0.9, floor, number=20)
+        standing = drives(tmp_path, kind, 0.8, floor, cars=20)
         section = moving.view_section([perfect, standing], ["persistence", "kalman"])
         assert [row[0] for row in section.tables["dynamic"].rows] == ["kalman"]
         text[kind] = section.values["kalman, dynamic, 1 s"]
@@ -291,7 +312,7 @@ def test_a_loss_that_persistence_has_too_is_one_of_the_view(perfect: moving.Comp
 
 
 def test_scores_have_a_row_for_each_kind_and_tracker_after_the_oracle(tmp_path: Path) -> None:
-    both = [drives(tmp_path, kind, 0.8, number=4) for kind in ("perfect", "beside")]
+    both = [drives(tmp_path, kind, 0.8, cars=2, robots=2) for kind in ("perfect", "beside")]
     rows = moving.score_tables(both, ["kalman"])["dynamic"].rows
     assert [row[0] for row in rows] == ["oracle, perfect", "oracle, beside", "kalman, perfect", "kalman, beside"]
     assert all(len(row) == 4 for row in rows)
@@ -301,14 +322,70 @@ def test_scores_have_a_row_for_each_kind_and_tracker_after_the_oracle(tmp_path: 
 
 
 def test_drives_that_were_scored_at_other_times_are_not_paired(tmp_path: Path) -> None:
-    first, later = (drives(tmp_path, f"from-{start_s}", 0.8, number=2, start_s=start_s) for start_s in (10, 11))
+    first, later = (drives(tmp_path, f"from-{start_s}", 0.8, cars=2, start_s=start_s) for start_s in (10, 11))
     with pytest.raises(SystemExit, match="scored at different times"):
         first.less(later, "kalman")
 
 
 def test_trackers_differ_significantly_if_the_drives_show_it(perfect: moving.Comparison, tmp_path: Path) -> None:
-    for found, significant in ((perfect, True), (drives(tmp_path, "equal", 0.4, 0.4, number=20), False)):
+    for found, significant in ((perfect, True), (drives(tmp_path, "equal", 0.4, 0.4, cars=20), False)):
         table = moving.pair_section(found).tables["pairs"]
         (row,) = table.rows
         assert (table.columns[1:], row[0]) == (("in motion", "dynamic", "visible"), "kalman less persistence")
         assert ["°" not in text for text in row[1:]] == [significant] * 3
+
+
+def test_poses_are_measured_by_the_true_ones_over_two_and_a_half_seconds_and_at_the_end(tmp_path: Path) -> None:
+    for noise, least in ((0.0, 0.0), (0.2, 0.05)):
+        apart, end_m = moving.errors_of(drive.write_recording(tmp_path / "d.mcap", 4, pose_noise=(noise, 0.0)))
+        assert apart.shape == (40 - moving.APART, 2)
+        assert np.median(apart[:, 0]) >= least
+        assert end_m == pytest.approx(0.0, abs=1e-6) if not noise else end_m > 0.0
+
+
+RUNS = {
+    "worlds_results": "--world indoors-hall-1010 --world outdoors-plaza-1004 --tracker persistence --tracker kalman"
+    " --out TMP/run --results TMP/worlds.json",
+    "real_results": "DATA --recording corridor --recording aces --tracker persistence --tracker kalman --out TMP/run"
+    " --results TMP/real.json",
+    "site_minutes": "--tracker kalman --minutes 1 --trainings TMP/weights --out TMP/run --results TMP/minutes.json",
+    "site_start": "--tracker kalman --out TMP/run --results TMP/site_start.json",
+    "moving": "--drive car-202 --drive car-204 --drive robot-201 --drive robot-203 --tracker persistence"
+    " --tracker kalman --out TMP/run --results TMP/drives.json",
+}
+"""Arguments of the studies that compare trackers. TMP is a folder of the test."""
+
+
+def gridtrack(*words: str | Path) -> None:
+    """In place of the command line: checks the words, and draws the results of the first four recordings."""
+    command, *rest = map(str, words)
+    assert problem_of(shlex.join(["gridtrack", command, *rest])) == ""
+    out = Path(rest[rest.index("--out") + 1])
+    if command == "train":
+        shutil.copytree(ROOT / "data" / "weights" / "kalman", out / "kalman")
+        return
+    recordings = rest[: next(k for k, word in enumerate(rest) if word.startswith("--"))]
+    names = [Path(recording).name.partition(".")[0] for recording in recordings[:4]]
+    chosen = [after for word, after in pairwise(rest) if word == "--tracker"]
+    labels = [text.partition("=")[0] if "=" in text.partition(":")[0] else text.partition(":")[0] for text in chosen]
+    skills = {label: 0.5 + 0.05 * k for k, label in enumerate(labels)} | {"oracle": 1.0}
+    described, trials = trials_of(out, names, skills, periods_s=(0.125,), longest_s=2.5)
+    summarise(described, trials, [], interrupted=False).write(out)
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_study_compares_with_valid_commands_and_writes_its_results(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr("studies.support.comparison.gridtrack", gridtrack)
+    monkeypatch.setattr("studies.worlds_results.laser_of", lambda _: STANDS)
+    monkeypatch.setattr(real_results, "imported", lambda chosen, *_: [Path(f"{one.name}.mcap") for one in chosen])
+    monkeypatch.setattr(moving, "recording_of", lambda kind, drive, *_: Path(f"{drive}.mcap"))
+    monkeypatch.setattr(moving, "joined_recording", lambda kind, *_: Path("validation.mcap"))
+    monkeypatch.setattr(moving, "errors_of", lambda _: (np.ones((2, 2)), 1.0))
+    words = [word.replace("TMP", str(tmp_path)) for word in RUNS[name].split()]
+    importlib.import_module(f"studies.{name}").main(words)
+    sections = read_sections(Path(words[-1]))
+    assert any(table.rows for section in sections.values() for table in section.tables.values())
+    assert capsys.readouterr().out

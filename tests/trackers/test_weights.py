@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import sha256_of
@@ -190,16 +188,15 @@ def test_a_missing_file_says_which(path: Path) -> None:
         load(path)
 
 
-@given(place=st.integers(0, 10_000), bit=st.integers(0, 7))
-def test_a_flipped_bit_in_the_arrays_is_found(tmp_path_factory: pytest.TempPathFactory, place: int, bit: int) -> None:
-    folder = tmp_path_factory.mktemp("weights")
-    save_weights(folder / "lab.toml", card(folder), {"w": np.arange(6.0)})
-    arrays = folder / "lab.safetensors"
-    blob = bytearray(arrays.read_bytes())
-    blob[place % len(blob)] ^= 1 << bit
-    arrays.write_bytes(blob)
-    with pytest.raises(WeightsError, match="the file is damaged or was exchanged"):
-        load(folder / "lab.toml")
+def test_a_flipped_bit_in_the_arrays_is_found(path: Path) -> None:
+    arrays = path.with_suffix(".safetensors")
+    whole = arrays.read_bytes()
+    for place, bit in np.random.default_rng(0).integers((len(whole), 8), size=(50, 2)).tolist():
+        blob = bytearray(whole)
+        blob[place] ^= 1 << bit
+        arrays.write_bytes(blob)
+        with pytest.raises(WeightsError, match="the file is damaged or was exchanged"):
+            load(path)
 
 
 def test_a_card_that_was_exchanged_is_refused(path: Path) -> None:

@@ -129,8 +129,8 @@ def write_trial(run: Path, label: str, recording: str, made: Made, start_s: int 
     times = CallTimes(p50=made.ms, p95=made.ms, p99=made.ms) if made.ms else None
     TrialRecord(
         schema=TRIAL_SCHEMA, label=label, recording=recording, outcome=made.outcome, frames_scored=made.scored,
-        frames_expected=FRAMES, steps=STEPS, thresholds=ThresholdsUsed.of(half(STEPS, STRATA)), recoveries=made.recoveries,
-        robustness=robustness_of(made),
+        frames_expected=FRAMES, steps=STEPS, thresholds=ThresholdsUsed.of(half(STEPS, STRATA)),
+        recoveries=made.recoveries, robustness=robustness_of(made),
         latency_ms=Latency(update=times, predict=times, predict_step=times) if times else None,
     ).write(folder)  # fmt: skip
 

@@ -91,7 +91,7 @@ def test_kinds_of_a_moving_sensor_are_kept_by_the_time_and_overlapping_stretches
 def test_frames_that_are_of_no_stretch_of_the_training_are_not_scored(with_truth, tmp_path):
     _, score = stored(open_stream(f"{with_truth}@2s-6s"), tmp_path / "0.frames")
     other = open_stream(f"{with_truth}@7s-")
-    with pytest.raises(RecordingError, match="not a stretch that fit received, nor a part of one"):
+    with pytest.raises(RecordingError, match="can't be scored: it is not part of a stretch that fit received"):
         score(persistence(other), other, STEPS)
 
 

@@ -2,34 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-
 import pytest
 
-from gridtrack.cli import main
-
-pytestmark = pytest.mark.usefixtures("staged")
-
-
-@pytest.fixture
-def gridtrack(monkeypatch, capsys):
-    """`gridtrack(*arguments)` in this process: exit code and what went to stderr."""
-
-    def gridtrack(*arguments):
-        monkeypatch.setattr(sys, "argv", ["gridtrack", *map(str, arguments)])
-        capsys.readouterr()
-        try:
-            main()
-        except SystemExit as end:
-            return end.code or 0, capsys.readouterr().err
-        return 0, capsys.readouterr().err
-
-    return gridtrack
+pytestmark = pytest.mark.usefixtures("staged", "trackers_here")
 
 
 @pytest.fixture
 def compare(gridtrack, record, tmp_path):
-    """`compare(folder, *requested)` runs `staged`, which dies in its second stream, and `blank`."""
+    """`compare(folder, *requested)` runs `staged`, which fails in its second stream, and `blank`."""
     # without a validation stretch the second stream is the first one after the trial
     path, starts = record("plain", stretches={}), tmp_path / "starts"
     trackers = ("--tracker", f"staged:crash_at=60,starts={starts}", "--tracker", "blank")

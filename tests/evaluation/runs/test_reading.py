@@ -53,16 +53,16 @@ def test_a_key_that_is_not_known_is_ignored(folder, name):
 
 
 @pytest.mark.parametrize("name", FILES)
-@pytest.mark.parametrize("schema", [0, 1, "2", None, [2]])
+@pytest.mark.parametrize("schema", [0, 2, "3", None, [3]])
 def test_another_schema_is_refused_by_its_number(folder, name, schema):
     change(folder, name, schema=schema)
-    with pytest.raises(RunError, match=r"this gridtrack reads schema 2: \w+") as refused:
+    with pytest.raises(RunError, match=r"this gridtrack reads schema 3: \w+") as refused:
         FILES[name][0](folder)
     assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("name", FILES)
-@pytest.mark.parametrize("content", ["{", "[]", '"x"', "[" * 100_000, "\udcff", '{"schema": 2}', '{"schema": 1e999}'])
+@pytest.mark.parametrize("content", ["{", "[]", '"x"', "[" * 100_000, "\udcff", '{"schema": 3}', '{"schema": 1e999}'])
 def test_damaged_content_is_refused_in_one_line(folder, name, content):
     (folder / name).write_bytes(content.encode("utf-8", "surrogateescape"))
     with pytest.raises(RunError) as refused:
@@ -109,7 +109,7 @@ def test_pooled_curves_that_do_not_reach_every_horizon_are_refused(tmp_path):
     trials = [synthetic.write_trial(tmp_path, "good", name, 0.6, seed=0, frames=2) for name in ("a", "b")]
     summarise({name: synthetic.description() for name in ("a", "b")}, trials, [], False).write(tmp_path)
     summary = json.loads((tmp_path / "summary.json").read_text())
-    summary["trackers"]["good"]["pooled"]["strata"]["dynamic"]["f1"].pop()
+    summary["trackers"]["good"]["pooled"]["strata"]["dynamic"]["f1"]["f1"]["value"].pop()
     (tmp_path / "summary.json").write_text(json.dumps(summary))
     with pytest.raises(RunError, match="good on all recordings, dynamic: 20 steps, expected 21"):
         read_summary(tmp_path)

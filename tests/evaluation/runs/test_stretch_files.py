@@ -26,6 +26,8 @@ from gridtrack.trackers.wire import WireError
 
 from scenes import drive, truth_scene
 
+pytestmark = pytest.mark.usefixtures("trackers_here")
+
 VANDAL = '''
 from gridtrack.trackers.baselines import StaticMapTracker
 from gridtrack.trackers.contract import stream_of

@@ -17,10 +17,7 @@ from gridtrack.evaluation.runs.trial import unstarted
 from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.trackers.training.weights import read_card
 
-
-@pytest.fixture(autouse=True)
-def home(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+pytestmark = pytest.mark.usefixtures("home", "trackers_here")
 
 
 def gridtrack(*words):

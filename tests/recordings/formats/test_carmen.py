@@ -29,7 +29,7 @@ def robotlaser(k: int) -> str:
 
 def log(path: Path, *lines: str) -> Path:
     text = "\n".join(["# message_name [message contents]", "PARAM robot_use_laser on nohost 0", *lines, ""])
-    path.write_bytes(bz2.compress(text.encode()) if path.suffix == ".bz2" else text.encode())
+    path.write_bytes(bz2.compress(text.encode(), 1) if path.suffix == ".bz2" else text.encode())
     return path
 
 
@@ -43,7 +43,7 @@ def test_flaser_lines(name: str, tmp_path: Path) -> None:
     assert second.world_T_sensor == SE2(1.5, 1.0, 0.5)
     assert (first.angle_min, first.angle_increment) == (-math.pi / 2, math.radians(1.0))
     np.testing.assert_array_equal(first.ranges, np.array(ranges, np.float32))
-    assert first.ranges[-1] > first.range_max, "what the laser answers where nothing returns is no return"
+    assert first.ranges[-1] > first.range_max, "the value of the laser for no return is beyond its maximum"
     assert recording.survey.topics == {"PARAM": ("CARMEN", 1), "ODOM": ("CARMEN", 1), "FLASER": ("CARMEN", 2)}
     assert recording.info.site == "a"
 
@@ -64,7 +64,7 @@ def test_the_angles_follow_from_the_number_of_beams(
     assert math.degrees(scan.angle_increment) == pytest.approx(step_deg)
 
 
-def test_angles_of_a_number_of_beams_that_no_known_laser_has_are_told(tmp_path: Path) -> None:
+def test_an_unknown_number_of_beams_is_a_warning(tmp_path: Path) -> None:
     recording = open_recording(log(tmp_path / "a.clf", *(flaser(k, ["1.0"] * 91) for k in range(3))), strict=True)
     scan = next(iter(recording.scans()))
     assert math.degrees(scan.angle_min) == pytest.approx(-90)
@@ -118,14 +118,14 @@ def test_a_warning_gives_the_number_of_an_invalid_line(line: str, tmp_path: Path
 
 def test_a_cut_archive_gives_the_lines_before_the_cut(tmp_path: Path) -> None:
     random = np.random.default_rng(0)
-    lines = [flaser(k, [f"{r:.2f}" for r in random.uniform(0, 80, 180)]) for k in range(2000)]
+    lines = [flaser(k, [f"{r:.2f}" for r in random.uniform(0, 80, 180)]) for k in range(600)]
     path = log(tmp_path / "a.clf.bz2", *lines)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) * 3 // 4])
     recording = open_recording(path)
     found = [s.stamp_ns for s in recording.scans()]
     assert found == [(100 + k) * 10**9 + 250_000_000 for k in range(len(found))]
-    assert 200 < len(found) < 2000
+    assert 60 < len(found) < 600
     assert len(recording.warnings) == 1
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -307,45 +305,6 @@ def test_velocities_of_later_steps_are_where_the_box_will_be_and_leave_the_occup
 def test_without_weights_the_error_names_the_training_command() -> None:
     with pytest.raises(WeightsError, match="gridtrack train dogma"):
         DogmaTracker(StreamSpec(GRID, PERIOD_S, "yard"), DogmaSettings())
-
-
-STARTED_AND_FED = """
-from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.hosting.contract_scene import scene
-from gridtrack.trackers.contract import StreamSpec
-from gridtrack.trackers.dogma import forecast, particles
-from gridtrack.trackers.dogma.tracker import DogmaTracker
-from gridtrack.trackers.dogma.settings import DogmaSettings
-from pathlib import Path
-
-KERNELS = (
-    particles.predict_particles,
-    particles.sort_by_cell,
-    particles.weight_particles,
-    particles.resample_particles,
-    forecast.count_particles,
-    forecast.mean_velocities,
-    forecast.mean_velocities_now,
-)
-
-def compiled():
-    return [len(kernel.signatures) for kernel in KERNELS]
-
-grid = GridSpec.parse("THE_GRID")
-stream = StreamSpec(grid, 0.125, "yard", weights=Path("THE_WEIGHTS"), velocity_scored=True)
-tracker = DogmaTracker(stream, DogmaSettings())
-before = compiled()
-for frame in scene(grid, 0.125, 4, seed=1):
-    tracker.update(frame)
-    tracker.predict(20)
-print(before, compiled())
-"""
-
-
-def test_kernels_are_compiled_when_the_tracker_starts(weights) -> None:
-    program = STARTED_AND_FED.replace("THE_GRID", str(GRID)).replace("THE_WEIGHTS", str(weights))
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout == f"{[1] * 7} {[1] * 7}\n"
 
 
 # A sensor that moves

@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-pytest.importorskip("filterpy")
-pytest.importorskip("sklearn")
 
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
@@ -68,37 +61,6 @@ def test_trained_classes_are_right_for_cells_and_objects_at_all_steps(path):
     assert {(one.label, one.box[0] > 6.0) for one in forecast.objects} == {("pedestrian", False), ("car", True)}
     before = forecast.semantics.copy()
     assert (tracker.predict(4).semantics == before).all()
-
-
-SCENES = Path(__file__).parents[2]
-STARTED_AND_FED = """
-import sys
-from pathlib import Path
-from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.model_free import classes, rasterise, semantics
-from gridtrack.trackers.model_free.kalman import KalmanTracker
-from gridtrack.trackers.model_free.settings import ModelFreeSettings
-
-sys.path.append(sys.argv[1])
-from scenes.street import Street
-
-def compiled():
-    kernels = rasterise.draw_tracks, classes._features, classes._log_densities, semantics._normalise
-    return [len(kernel.signatures) for kernel in kernels]
-
-tracker = KalmanTracker(stream_of(Street(), Path(sys.argv[2])), ModelFreeSettings())
-before = compiled()
-for frame in Street(30):
-    tracker.update(frame)
-tracker.predict(20)
-print(before, compiled())
-"""
-
-
-def test_kernels_are_compiled_when_the_tracker_starts(path):
-    command = [sys.executable, "-c", STARTED_AND_FED, str(SCENES), str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout == "[1, 1, 1, 1] [1, 1, 1, 1]\n"
 
 
 def test_the_card_describes_the_training_of_classes(path):

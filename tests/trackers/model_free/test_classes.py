@@ -7,9 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("filterpy")
-pytest.importorskip("sklearn")
 from scipy.stats import multivariate_normal
 
 from gridtrack.trackers.model_free.classes import FEATURES, ClassFilter, features_of, mean_log_prior

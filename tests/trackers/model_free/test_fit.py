@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-pytest.importorskip("filterpy")
 from gridtrack.common.errors import RecordingError, WeightsError
 from gridtrack.common.grid import GridSpec, Shift
 from gridtrack.trackers.contract import FitTask, StreamSpec, StretchScore

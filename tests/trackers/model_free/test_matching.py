@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-pytest.importorskip("filterpy")
 from gridtrack.trackers.model_free.estimators import is_positive_definite
 from gridtrack.trackers.model_free.matching import UNKNOWN, Match, Outlines, Pairs, match
 from gridtrack.trackers.model_free.shape import MAX_POINTS, Shape, rotation, to_body, to_grid

@@ -7,8 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("filterpy")
-pytest.importorskip("gtsam")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Shift, rolled
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP, BackgroundMap, fit_background

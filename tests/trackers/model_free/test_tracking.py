@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, with_neighbours
 from gridtrack.trackers.contract import StreamSpec
@@ -234,7 +233,8 @@ def test_an_empty_stream_is_forecast_as_background(tracker):
 
 
 def test_restarts_of_a_smoother_are_counted_until_the_reset(weights):
-    gtsam = pytest.importorskip("gtsam")
+    import gtsam
+
     from gridtrack.trackers.model_free.factor_graph import LAG_S, FactorGraphTracker
 
     save_weights(weights, card().model_copy(update={"tracker": "factor-graph"}), OPEN | {"residence": GLIDING})

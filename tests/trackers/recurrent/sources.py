@@ -21,6 +21,7 @@ from tests.trackers.scores import of_every_stratum
 TRACKERS = [DilatedConvGRUTracker, DeepTrackingRNNTracker]
 SMALL = {DilatedConvGRUTracker: {"channels": 4, "stage": "occupancy"}, DeepTrackingRNNTracker: {"variant": "paper"}}
 """Options of tiny networks."""
+SHORT = {"batch": 2, "warm_up": 0, "updates": 1, "validate_every": 1, "precision": "32-true"}
 
 
 def frame_of(visible, occupied, *, stamp_s=0.0, cell_m=0.5, row=0, column=0):
@@ -89,7 +90,7 @@ class Walk(Recording):
 
 
 class Drive(Recording):
-    """The window moves to the right by `speed` cells a frame, from `start` on, past a post in column 40 of the world."""
+    """The window moves to the right by `speed` cells a frame, from `start` on, past a post in column 40."""
 
     def __init__(self, frames=60, start=0, speed=1):
         super().__init__(12, 0.5, 0.25, frames)
@@ -153,8 +154,7 @@ def trained(tracker, card, source, **options):
 def task_for(tracker, out, train, validation=None, *, objective=constant, general=False, start=None, **options):
     """The task of a short training, and the lines that it reports."""
     lines = []
-    short = {"batch": 2, "warm_up": 0, "updates": 1, "validate_every": 1, "precision": "32-true"}
-    settings = validated(tracker.Options, short | SMALL.get(tracker, {}) | options, "test")
+    settings = validated(tracker.Options, SHORT | SMALL.get(tracker, {}) | options, "test")
     task = FitTask(
         train, validation or train, objective, out, settings, out.parent / "log", 7, "gridtrack train ...",
         general=general, start=start, report=lines.append,

@@ -43,7 +43,7 @@ def test_it_trains_and_forecasts(conv_lstm, tmp_path):
 
 
 def test_it_is_trained_for_any_place_and_follows_a_sensor_that_moves_at_any_period(conv_lstm, tmp_path):
-    """A period of twice its step, and of half of it: the window moves beyond itself, and every cell is an unseen one."""
+    """Periods of one, two and half a step; when the window moves beyond itself, every cell is an unseen one."""
     card = tmp_path / "general.toml"
     fit(conv_lstm, card, [Walk(12, 0.2, 0.1), Walk(10, 0.1, 0.2)], general=True)
     for period_s in (0.1, 0.2, 0.05):
@@ -64,12 +64,10 @@ def test_a_cell_keeps_its_state_at_its_place_in_the_world(conv_lstm, tmp_path):
     fit(conv_lstm, card, [Drive()])
     tracker = trained(conv_lstm, card, Drive())
     forecast_of(tracker, Drive(5, start=30), 0)
-    before, after = tracker.state, tracker.network.rolled(tracker.state, (0, 2), 5)
-    unseen = tracker.network.unseen(5)
-    assert len(list(tensors_of(after))) == 4
-    for old, new, fill in zip(
-        *map(tensors_of, (before, after)), tensors_of(map_state(torch.from_numpy, unseen)), strict=True
-    ):
+    rolled = tracker.network.rolled(tracker.state, (0, 2), 5)
+    unseen = map_state(torch.from_numpy, tracker.network.unseen(5))
+    assert len(list(tensors_of(rolled))) == 4
+    for old, new, fill in zip(*map(tensors_of, (tracker.state, rolled, unseen)), strict=True):
         assert torch.equal(new[..., :-2], old[..., 2:])
         assert torch.equal(new[0, :, 3, -1], fill)
 
