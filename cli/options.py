@@ -94,7 +94,7 @@ def _parameter(name: str, option: OptionField) -> inspect.Parameter:
 
 
 def _types(field: FieldInfo) -> tuple[Any, Any]:
-    """The type of a field that is given, and the type of its option: text, where the settings read it from text."""
+    """The type of a field without None, and the type of its option: text, if the settings read the field from text."""
     from pydantic import BeforeValidator
 
     union = get_origin(field.annotation) in (Union, UnionType)
@@ -116,13 +116,11 @@ def _default_text(option: OptionField) -> str:
     return rf" \[default: {text}]"
 
 
-def fetch_recordings(given: Any) -> Any:
-    """A callback: recordings, with the local copies of those that are named by URLs. Raises RecordingError."""
+def fetch_recording(given: str | None) -> str | None:
+    """A callback: a recording, or the local copy of one at a URL. Raises StoreError."""
     from gridtrack.recordings.stretches import fetched
 
-    if given is None or isinstance(given, str):
-        return given and fetched(given, print_note)
-    return [fetched(text, print_note) for text in given]
+    return given and fetched(given, print_note)
 
 
 def weights_folder(text: str) -> Path:
@@ -135,11 +133,9 @@ def run_folder_at(text: str) -> Path:
     return local_folder(text, "runs", print_note)
 
 
-RecordingArgument = Annotated[
-    str, typer.Argument(metavar="RECORDING[@RANGE]", help=EXAMPLES, callback=fetch_recordings)
-]
+RecordingArgument = Annotated[str, typer.Argument(metavar="RECORDING[@RANGE]", help=EXAMPLES, callback=fetch_recording)]
 WholeRecordingArgument = Annotated[
-    str, typer.Argument(metavar="RECORDING", help="A file, a folder or a URL", callback=fetch_recordings)
+    str, typer.Argument(metavar="RECORDING", help="A file, a folder or a URL", callback=fetch_recording)
 ]
 GridOption = Annotated[
     str | None,

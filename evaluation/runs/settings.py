@@ -39,7 +39,8 @@ class CompareSettings(Settings):
     segment_s: Seconds | None = Field(None, ge=10.0, le=86_400.0)
     """Cut longer test stretches into segments of at most this length, each a trial of its own"""
     warm_up_s: Seconds = Field(60.0, ge=0.0, le=3600.0)
-    """Frames before each segment that are delivered and not scored, at least; the first segment has 20 frames"""
+    """Time before each segment in which frames are delivered and not scored, at least; the first segment has 20
+    frames"""
     grid: Annotated[str | None, Option(metavar="CELLSxMETRES[@X,Y]")] = None
     """Grid, such as 100x0.2; default: the grid of the recording"""
     rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
