@@ -268,8 +268,7 @@ def _tolerance(text: str) -> tuple[str, float]:
 
 
 def _report_verdict(verdict: Verdict, junit: Path | None, markdown: Path | None, as_json: bool) -> None:
-    from gridtrack.reports.verdict_tables import junit_of
-    from gridtrack.reports.verdict_tables import data_of, markdown_of
+    from gridtrack.reports.verdict_tables import data_of, junit_of, markdown_of
     from gridtrack.reports.verdict_text import text_of
 
     _write_report(junit, junit_of, verdict)
@@ -278,8 +277,7 @@ def _report_verdict(verdict: Verdict, junit: Path | None, markdown: Path | None,
 
 
 def _report_unmeasured(reasons: Sequence[str], junit: Path | None, markdown: Path | None, as_json: bool) -> None:
-    from gridtrack.reports.verdict_tables import junit_of_unmeasured
-    from gridtrack.reports.verdict_tables import markdown_of_unmeasured
+    from gridtrack.reports.verdict_tables import junit_of_unmeasured, markdown_of_unmeasured
 
     _write_report(junit, junit_of_unmeasured, reasons)
     _write_report(markdown, markdown_of_unmeasured, reasons)

@@ -42,9 +42,9 @@ from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, printable
 from gridtrack.common.remote_files import is_url
 
 if TYPE_CHECKING:
-    from gridtrack.evaluation.runs.summary import RunSummary
     from gridtrack.evaluation.runs.plan import ComparisonPlan
     from gridtrack.evaluation.runs.settings import CompareSettings
+    from gridtrack.evaluation.runs.summary import RunSummary
 
 INCOMPLETE = 3
 
@@ -196,8 +196,7 @@ def _run(settings: CompareSettings) -> _Compared:
 def _followed(settings: CompareSettings) -> _Compared:
     """Follow a recording that is still being written, and score what was seen."""
     from gridtrack.evaluation.runs.following import following
-    from gridtrack.reports.run_progress import LiveTable
-    from gridtrack.reports.run_progress import RunProgress
+    from gridtrack.reports.run_progress import LiveTable, RunProgress
 
     with following(settings, note=lambda text: typer.echo(printable(text), err=True)) as followed:
         with LiveTable() as table:
@@ -255,8 +254,8 @@ def compare_helps() -> dict[str, str]:
 
 def _warn_of_missing(plan: ComparisonPlan) -> bool:
     """Print the requested measurements that a complete trial lacks; whether there are any."""
-    from gridtrack.evaluation.runs.trial_record import read_trial_record
     from gridtrack.evaluation.runs.measurements import missing_measurements
+    from gridtrack.evaluation.runs.trial_record import read_trial_record
 
     records = [read_trial_record(plan.settings.out / trial.name) for trial in plan.trials]
     complete = [record for record in records if record and record.outcome == "ok"]
