@@ -138,7 +138,7 @@ def of_sides(name: str, views: Views) -> list[Tally]:
 def measured(
     trackers: Sequence[str], minutes: Sequence[Path]
 ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64]]:
-    """TP, FP, FN and TN (side, minute, horizon, stratum, 4) of each tracker, and cells (side, minute, horizon, stratum, 2).
+    """TP, FP, FN and TN (side, minute, horizon, stratum, 4) of each tracker; cells (side, minute, horizon, stratum, 2).
 
     The cells are all scored ones and the occupied ones.
     """
