@@ -172,9 +172,9 @@ def compared(found: dict[str, Any], rounds: int) -> dict[str, dict[str, float]]:
     medians_ms: dict[str, dict[str, float]] = {name: {} for name in found}
     for case, (steps, call) in CASES.items():
         calls = {name: lambda name=name, call=call: call(found[name], states[name]) for name in found}
-        for name, ms in processor_times_ms(calls, max(3, rounds // steps)).items():
-            medians_ms[name][case] = float(np.median(ms))
-            print(f"  {case:22} {name:24} median {medians_ms[name][case]:7.2f} ms, least {ms.min():7.2f} ms")
+        for name, times_ms in processor_times_ms(calls, max(3, rounds // steps)).items():
+            medians_ms[name][case] = float(np.median(times_ms))
+            print(f"  {case:22} {name:24} median {medians_ms[name][case]:7.2f} ms, least {times_ms.min():7.2f} ms")
     for precision in TOLERANCE:
         ms = {name: each[FORECAST] for name, each in medians_ms.items() if name.endswith(precision)}
         if (ours := ms.pop(f"ours, {precision}", None)) is not None:
@@ -197,7 +197,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/recurrent.json")
     given = parser.parse_args()
     torch.set_num_threads(1)
-    tables, values = {}, {}
+    tables: dict[str, ResultTable] = {}
+    values: dict[str, str] = {}
     for name, kind, kernels in (
         ("dilated-convgru", DilatedConvGRUTracker, convgru),
         ("deep-tracking-rnn", DeepTrackingRNNTracker, rnn),

@@ -170,8 +170,8 @@ class RunScores:
         one, output = OUTPUTS[score]
         scope = self._difference(tracker, reference, one) if reference else self._pooled(tracker)
         found = scope["strata"][stratum][one][output]
-        value, *ends = (found[end][step] if found.get(end) else None for end in ("value", "low", "high"))
-        return score_text(value, *(ends if interval else ()), signed=bool(reference))
+        ends = [found[end][step] if found.get(end) else None for end in ("low", "high")]
+        return score_text(found["value"][step], *(ends if interval else ()), signed=bool(reference))
 
     def _p_value(self, tracker: str, reference: str, stratum: str, step: int) -> float:
         return float(self._test(tracker, reference, stratum, step)["p_holm"])

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.runs.sums import SUMS_FILE, Layout, TrialSums
 from gridtrack.evaluation.scores.beam_error import BINS
 from gridtrack.evaluation.scores.cells import CALIBRATION_BINS, FIRST_OF_CALIBRATION_BIN, PROBABILITY_BINS
-from gridtrack.evaluation.scores.fss import SCALES
+from gridtrack.evaluation.scores.neighbourhoods import SCALES
 
 Sums = dict[str, NDArray[np.float64]]
 """By score the sums (F, S, K, P)."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from gridtrack.evaluation.regression.measurement import BANDS, Baseline, Measurement
-from gridtrack.evaluation.scores.definition import Floats, Output, Ratio, ScoreDefinition, Sums, value_of
+from gridtrack.evaluation.scores.definition import Floats, Measure, Output, Ratio, ScoreDefinition, Sums, value_of
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, Estimate, Replicates, holm, replicates
 from gridtrack.evaluation.statistics.trainings import one_more, spread_between
 
@@ -64,8 +64,8 @@ class PairedRow:
     def size(self, sums: Floats) -> Floats:
         """How much sums (..., N) count: the denominator of a ratio."""
         found = self.score.value(Sums(sums, self.parts))[self.output.name]
-        size: Floats = found.whole if isinstance(found, Ratio) else found.size  # type: ignore[union-attr]
-        return size
+        assert isinstance(found, Ratio | Measure), "an output with a margin is a ratio or a measure"
+        return found.whole if isinstance(found, Ratio) else found.size
 
     def fall(self, then: float, now: float) -> float:
         """How much worse `now` is than `then`, as margins are given: a share of `then` where the margin is one."""

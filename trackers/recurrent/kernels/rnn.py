@@ -31,7 +31,8 @@ class InferenceRNN(InferenceNetwork):
     def step(self, x: Tensor | None, state: OneState) -> OneState:
         """h_t; an empty input is not convolved."""
         if x is None:
-            return (torch.sigmoid(self._empty + conv2d(state[0], self._weight, padding="same")),)
+            h: Tensor = torch.sigmoid(self._empty + conv2d(state[0], self._weight, padding="same"))
+            return (h,)
         return self.network.step(x, state)
 
     def occupancy(self, features: Tensor) -> Tensor:
