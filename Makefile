@@ -9,7 +9,7 @@ DEMO_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tra
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
 # one worker more than processors: many tests wait for the processes that they start
-PYTEST := $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 1) --dist worksteal
+PYTEST := $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
 # with general weights: they have seen no recording of a site
 GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))

@@ -70,7 +70,7 @@ IN_COMMON = (0.64, 1.0)
 
 def f1_of(tp: Counts, fp: Counts, occupied: Counts) -> Ratio:
     """F1 of counts of cells (...)."""
-    return Ratio(2.0 * tp, 1.0 * (tp + fp + occupied), counted=True)
+    return Ratio((2 * tp).astype(np.float64), (tp + fp + occupied).astype(np.float64), counted=True)
 
 
 def pooled(f1: Ratio) -> Floats:

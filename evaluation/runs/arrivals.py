@@ -16,9 +16,10 @@ from gridtrack.evaluation.referee.referee import WARM_UP
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.settings import CompareSettings, check_together
 from gridtrack.recordings import Recording, open_recording
-from gridtrack.recordings.file_reading import DamageError, FileEnds, Growth, NoScansError
+from gridtrack.recordings.file_reading import DamageError, FileEnds, Growth
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile
 from gridtrack.recordings.observation import Observation
+from gridtrack.recordings.recording import NoScansError
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
 

@@ -33,7 +33,8 @@ class InferenceRNN(InferenceNetwork):
         if x is None:
             h: Tensor = torch.sigmoid(self._empty + conv2d(state[0], self._weight, padding="same"))
             return (h,)
-        return self.network.step(x, state)
+        found: OneState = self.network.step(x, state)
+        return found
 
     def occupancy(self, features: Tensor) -> Tensor:
         """Logits of P(occupied), (1, M, M)."""
