@@ -26,7 +26,7 @@ import numpy as np
 
 from gridtrack.evaluation.runs.summary import RunSummary, read_summary
 from gridtrack.evaluation.runs.sums import TrialSums
-from gridtrack.evaluation.scores.class_log_loss import VISIBILITIES, confusion_of
+from gridtrack.evaluation.scores.class_log_loss import confusion_of
 
 from studies.support.results_file import ResultTable, chance_marked, score_text, study_parser
 
@@ -251,7 +251,7 @@ def confusions(summary: RunSummary, run: Path) -> dict[str, Any]:
     for label, row in summary.trackers.items():
         folders = [run / f"{label}@{name}" for name, trial in row.recordings.items() if trial.complete]
         sums = [one for one in map(TrialSums, folders) if "class_log_loss" in one.scores]
-        for visibility in VISIBILITIES if sums else ():
+        for visibility in sums[0].layouts["class_log_loss"].strata if sums else ():
             cells = sum(
                 confusion_of(one.by_frame("class_log_loss", [0], [visibility], ())).sum(axis=(0, 1, 2)) for one in sums
             )
