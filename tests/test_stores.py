@@ -18,9 +18,6 @@ RECORDING = f"{packaged_recording('leg_tracker')}@90s-96s"
 SHORT = ("--horizon", "0.5s", "--every", "0.5s")
 
 
-pytestmark = pytest.mark.usefixtures("trackers_here")
-
-
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """The working folder, with the user's folders in it; `store` in it is the store."""
@@ -34,7 +31,7 @@ def json_in(path):
     return json.loads(path.read_text())
 
 
-def test_weights_in_a_store_are_those_of_a_run_and_the_command_is_what_was_typed(gridtrack, folder):
+def test_weights_in_a_store_are_those_of_a_run_and_the_command_is_what_was_typed(folder):
     shutil.copytree(SHIPPED, folder / "store" / "weights" / "static-map")
     url = f"file://{folder}/store/weights"
     rows = ("--tracker", f"new=static-map:weights={url}", "--tracker", "static-map:points=centres")
@@ -51,13 +48,13 @@ def test_weights_in_a_store_are_those_of_a_run_and_the_command_is_what_was_typed
     assert missing.stderr == f"gridtrack: {url}-none: there is no such folder, or no file in it\n"
 
 
-def test_a_row_may_name_its_weights_in_a_store_that_is_not_there(gridtrack, folder):
+def test_a_row_may_name_its_weights_in_a_store_that_is_not_there(folder):
     row = f"static-map:points=raw,weights=file://{folder}/none"
     failed = gridtrack("compare", RECORDING, "--tracker", row, code=2)
     assert failed.stderr == f"gridtrack: file://{folder}/none: there is no such folder, or no file in it\n"
 
 
-def test_the_card_of_a_training_names_what_was_typed(gridtrack, folder):
+def test_the_card_of_a_training_names_what_was_typed(folder):
     """Whoever repeats the command has the store, and not this machine's cache."""
     shutil.copytree(SHIPPED, folder / "store" / "weights" / "static-map")
     shutil.copy(packaged_recording("leg_tracker"), folder / "store")
@@ -71,7 +68,7 @@ def test_the_card_of_a_training_names_what_was_typed(gridtrack, folder):
 
 
 @pytest.fixture
-def run_url(gridtrack, folder):
+def run_url(folder):
     """A run in the store, which is nowhere else."""
     out = ("--out", "store/hall")
     gridtrack("compare", RECORDING, "--tracker", "persistence", "--tracker", "blank", *SHORT, *out)
@@ -106,7 +103,7 @@ def kept_runs(folder):
     return [path.parent for path in (folder / "home").rglob("run.json")]
 
 
-def test_a_run_is_made_in_a_store_and_continued_from_there(gridtrack, folder):
+def test_a_run_is_made_in_a_store_and_continued_from_there(folder):
     url = f"file://{folder}/store/hall"
     done = gridtrack("compare", RECORDING, *ROW, *SHORT, "--out", url)
     assert done.stdout.endswith(f"report: {url}/report/index.html\n")
@@ -128,7 +125,7 @@ def test_a_run_is_made_in_a_store_and_continued_from_there(gridtrack, folder):
     assert kept_runs(folder) == []
 
 
-def test_what_cannot_be_uploaded_stays_here_and_is_uploaded_by_the_command_that_is_told(gridtrack, folder):
+def test_what_cannot_be_uploaded_stays_here_and_is_uploaded_by_the_command_that_is_told(folder):
     blocking = folder / "store" / "hall" / "report"
     blocking.parent.mkdir(parents=True)
     blocking.write_text("a file where the folder of the report should be")
@@ -136,8 +133,8 @@ def test_what_cannot_be_uploaded_stays_here_and_is_uploaded_by_the_command_that_
     command = ("compare", RECORDING, *ROW, *SHORT, "--out", url)
     failed = gridtrack(*command, code=2)
     (kept,) = kept_runs(folder)
-    told, reason = failed.err.splitlines()[-2:]
-    assert told.startswith(f"gridtrack: {kept} keeps the run, which {url} does not have in this state: run `gridtrack")
+    told, reason = failed.stderr.splitlines()[-2:]
+    assert told.startswith(f"gridtrack: {kept} keeps the run, which is not in {url} as it is here: run `gridtrack")
     assert "--resume`" in told
     assert reason.startswith(f"gridtrack: {url}: cannot be uploaded to (")
     assert not (folder / "store" / "hall" / "run.json").exists()
@@ -149,7 +146,7 @@ def test_what_cannot_be_uploaded_stays_here_and_is_uploaded_by_the_command_that_
     assert kept_runs(folder) == []
 
 
-def test_a_comparison_that_does_not_begin_leaves_nothing(gridtrack, folder):
+def test_a_comparison_that_does_not_begin_leaves_nothing(folder):
     url = f"file://{folder}/store/hall"
     gridtrack("compare", RECORDING, "--tracker", "none-such", *SHORT, "--out", url, code=2)
     assert not (folder / "store").exists()
