@@ -183,14 +183,14 @@ def test_nobody_walks_through_the_lasers_on_two_corners(monkeypatch: pytest.Monk
 def simulated() -> Tracks:
     """The traffic of a robot's drive."""
     pytest.importorskip("sumo", reason="SUMO is not installed")
-    return junction.simulate_traffic(round((24.0 + drives.SEARCH_S) * layout.RATE_HZ), 3, 60.0)
+    return junction.simulate_traffic(round(60.0 * layout.RATE_HZ), 3, 20.0)
 
 
 def test_a_robot_drives_in_the_traffic_of_sumo(simulated: Tracks, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drives, "simulate_traffic", lambda frames, seed, start_s: simulated)
-    found = simulate_drive(0.4, 3, 60.0, "robot").carried(1.0)
+    found = simulate_drive(0.4, 3, 20.0, "robot").carried(1.0)
     assert found.info.recording.command == (
-        "gridtrack simulate junction --minutes 0.4 --seed 3 --start 60s --carrier robot --sensor drive"
+        "gridtrack simulate junction --minutes 0.4 --seed 3 --start 20s --carrier robot --sensor drive"
         " --odometry-noise 1"
     )
     poses = found.sensor_poses("scan")
