@@ -7,7 +7,7 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
-from gridtrack.trackers.contract import FitTask, StretchScore, stream_of
+from gridtrack.trackers.contract import FitTask, stream_of
 from gridtrack.trackers.model_free.classes import ClassModel
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
 from gridtrack.trackers.model_free.kalman import KalmanTracker
@@ -16,13 +16,13 @@ from gridtrack.trackers.model_free.training import count_cells
 from gridtrack.trackers.training import searched_fit
 from gridtrack.trackers.training.labelled_scans import LabelledScans
 from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
+from tests.trackers.scores import of_every_stratum
 
 from scenes.street import GRID, Street, frame_of
 
 
 def no_score(tracker, source, steps):
-    flat = np.zeros(steps + 1)
-    return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat})
+    return of_every_stratum(0.0, 0.0, steps)
 
 
 def fit(folder, tracker=KalmanTracker, street=None, **options):
