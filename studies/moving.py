@@ -22,7 +22,7 @@ from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.sums import ScoredFrames
 from gridtrack.evaluation.scores.definition import Ratio, Sums
 from gridtrack.evaluation.scores.f1 import F1
-from gridtrack.evaluation.statistics.jackknife import Estimate, Replicates, difference, ratio_replicates
+from gridtrack.evaluation.statistics.jackknife import IntervalEstimate, Replicates, difference, ratio_replicates
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.observation import reference_pose
 from gridtrack.simulation.junction.drives import CARRIERS
@@ -71,7 +71,7 @@ class Comparison:
         """The comparison in `folder`. Raises SystemExit if it is not complete."""
         return cls(kind, PlaceScores.read(folder))
 
-    def less(self, other: Comparison, tracker: str) -> dict[str, Estimate]:
+    def less(self, other: Comparison, tracker: str) -> dict[str, IntervalEstimate]:
         """F1 of a tracker less its F1 with `other` poses, by stratum and step; a drive is a statistical unit.
 
         Both have the same scored stamps but other frames, in windows about other poses: drives are paired, cells are
@@ -80,7 +80,7 @@ class Comparison:
         own, others = self._by_drive((self, tracker), (other, tracker))
         return {stratum: difference(own[stratum], others[stratum]) for stratum in STRATA}
 
-    def less_beyond_floor(self, other: Comparison, tracker: str) -> dict[str, Estimate]:
+    def less_beyond_floor(self, other: Comparison, tracker: str) -> dict[str, IntervalEstimate]:
         """The same, less the loss of FLOOR, which knows nothing but the view."""
         rows = self._by_drive(*((kind, row) for kind in (self, other) for row in (tracker, FLOOR)))
         own, floor, others, others_floor = rows
@@ -206,7 +206,7 @@ def view_section(compared: Sequence[Comparison], trackers: Sequence[str]) -> Res
     return _differences(lost, perfect)
 
 
-def _differences(found: Mapping[str, Mapping[str, Estimate]], perfect: Comparison) -> ResultSection:
+def _differences(found: Mapping[str, Mapping[str, IntervalEstimate]], perfect: Comparison) -> ResultSection:
     """A table for each stratum with a row for each of `found`, and each cell as a value."""
     steps = perfect.scores.horizons
     texts = {
@@ -223,7 +223,7 @@ def _differences(found: Mapping[str, Mapping[str, Estimate]], perfect: Compariso
     return ResultSection(command=COMMAND, tables=tables, values=values)
 
 
-def difference_text(found: Estimate) -> str:
+def difference_text(found: IntervalEstimate) -> str:
     """One difference with its interval."""
     return score_text(*map(float, (found.value, found.low, found.high)), signed=True)
 

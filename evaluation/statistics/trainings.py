@@ -23,7 +23,7 @@ from gridtrack.evaluation.scores.definition import Floats
 from gridtrack.evaluation.statistics.jackknife import (
     LEAST_UNITS,
     LEVEL,
-    Estimate,
+    IntervalEstimate,
     Replicates,
     degrees_of_freedom,
     difference,
@@ -121,7 +121,7 @@ class Trainings:
         return spread.deviation**2 / spread.trainings, spread.freedom
 
 
-def training_differences(own: Trainings, reference: Trainings, level: float = LEVEL) -> Estimate:
+def training_differences(own: Trainings, reference: Trainings, level: float = LEVEL) -> IntervalEstimate:
     """Mean score of `own` less that of `reference` (R,), with intervals over units and trainings; both of the same
     units.
 
@@ -131,7 +131,7 @@ def training_differences(own: Trainings, reference: Trainings, level: float = LE
     value, units = mine.value - theirs.value, mine.units
     if units < LEAST_UNITS or not (own.spread_known and reference.spread_known):
         nothing = np.full_like(value, np.nan)
-        return Estimate(value, nothing, nothing, nothing)
+        return IntervalEstimate(value, nothing, nothing, nothing)
     without = mine.without - theirs.without
     over_units = (units - 1) / units * ((without - without.mean(axis=0)) ** 2).sum(axis=0)
     of_units = over_units, degrees_of_freedom(mine.size, theirs.size)
@@ -139,7 +139,7 @@ def training_differences(own: Trainings, reference: Trainings, level: float = LE
     return difference_of(value, np.sqrt(variance), freedom, level)
 
 
-def one_more(own: Replicates, trainings: Sequence[Replicates], level: float = LEVEL) -> Estimate:
+def one_more(own: Replicates, trainings: Sequence[Replicates], level: float = LEVEL) -> IntervalEstimate:
     """The score of one more training less the mean of `trainings` (...), of the same units.
 
     With several trainings the variance includes the spread between them; with one it is not known, and the difference

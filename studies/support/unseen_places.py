@@ -14,7 +14,7 @@ from gridtrack.evaluation.runs.finished import FinishedTrial, RunTrials
 from gridtrack.evaluation.runs.run_record import RecordingDescription
 from gridtrack.evaluation.runs.summarise import HEADLINE, summarise
 from gridtrack.evaluation.runs.summary import (
-    UNKNOWN,
+    NO_ESTIMATE,
     PairFamily,
     PairTest,
     PointEstimate,
@@ -25,7 +25,7 @@ from gridtrack.evaluation.runs.summary import (
     read_summary,
 )
 from gridtrack.evaluation.scores.registry import built_in, find_output
-from gridtrack.reports.differences import SIGNIFICANT as TOLD_APART
+from gridtrack.reports.differences import SIGNIFICANT_VERDICTS as TOLD_APART
 from gridtrack.trackers.training.card import GENERAL
 
 from studies.support.comparison import finished_trials
@@ -190,7 +190,7 @@ class PlaceScores:
 
     def _at(self, found: ScopeSummary | TrackerDifference, stratum: str, score: str, step: int | None) -> PointEstimate:
         one, output = find_output(score, built_in())
-        return UNKNOWN if step is None else found.at(stratum, one.name, output.name, step)
+        return NO_ESTIMATE if step is None else found.at(stratum, one.name, output.name, step)
 
     def table(self, corner: str, columns: Sequence[tuple[str, str, str, float]]) -> ResultTable:
         """A row for each tracker; columns are heading, stratum, score and horizon."""

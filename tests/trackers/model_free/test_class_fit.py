@@ -12,7 +12,7 @@ from gridtrack.trackers.model_free.classes import ClassModel
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
-from gridtrack.trackers.model_free.training import count_cells
+from gridtrack.trackers.model_free.training import count_labelled_cells
 from gridtrack.trackers.training import searched_fit
 from gridtrack.trackers.training.labelled_scans import LabelledScans
 from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
@@ -160,7 +160,7 @@ def test_only_labelled_cells_of_the_trained_classes_are_counted():
                 yield LabelledFrame(frame_of([]), np.array([3, 3600 - 1]), np.array(labels, np.uint8))
 
     labelled = LabelledScans((Labelled(),), (np.array([0, 2]),), ("horse", "pedestrian"))
-    count = count_cells(labelled, ("horse", "pedestrian"))
+    count = count_labelled_cells(labelled, ("horse", "pedestrian"))
     assert count.sum() == 4.0
     assert (count[1, 0, 3], count[0, 59, 59], count[1, 59, 59]) == (2.0, 1.0, 1.0)
     assert ClassModel._fields == ("mixture_weights", "means", "whitening", "frequency", "powers", "cell_prior")
