@@ -19,7 +19,7 @@ from docs.definitions import PACKAGES, definitions
 
 ROOT = Path(__file__).parents[1]
 CONVENTIONAL = ("app", "main", "INFERENCE", "TRAINING")
-"""Names that may be defined in several modules: the application and entry point of a command, the kernels of a network."""
+"""Names that several modules may define: the application and entry point of a command, the kernels of a network."""
 HEAVY = (
     "torch", "lightning", "gtsam", "kiss_icp", "ray", "submitit", "sklearn", "optuna", "filterpy", "numba", "rosbags",
     "scipy", "polars", "pyarrow", "numpy", "pydantic", "rerun",
