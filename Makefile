@@ -9,7 +9,7 @@ DEMO_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tra
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
 # one worker more than processors: many tests wait for the processes that they start
-PYTEST := $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 1) --dist worksteal
+PYTEST := $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
 # with general weights: they have seen no recording of a site
 GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
@@ -19,7 +19,7 @@ folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
 trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))
 
-.PHONY: help demo demo-junction test coverage lint bench results worlds-results real-results schemas docs figures screenshots ablations returns junction weights baseline clean
+.PHONY: help demo demo-junction test coverage lint bench results worlds-results real-results schemas docs figures size screenshots ablations returns junction weights baseline clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
@@ -56,13 +56,13 @@ fuzz: $(VENV)/.installed-dev ## fuzz every reader of untrusted input for ten min
 bench: $(VENV)/.installed-dev ## measure the speed of everything that `make test` installs (half an hour)
 	$(BIN)/python -m benchmarks
 
-results: $(VENV)/.installed-demo ## compare every tracker at the junction: the numbers of docs/results/junction
+results: $(VENV)/.installed-dev ## compare every tracker at the junction: the numbers of docs/results/junction
 	rm -rf runs/results
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS) deep-tracking-rnn) $(trainings) --reference dilated-convgru --out runs/results
 	$(BIN)/python -m studies.kept_summary runs/results junction
 	$(BIN)/python -m studies.static_memory
 
-worlds-results: $(VENV)/.installed-demo ## compare every tracker with general weights on the test worlds: the numbers of docs/results/worlds
+worlds-results: $(VENV)/.installed-dev ## compare every tracker with general weights on the test worlds: the numbers of docs/results/worlds
 	$(BIN)/python -m studies.worlds_results
 
 real-results: $(VENV)/.installed-dev ## the same on recordings of real robots, in the folder DATA: docs/results/real
@@ -77,16 +77,19 @@ docs: $(VENV)/.installed-docs ## build the documentation site in runs/site; ever
 figures: $(VENV)/.installed-dev ## write the numbers of the pages from docs/results, and draw the label budget
 	$(BIN)/python -m studies.label_curve
 	$(BIN)/python -m studies.figures
-	$(BIN)/python -m studies.contract_page
+	$(BIN)/python -m studies.defined_pages
+
+size: $(VENV)/.installed-dev ## count lines, files and words (REV=v0.2.0: beside those of that revision)
+	$(BIN)/python -m studies.size $(REV)
 
 screenshots: $(VENV)/.installed-dev ## pictures of the report of runs/demo, at two widths, light and dark, in runs/screenshots
 	$(BIN)/python -m studies.report_screenshots runs/demo --out runs/screenshots
 
 ablations: $(VENV)/.installed-dev ## train and compare the dilated ConvGRU without each part that the paper names
-	$(BIN)/python -m studies.ablations
+	$(BIN)/python -m studies.variants ablations
 
 returns: $(VENV)/.installed-demo ## compare kalman without a map of the site, and with the laser's own returns
-	$(BIN)/python -m studies.map_and_returns
+	$(BIN)/python -m studies.variants returns
 
 junction: $(VENV)/.installed-sim ## simulate the junction's recordings with SUMO (ten minutes)
 	$(BIN)/gridtrack simulate junction-set --out data/junction

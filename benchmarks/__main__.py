@@ -1,7 +1,7 @@
-"""All benchmarks that need no more than what `make test` installs, one after the other (half an hour).
+"""All benchmarks that run with the packages of `make test`, one after the other (half an hour).
 
-`python -m benchmarks`. The others, `follow`, `junction`, `report_size`, `scale` and `stone_soup`, name what they need
-in their first lines.
+`python -m benchmarks`. The first lines of the others, `follow`, `junction`, `report_size`, `scale` and `stone_soup`,
+name their requirements.
 """
 
 from __future__ import annotations
@@ -10,12 +10,10 @@ import subprocess
 import sys
 
 BENCHMARKS = (
-    "import_time",
-    "raycast",
+    "parts",
     "moving_sensor",
     "ego_motion",
     "scoring",
-    "statistics",
     "harness",
     "recurrent",
     "inference",

@@ -6,10 +6,9 @@
 
 from __future__ import annotations
 
-import argparse
 import time
+from collections.abc import Sequence
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +20,12 @@ from gridtrack.trackers.dogma.settings import DogmaSettings
 from gridtrack.trackers.dogma.tracker import DogmaTracker
 
 from benchmarks.timing import p50_p95
-from studies.support.results_file import ResultTable, measured_table, write_table
+from studies.support.results_file import ResultTable, measured_table, study_parser, write_table
 from studies.support.shipped import JUNCTION, STEPS, shipped_stream
 
 FRAMES, WARM_UP = 240, 20
 DEFAULT = DogmaSettings.model_fields["particles"].default
-"""Particles of the tracker as it ships."""
+"""Particles of the shipped tracker."""
 
 
 def measure(stream: StreamSpec, frames: list[GridFrame], particles: int) -> NDArray[np.float64]:
@@ -44,7 +43,7 @@ def measure(stream: StreamSpec, frames: list[GridFrame], particles: int) -> NDAr
 
 
 def table_of(found: dict[int, NDArray[np.float64]]) -> ResultTable:
-    """For each number of particles its times (4, N) as ratios of medians to those of the default number."""
+    """Ratios of median times (4, N) to those of the default number of particles."""
     standard = np.median(found[DEFAULT], axis=1)
     rows = []
     for particles, times in found.items():
@@ -56,11 +55,10 @@ def table_of(found: dict[int, NDArray[np.float64]]) -> ResultTable:
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/trackers/dogma.json")
     parser.add_argument("--particles", type=int, nargs="+", default=[25_000, 50_000, DEFAULT, 200_000])
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/dogma.json")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     source = open_stream(JUNCTION / "test-101.tracks")
     frames, stream = list(islice(source, FRAMES)), shipped_stream("dogma", source)
     print(f"ms, p50 / p95, of an update and a {STEPS}-step forecast; 'processor' is the processor time of both")

@@ -2,13 +2,12 @@
 
 `python -m benchmarks.ego_motion [RECORDING...] [--out FILE]` (a minute). Aim: at least 100 scans/s. kiss-icp's command
 line reads the returns of each scan as a cloud with z = 0, with the same range and voxels, one thread and no deskewing;
-its rate is the one that it writes, which does not count reading. All take turns; of each the best of several rounds
-counts, by the clock, so that the machine should be idle.
+it writes its own rate, without reading. All take turns, and the best of several rounds counts, by the clock: the
+machine should be idle.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
@@ -28,7 +27,7 @@ from gridtrack.recordings import open_recording
 from gridtrack.recordings.ego_motion import MatchingSettings, PoseSource, matched_trajectory
 from gridtrack.recordings.ego_motion.returns import measured_points
 
-from studies.support.results_file import ResultSection, measured_table, write_section
+from studies.support.results_file import ResultSection, measured_table, study_parser, write_section
 from studies.support.shipped import DATA, DEMO
 
 RECORDINGS = (DEMO, DATA / "drives" / "car-202.tracks", DATA / "drives" / "robot-203.tracks")
@@ -38,7 +37,7 @@ ROUNDS = 3
 
 
 def rates_hz(scans: Sequence[Scan], settings: MatchingSettings) -> dict[str, float]:
-    """Scans a second of PEER and of each way to match, the best of ROUNDS."""
+    """Scans per second of PEER and of each way to match, the best of ROUNDS."""
     with tempfile.TemporaryDirectory() as folder:
         clouds = Path(folder, "clouds")
         write_clouds(scans, settings, clouds)
@@ -52,7 +51,7 @@ def rates_hz(scans: Sequence[Scan], settings: MatchingSettings) -> dict[str, flo
 
 
 def write_clouds(scans: Sequence[Scan], settings: MatchingSettings, folder: Path) -> None:
-    """The returns of each scan as KITTI writes clouds: (N, 4) float32 of x, y, z and intensity."""
+    """Write the returns of each scan as a cloud of KITTI: (N, 4) float32 of x, y, z and intensity."""
     folder.mkdir()
     for number, scan in enumerate(scans):
         points, _ = measured_points(scan, settings.max_range_m)
@@ -61,7 +60,7 @@ def write_clouds(scans: Sequence[Scan], settings: MatchingSettings, folder: Path
 
 
 def rate_of_peer(clouds: Path, settings: MatchingSettings) -> float:
-    """The mean rate that the command line of kiss-icp writes beside its poses, scans/s."""
+    """The mean rate that kiss-icp writes beside its poses, scans/s."""
     program, out = Path(sys.executable).with_name("kiss_icp_pipeline"), clouds.with_name("poses")
     given = {
         "data": {"max_range": settings.max_range_m, "deskew": False},
@@ -78,14 +77,14 @@ def rate_of_peer(clouds: Path, settings: MatchingSettings) -> float:
 
 
 def rate_of_ours(source: PoseSource, scans: Sequence[Scan], settings: MatchingSettings) -> float:
-    """Scans a second of matching with poses of `source`: kiss-icp (from the scans alone) or refined."""
+    """Scans per second of matching with poses of `source`: kiss-icp (from the scans alone) or refined."""
     begun = time.perf_counter()
     matched_trajectory(scans, source, settings)
     return len(scans) / (time.perf_counter() - begun)
 
 
 def measured(recordings: Sequence[Path], most: int | None) -> ResultSection:
-    """A row for each recording, of its first scans, `most` of them, and way to match."""
+    """A row for each recording, of its first `most` scans, and way to match."""
     settings, rows, least = MatchingSettings(), [], float("inf")
     for path in recordings:
         scans = list(islice(open_recording(path).scans(), most))
@@ -102,17 +101,14 @@ def measured(recordings: Sequence[Path], most: int | None) -> ResultSection:
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("recordings", nargs="*", type=Path, default=RECORDINGS, help="default: of those that ship")
-    parser.add_argument("--scans", type=int, help="of each recording, from its first on; default: all of them")
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/moving/cost.json")
-    given = parser.parse_args()
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/moving/cost.json")
+    parser.add_argument("recordings", nargs="*", type=Path, default=RECORDINGS, help="default: three that ship")
+    parser.add_argument("--scans", type=int, help="number of first scans of each recording; default: all")
+    given = parser.parse_args(arguments)
     section = measured(given.recordings, given.scans)
-    print(section.tables["rates"].markdown())
-    print(f"\naim: at least {AIM_HZ:g} scans/s; {section.values['aim']}")
-    if given.out is not None:
-        write_section(given.out, "ego-motion", section)
+    print(section.text())
+    write_section(given.out, "ego-motion", section)
 
 
 if __name__ == "__main__":

@@ -1,17 +1,15 @@
-"""Time and memory of the two estimators of an object's motion: an update, thirty tracks and their forecast, one hour.
+"""Time and memory of both estimators of an object's motion: an update, thirty tracks and their forecast, one hour.
 
 `python -m benchmarks.estimators [--out FILE]` (four minutes). Aims: an update in 0.1 ms (Kalman filter) and 0.4 ms
 (factor graph) a track; 30 tracks and their forecast within 25 ms at p95; an hour at 8 Hz without growth of memory or of
-time. Times are processor time of one thread: other work on the machine affects the caches only. Their errors:
+time. Times are processor time of one thread, so other work on the machine affects the caches only. Their errors:
 `studies/estimator_errors.py`.
 """
 
 from __future__ import annotations
 
-import argparse
 import time
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import psutil
@@ -22,15 +20,15 @@ from gridtrack.trackers.model_free.kalman import KalmanEstimator
 from gridtrack.trackers.model_free.motion import propagate
 
 from benchmarks.timing import p50_p95
-from studies.support.measured_motion import FRAMES_PER_SECOND, MODEL, NOISE, Array, measured_poses
-from studies.support.results_file import measured_table, write_table
+from studies.estimator_errors import FRAMES_PER_SECOND, MODEL, NOISE, Array, measured_poses
+from studies.support.results_file import measured_table, study_parser, write_table
 
 ESTIMATORS: dict[str, Callable[..., MotionEstimator]] = {
     "Kalman filter": KalmanEstimator,
     "factor graph": FactorGraphEstimator,
 }
 STEPS, TRACKS = 20, 30
-"""Steps of a forecast; live tracks at a time."""
+"""Steps of a forecast; simultaneous tracks."""
 COLUMNS = (
     "ms, median / p95",
     "predict and update, one track",
@@ -81,7 +79,7 @@ def circling(frames: int, tracks: int) -> Array:
 
 
 def hour_values(hours: float, tracks: int = 3) -> dict[str, str]:
-    """How memory and time of a step grow over the hours: the last quarter beside the first, for each estimator."""
+    """Growth of memory and time per step over the hours, the last quarter against the first, for each estimator."""
     frames, quarter = round(3600 * FRAMES_PER_SECOND * hours), round(900 * FRAMES_PER_SECOND * hours)
     process = psutil.Process()
     poses = circling(frames, tracks)
@@ -100,19 +98,18 @@ def hour_values(hours: float, tracks: int = 3) -> dict[str, str]:
                 start = time.thread_time()
                 memories_mib.append(process.memory_info().rss / 2**20)
                 thousand_ms = 1e3 * times_ms[-1] / (quarter * tracks)
-                print(f"{thousand_ms:9.1f} ms a thousand steps {memories_mib[-1]:9.1f} MiB", flush=True)
+                print(f"{thousand_ms:9.1f} ms per thousand steps {memories_mib[-1]:9.1f} MiB", flush=True)
         values[f"{label}: memory gained, MiB"] = f"{memories_mib[-1] - memories_mib[0]:.1f}"
         values[f"{label}: time, last quarter over first"] = f"{times_ms[-1] / times_ms[0]:.2f}"
         values[f"{label}: restarts"] = str(sum(track.restarts for track in followed))
     return values
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--frames", type=int, default=300, help="to take the times of an update from")
-    parser.add_argument("--hours", type=float, default=1.0, help="how long the long run is")
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/estimators.json")
-    given = parser.parse_args()
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/trackers/estimators.json")
+    parser.add_argument("--frames", type=int, default=300, help="of the times of an update")
+    parser.add_argument("--hours", type=float, default=1.0, help="duration of the long run")
+    given = parser.parse_args(arguments)
     for kind in ESTIMATORS.values():
         warm_up(kind, MODEL)
     print("processor time, ms: median / p95")

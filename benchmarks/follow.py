@@ -1,15 +1,14 @@
 """Following a recording for two hours: memory, open files, disk and missed frames while a robot records.
 
-`python -m benchmarks.follow [TRACKER...] [--folder FOLDER] [--out FILE]` (persistence and kalman by default; two
-hours, and the time to score them). The demo recording is written again and again in real time, with stamps that go on,
-and `gridtrack compare --follow` reads it. Every ten seconds a line is added to FOLDER/samples.csv: of `compare` and of
-its trackers the resident memory, their open files, the size of the recording, the disk in use by the folder of the run,
-the file without a name included, and the missed frames. `--table` makes the table of docs/follow.md of earlier samples.
+`python -m benchmarks.follow [TRACKER...] [--folder FOLDER] [--out FILE]` (default: persistence and kalman; two hours,
+and the time to score them). The demo recording is written repeatedly in real time, with increasing stamps, and
+`gridtrack compare --follow` reads it. A line is added to FOLDER/samples.csv every ten seconds: resident memory of
+`compare` and of its trackers, open files, size of the recording, disk usage of the run's folder with its unnamed file,
+and missed frames. `--table` makes the table of docs/follow.md from earlier samples.
 """
 
 from __future__ import annotations
 
-import argparse
 import csv
 import re
 import subprocess
@@ -27,7 +26,7 @@ from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording, write_native
 
 from benchmarks.harness import looped
-from studies.support.results_file import ResultTable, measured_table, write_table
+from studies.support.results_file import ResultTable, measured_table, study_parser, write_table
 from studies.support.shipped import DEMO
 
 SAMPLE_EVERY_S, ROW_EVERY_S, BLOCK_BYTES, MIB = 10.0, 600.0, 512, 2.0**20
@@ -60,7 +59,7 @@ class Recorder(threading.Thread):
 
 
 def disk_mib(folder: Path, processes: Sequence[psutil.Process]) -> float:
-    """Disk in use by the files in `folder`, and by those there that `processes` hold open without a name."""
+    """Disk usage of the files in `folder`, and of deleted files there that `processes` hold open."""
     found = {(status.st_dev, status.st_ino): status.st_blocks for status in map(Path.stat, folder.rglob("*"))}
     for process in processes:
         for link in Path(f"/proc/{process.pid}/fd").iterdir():
@@ -71,7 +70,7 @@ def disk_mib(folder: Path, processes: Sequence[psutil.Process]) -> float:
 
 
 def sample(process: psutil.Process, recording: Path, folder: Path, line: str) -> list[str]:
-    """The columns after the time; `line` is the newest of the live table."""
+    """The columns after the time; `line` is the newest line of the live table."""
     trackers = process.children(recursive=True)
     resident = [one.memory_info().rss / MIB for one in (process, *trackers)]
     open_files = sum(one.num_fds() for one in (process, *trackers))
@@ -82,7 +81,7 @@ def sample(process: psutil.Process, recording: Path, folder: Path, line: str) ->
 
 
 def watch(command: subprocess.Popen[bytes], log: Path, recording: Path, folder: Path, out: TextIO) -> None:
-    """Write a line every ten seconds, until the command ends."""
+    """Write a line every ten seconds until the command ends."""
     table, began_s = csv.writer(out), time.monotonic()
     table.writerow(SAMPLED)
     while command.poll() is None:
@@ -90,7 +89,7 @@ def watch(command: subprocess.Popen[bytes], log: Path, recording: Path, folder: 
         try:
             sampled = sample(psutil.Process(command.pid), recording, folder, line)
         except (psutil.Error, OSError):
-            sampled = []  # a process or a file of it ended in between
+            sampled = []  # a process or one of its files ended meanwhile
         if sampled:
             table.writerow([f"{time.monotonic() - began_s:.0f}", *sampled])
             out.flush()
@@ -98,7 +97,7 @@ def watch(command: subprocess.Popen[bytes], log: Path, recording: Path, folder: 
 
 
 def table_of(samples: Path) -> ResultTable:
-    """A row for each ten minutes of the following, one for its end, and the most of each while it was scored."""
+    """A row for each ten minutes of following, one for its end, and the largest values while it was scored."""
     with samples.open(newline="") as file:
         rows = list(csv.DictReader(file))
     followed = [row for row in rows if row["missed"]]
@@ -117,7 +116,7 @@ def _row(name: str, samples: Sequence[dict[str, str]]) -> list[str]:
 
 
 def follow(trackers: Sequence[str], minutes: float, folder: Path) -> int:
-    """Record and follow in `folder`, with samples.csv and the output of the command; its exit code."""
+    """Record and follow in `folder`, with samples.csv and the output of the command; returns the exit code."""
     recording, run, log = folder / "growing.mcap", folder / "run", folder / "compare.log"
     Recorder(recording, minutes).start()
     while not recording.exists():
@@ -131,21 +130,20 @@ def follow(trackers: Sequence[str], minutes: float, folder: Path) -> int:
     return command.returncode
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/follow.json")
     parser.add_argument("trackers", nargs="*", default=["persistence", "kalman"])
     parser.add_argument("--minutes", type=float, default=120.0)
     parser.add_argument("--folder", type=Path, help="of the recording, the run and the samples")
-    parser.add_argument("--table", action="store_true", help="only make the table of the samples in the folder")
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/follow.json")
-    arguments = parser.parse_args()
-    folder = (arguments.folder or Path(tempfile.mkdtemp(prefix="gridtrack-follow-"))).resolve()
+    parser.add_argument("--table", action="store_true", help="only make the table from the samples in the folder")
+    given = parser.parse_args(arguments)
+    folder = (given.folder or Path(tempfile.mkdtemp(prefix="gridtrack-follow-"))).resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    if not arguments.table:
-        print(f"exit code {follow(arguments.trackers, arguments.minutes, folder)}; {folder}")
+    if not given.table:
+        print(f"exit code {follow(given.trackers, given.minutes, folder)}; {folder}")
     table = table_of(folder / "samples.csv")
     print(table.markdown())
-    write_table(arguments.out, "following", table, f"python -m benchmarks.follow {' '.join(arguments.trackers)}")
+    write_table(given.out, "following", table, f"python -m benchmarks.follow {' '.join(given.trackers)}")
 
 
 if __name__ == "__main__":

@@ -1,31 +1,50 @@
-"""Cost of the harness beside the trackers: time a frame, time over the demo set, memory by a recording's length.
+"""Cost of the harness beside the trackers: time per frame, time over the demo, memory by length of the recording.
 
-`python -m benchmarks.harness [TRACKER...]` (some minutes). Aims: 5 ms a frame beside the tracker's own time,
-printed for `blank`; 1.1 x the trackers' own time over the set (every tracker that has weights, or those named);
-and the same memory for a recording ten times as long.
+`python -m benchmarks.harness [TRACKER...]` (some minutes). Aims: 5 ms per frame beside the tracker's own time, printed
+for `blank`; 1.1 x the trackers' own time in all (default: every tracker that has weights); and the same memory for a
+recording ten times as long.
 """
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import resource
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.comparison.plan import resolve
-from gridtrack.evaluation.comparison.runner import run
-from gridtrack.evaluation.comparison.settings import CompareSettings
-from gridtrack.evaluation.results.summary import RunSummary
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.settings import CompareSettings
+from gridtrack.evaluation.runs.summary import RunSummary
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.recordings import open_recording, write_native
 
-from studies.support.progress import NoProgress
+from studies.support.results_file import study_parser
 from studies.support.shipped import DEMO
 
 LOOPS = 10
+
+
+class NoProgress:
+    """A progress display that shows nothing."""
+
+    def note(self, text: str) -> None:
+        """Show nothing."""
+
+    def planned(self, frames: Mapping[str, int], then: Sequence[str] = ()) -> None:
+        """Show nothing."""
+
+    def started(self, trial: str, frames: int) -> None:
+        """Show nothing."""
+
+    def advanced(self, trial: str) -> None:
+        """Show nothing."""
+
+    def ended(self, trial: str, record: TrialRecord) -> None:
+        """Show nothing."""
 
 
 def compare(recording: str, trackers: Sequence[str]) -> RunSummary:
@@ -66,7 +85,7 @@ def print_times(trackers: Sequence[str]) -> None:
             own, wall = trial.times.update_s + trial.times.predict_s, trial.times.wall_s
             own_total, wall_total = own_total + own, wall_total + wall
             beside_ms = 1e3 * (wall - own) / trial.times.frames
-            print(f"{label:20} {own:8.2f} s own, {wall:8.2f} s in all, {beside_ms:5.2f} ms a frame beside it")
+            print(f"{label:20} {own:8.2f} s own, {wall:8.2f} s in all, {beside_ms:5.2f} ms per frame beside it")
     print(f"{'together':20} {own_total:8.2f} s own, {wall_total:8.2f} s in all: {wall_total / own_total:.2f} x")
 
 
@@ -79,10 +98,10 @@ def print_memory() -> None:
     print(f"peak memory of the referee: {once:.0f} MiB for the demo, {often:.0f} MiB for one {LOOPS} times as long")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__)
     parser.add_argument("trackers", nargs="*", help="default: every tracker that has weights")
-    print_times(parser.parse_args().trackers)
+    print_times(parser.parse_args(arguments).trackers)
     print_memory()
 
 

@@ -1,14 +1,13 @@
-"""One hour of frames through a whole tracker: memory, times of updates and forecasts, and recoveries over the hour.
+"""One hour of frames through a tracker: memory, times of updates and forecasts, and recoveries.
 
-`python -m benchmarks.hour [TRACKER...] [--moving] [--out FILE]` (those of MINUTES; some forty minutes on an idle core).
-One minute of the junction is repeated without a reset; at each repetition every moving body jumps, with `--moving` the
-laser too: a delivery robot carries it. A forecast of 20 steps is made every two seconds. Each tracker runs in a process
-of its own.
+`python -m benchmarks.hour [TRACKER...] [--moving] [--out FILE]` (default: MINUTES; forty minutes on an idle core). One
+minute of the junction is repeated without a reset, so that every moving body jumps at each repetition; with `--moving`
+a delivery robot carries the laser, which jumps too. A forecast of 20 steps is made every two seconds. Each tracker runs
+in a process of its own.
 """
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import time
 from collections.abc import Sequence
@@ -19,13 +18,13 @@ from pathlib import Path
 
 import psutil
 
-from gridtrack.evaluation.comparison.learned import find_weights, weights_in
+from gridtrack.evaluation.runs.learned import find_weights, weights_in
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Tracker, stream_of
 
 from benchmarks.timing import p50_p95
-from studies.support.results_file import ResultTable, measured_table, write_table
+from studies.support.results_file import ResultTable, measured_table, study_parser, write_table
 from studies.support.shipped import DATA, JUNCTION, STEPS
 
 PART_MINUTES, FORECAST_EVERY = 10, 16
@@ -43,7 +42,7 @@ COLUMNS = ("tracker", "minutes", "MiB", "update, ms", "forecast, ms", "recoverie
 
 @dataclass(frozen=True)
 class Part:
-    """Ten minutes of frames: memory at their end, and times of their calls."""
+    """Ten minutes of frames: memory at the end, and times of the calls."""
 
     minutes: int
     memory_mib: float
@@ -53,7 +52,7 @@ class Part:
 
 
 def tracker_on(name: str, stream: GridStream, moving: bool) -> Tracker:
-    """The tracker with its weights for the site, or of drives where it has some, else general ones."""
+    """The tracker with its weights for the site; of a moving laser those of drives, or else general ones."""
     found = find_weights(name, stream.site, None, "general" if moving else "any")
     if moving and list((DRIVE_WEIGHTS / name).glob("*.toml")):
         found = weights_in(DRIVE_WEIGHTS, name, stream.site)
@@ -64,7 +63,7 @@ def tracker_on(name: str, stream: GridStream, moving: bool) -> Tracker:
 
 
 def stream_frames(name: str, minutes: int, moving: bool, parts: Connection) -> None:
-    """Stream so many minutes, and send each Part."""
+    """Stream these minutes and send each Part."""
     recording = DATA / "drives" / "robot-203.tracks" if moving else JUNCTION / "test-101.tracks"
     stream = open_stream(recording)
     frames = list(stream)
@@ -87,7 +86,7 @@ def stream_frames(name: str, minutes: int, moving: bool, parts: Connection) -> N
 
 
 def parts_of(name: str, minutes: int, moving: bool) -> list[Part]:
-    """The parts of a tracker, each printed when it is there."""
+    """The parts of a tracker; each is printed when it ends."""
     context, found = multiprocessing.get_context("spawn"), []
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=stream_frames, args=(name, minutes, moving, sender))
@@ -105,7 +104,7 @@ def parts_of(name: str, minutes: int, moving: bool) -> list[Part]:
 
 
 def row_of(name: str, part: Part) -> list[str]:
-    """A part as it is printed; times are the median and the 95th percentile."""
+    """A row of COLUMNS; times are the median and the 95th percentile."""
     times = p50_p95(part.updates_ms), p50_p95(part.forecasts_ms)
     return [name, str(part.minutes), f"{part.memory_mib:.0f}", *times, str(part.recoveries)]
 
@@ -115,13 +114,12 @@ def table_of(parts: dict[str, list[Part]]) -> ResultTable:
     return measured_table(COLUMNS, [row_of(name, part) for name, own in parts.items() for part in (own[0], own[-1])])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/robustness.json")
     parser.add_argument("trackers", nargs="*", help="default: all")
     parser.add_argument("--moving", action="store_true", help="a laser that moves")
-    parser.add_argument("--minutes", type=int, help="of frames; default: an hour, of networks twenty minutes")
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/robustness.json")
-    given = parser.parse_args()
+    parser.add_argument("--minutes", type=int, help="of frames; default: an hour, for networks twenty minutes")
+    given = parser.parse_args(arguments)
     names = given.trackers or MINUTES
     parts = {name: parts_of(name, given.minutes or MINUTES[name], given.moving) for name in names}
     command = f"python -m benchmarks.hour{' --moving' if given.moving else ''}"

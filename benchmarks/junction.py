@@ -1,30 +1,31 @@
 """Time to simulate, check and render 75 minutes of the junction, and the traffic in them.
 
-`python -m benchmarks.junction [SEED...]` (six minutes a seed; needs the extra `sim`). Seeds 1 to 10 check that the
+`python -m benchmarks.junction [SEED...]` (six minutes per seed; needs the extra `sim`). Seeds 1 to 10 check that the
 traffic never gridlocks, nobody walks through walls or the scanner, and each class moves. Aims: 6 minutes on two cores,
 no faults, each class moving in 30 % of the frames, buses in 5 %.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
 from gridtrack.recordings import open_recording
 from gridtrack.simulation.junction import simulate_junction
+from gridtrack.simulation.tracks_file import write_recording
 from gridtrack.simulation.traffic import check_traffic
-from gridtrack.simulation.writing import write_recording
+
+from studies.support.results_file import study_parser
 
 Result = TypeVar("Result")
 
 
 def timed(call: Callable[[], Result]) -> tuple[Result, float, float]:
-    """The result, the seconds that it took, and those of the processor, children included."""
+    """The result of a call, its duration and its processor time with children, seconds."""
     start, before = time.perf_counter(), os.times()
     result = call()
     after = os.times()
@@ -48,13 +49,13 @@ def print_seed(seed: int, minutes: float) -> None:
     print(traffic, flush=True)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__)
     parser.add_argument("seeds", type=int, nargs="*", default=[1])
     parser.add_argument("--minutes", type=float, default=75.0)
-    arguments = parser.parse_args()
-    for seed in arguments.seeds:
-        print_seed(seed, arguments.minutes)
+    given = parser.parse_args(arguments)
+    for seed in given.seeds:
+        print_seed(seed, given.minutes)
 
 
 if __name__ == "__main__":

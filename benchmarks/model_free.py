@@ -7,12 +7,10 @@ a car.
 
 from __future__ import annotations
 
-import argparse
 import functools
 import time
 from collections import defaultdict
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,11 +24,12 @@ from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.training.calibration import IDENTITY, Calibration
 from gridtrack.trackers.training.weights import read_card
 
 from benchmarks.timing import p50_p95
-from studies.support.results_file import measured_table, write_table
+from studies.support.results_file import measured_table, study_parser, write_table
 from studies.support.shipped import STEPS, WEIGHTS
 
 GRID = GridSpec(100, 0.2)
@@ -39,27 +38,27 @@ FRAMES, WARM_UP = 200, 40
 MOVERS = (3, 10, 30)
 TUNED = read_card(WEIGHTS / "kalman" / "junction.toml").settings
 STREET = PipelineSettings(**{name: TUNED[name] for name in PipelineSettings.model_fields if name in TUNED})
-"""The settings that ship for the junction; an option that their card does not have yet has its default."""
+"""The settings that ship for the junction; an option that their card lacks has its default."""
 CALIBRATION = "calibration"
 CLASSES, GAUSSIANS = 5, 8
 MORE = "classes, additional processor time"
-"""What so many classes, each of so many Gaussians, add to the processor time of an update and a forecast."""
+"""The cost of CLASSES classes of GAUSSIANS Gaussians, beside the processor time of an update and a forecast."""
 
 
 def side_of_car() -> np.ndarray:
-    """The laser's returns of a car, (N, 2) metres about its centre: one side and the front."""
+    """Returns of a car, (N, 2) metres about its centre: one side and the front."""
     along = np.arange(-2.1, 2.15, 0.1)
     across = np.arange(-0.8, 0.85, 0.1)
     return np.concatenate([np.stack([along, 0 * along - 0.85], 1), np.stack([0 * across + 2.15, across], 1)])
 
 
 def person() -> np.ndarray:
-    """The laser's returns of a person, (N, 2) metres."""
+    """Returns of a person, (N, 2) metres."""
     return np.array([(0.0, 0.0), (0.2, 0.0), (0.2, 0.2)])
 
 
 def frame_of(count: int, step: int) -> GridFrame:
-    """All visible; `count` road users move in circles about positions of their own, one in three a car."""
+    """A frame with all cells visible; `count` road users circle about fixed positions, one in three a car."""
     occupied = np.zeros(GRID.shape, bool)
     phase = 0.06 * step
     for n in range(count):
@@ -87,7 +86,7 @@ def timed(stage: str, method: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class TimedPipeline(Pipeline):
-    """A pipeline that records the times of its stages; what is left of an update is the background."""
+    """A pipeline that records the times of its stages; the rest of an update is the background."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -103,7 +102,7 @@ class TimedPipeline(Pipeline):
 
 
 def some_classes() -> ClassFilter:
-    """Classes that have nothing to do with the scene: the time does not depend on it."""
+    """Classes drawn at random: the time does not depend on the scene."""
     shares = np.full((CLASSES, GAUSSIANS), 1.0 / GAUSSIANS)
     means = np.random.default_rng(0).normal(size=(*shares.shape, len(FEATURES)))
     whitening = np.tile(np.eye(len(FEATURES)), (CLASSES, 1, 1))
@@ -112,7 +111,7 @@ def some_classes() -> ClassFilter:
 
 
 def measure_classes(pipeline: TimedPipeline, classes: ClassFilter, frame: GridFrame) -> None:
-    """Note how much more processor time an update and a forecast with classes take than without."""
+    """Record the additional processor time of an update and a forecast with classes."""
     start = time.process_time()
     Pipeline.forecast(pipeline, STEPS)
     between = time.process_time()
@@ -150,23 +149,25 @@ def share_column(pipeline: TimedPipeline, seconds: np.ndarray) -> dict[str, str]
     return {stage: f"{100 * time_s / whole:.0f} %" for stage, time_s in stages.items()}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/model-free.json")
-    parser.add_argument("--frames", type=int, default=FRAMES, help=f"of each number of road users; {WARM_UP} warm up")
-    given = parser.parse_args()
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/trackers/model-free.json")
+    parser.add_argument(
+        "--frames", type=int, default=FRAMES, help=f"for each number of road users, {WARM_UP} to warm up"
+    )
+    given = parser.parse_args(arguments)
     print(f"{'tracker':12} {'movers':>6} {'tracks':>6}   update and {STEPS}-step forecast, p50 / p95 ms")
     shares, values, medians = {}, {}, {}
     for tracker in (KalmanTracker, FactorGraphTracker):
+        name = registered_name(tracker)
         for count in MOVERS:
             pipeline, seconds = measure(tracker, count, given.frames)
-            print(f"{tracker.name:12} {count:>6} {len(pipeline.tracks):>6}   {p50_p95(1e3 * seconds, 2):>16}")
+            print(f"{name:12} {count:>6} {len(pipeline.tracks):>6}   {p50_p95(1e3 * seconds, 2):>16}")
         for stage in pipeline.seconds:
             print(f"    {stage:20} {p50_p95(1e3 * np.array(pipeline.seconds[stage][WARM_UP:]), 2):>16}")
-        shares[tracker.name], medians[tracker.name] = share_column(pipeline, seconds), np.median(seconds)
-        values[f"{tracker.name}, classes"] = shares[tracker.name][MORE]
-        values[f"{tracker.name}, ms"] = p50_p95(1e3 * seconds)
-        values[f"{tracker.name}, times kalman"] = f"{medians[tracker.name] / medians[KalmanTracker.name]:.1f}"
+        shares[name], medians[name] = share_column(pipeline, seconds), np.median(seconds)
+        values[f"{name}, classes"] = shares[name][MORE]
+        values[f"{name}, ms"] = p50_p95(1e3 * seconds)
+        values[f"{name}, times kalman"] = f"{medians[name] / medians['kalman']:.1f}"
     stages = next(iter(shares.values()))
     table = measured_table(
         ("share of an update and a forecast", *shares),

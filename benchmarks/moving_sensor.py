@@ -1,21 +1,19 @@
 """Cost of a sensor that moves and of a second one, beside one standing sensor.
 
 `python -m benchmarks.moving_sensor [TRACKER...] [--out FILE]` (two minutes). Aim: making a frame of two moving sensors,
-and moving what a tracker keeps for each cell, together at most 0.5 ms a frame more than a frame of one standing sensor.
+and moving the cells that a tracker keeps, take together at most 0.5 ms more than a frame of one standing sensor.
 
-A frame: all that the grid stream does from scans in memory, which are those of a drive: with its poses, or all at the
-first one; the second sensor has the same ranges, looks back and stands a metre behind. A roll: an update of a frame
-whose window is one cell from the one before, less an update of the same scan in a window that stays. All take turns;
-of each frame the least processor time counts, so that other work on the machine affects the caches only.
+Frames are made by the grid stream from the scans of a drive, in memory: at its poses, or all at the first one; the
+second sensor has the same ranges, looks back and stands a metre behind. A roll is an update with a window that has
+moved by one cell, less an update of the same scan with a fixed window. All take turns, and the least processor time of
+each frame counts, so that other work on the machine affects the caches only.
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -28,9 +26,8 @@ from gridtrack.recordings.observation import frame_of
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.contract import Tracker
 
-from studies.support.held_recording import HeldRecording
-from studies.support.results_file import ResultSection, measured_table, write_section
-from studies.support.shipped import DATA, JUNCTION, shipped_tracker
+from studies.support.results_file import ResultSection, measured_table, study_parser, write_section
+from studies.support.shipped import DATA, JUNCTION, HeldRecording, shipped_tracker
 
 TRACKERS = (
     *("persistence", "static-map", "one-shot", "kalman", "factor-graph", "dogma"),
@@ -38,18 +35,18 @@ TRACKERS = (
 )
 AIM_MS = 0.5
 SPAN = 10
-"""The window of the trackers moves so many cells to the right and back."""
+"""Cells by which the window of the trackers moves to the right and back."""
 SENSORS = {
     "one standing sensor": (1, False),
     "one moving sensor": (1, True),
     "two standing sensors": (2, False),
     "two moving sensors": (2, True),
 }
-"""How many sensors make a frame, and whether they move."""
+"""Number of sensors, and whether they move."""
 
 
 def held_streams() -> dict[str, GridStream]:
-    """The streams of SENSORS, of the scans of one drive."""
+    """The streams of SENSORS, from the scans of one drive."""
     drive = open_recording(DATA / "drives" / "robot-203.tracks")
     scans = [replace(scan, scene=None, labels=None) for scan in drive.scans()]
     streams = {}
@@ -64,7 +61,7 @@ def held_streams() -> dict[str, GridStream]:
 
 
 def least_times_ms(runs: Mapping[str, Callable[[], Iterator[object]]], rounds: int) -> dict[str, NDArray[np.float64]]:
-    """The least processor time (N,) of each of the N steps of every run, in so many rounds; the runs take turns."""
+    """The least processor time (N,) of each of the N steps of every run; in each round the runs take turns."""
     times: dict[str, list[list[float]]] = {name: [] for name in runs}
     for _ in range(rounds + 1):
         stepping = {name: run() for name, run in runs.items()}
@@ -98,7 +95,7 @@ def frames_in_windows(recording: Recording, grid: GridSpec, columns: Sequence[in
 
 
 def updates(tracker: Tracker, frames: Sequence[GridFrame]) -> Iterator[bool]:
-    """One update after the other, of a stream from its beginning."""
+    """The updates of a stream from its beginning."""
     tracker.reset(0)
     for frame in frames:
         tracker.update(frame)
@@ -106,7 +103,7 @@ def updates(tracker: Tracker, frames: Sequence[GridFrame]) -> Iterator[bool]:
 
 
 def update_times_ms(name: str, frames: int, rounds: int) -> tuple[float, float]:
-    """The median time of an update in a window that stays, and of what it takes more where the window moves."""
+    """The median time of an update in a fixed window, and the additional time in a moving one."""
     source = open_stream(JUNCTION / "test-101.tracks")
     there_and_back = SPAN - np.abs(np.arange(frames) % (2 * SPAN) - SPAN)
     runs = {}
@@ -119,7 +116,7 @@ def update_times_ms(name: str, frames: int, rounds: int) -> tuple[float, float]:
 
 
 def measured(trackers: Sequence[str], frames: int, rounds: int) -> ResultSection:
-    """The tables of the parts, each also as a ratio to making a frame of one standing sensor."""
+    """The times, also as ratios to making a frame of one standing sensor."""
     makes = frame_times_ms(rounds)
     standing, both = (makes[name] for name in ("one standing sensor", "two moving sensors"))
     parts = [(name, f"{ms:.3f}", f"{ms / standing:.1f}") for name, ms in makes.items()]
@@ -139,20 +136,16 @@ def measured(trackers: Sequence[str], frames: int, rounds: int) -> ResultSection
     return ResultSection(command="python -m benchmarks.moving_sensor", tables=tables, values=values)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/moving/cost.json")
     parser.add_argument("trackers", nargs="*", default=TRACKERS, help=f"default: {' '.join(TRACKERS)}")
     parser.add_argument("--frames", type=int, default=60, help="updates of each tracker")
     parser.add_argument("--rounds", type=int, default=10)
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/moving/cost.json")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     torch.set_num_threads(1)
     section = measured(given.trackers, given.frames, given.rounds)
-    for table in section.tables.values():
-        print(table.markdown(), end="\n\n")
-    print(f"aim: at most {AIM_MS} ms more")
-    if given.out is not None:
-        write_section(given.out, "cost", section)
+    print(section.text(), f"aim: at most {AIM_MS} ms more", sep="\n\n")
+    write_section(given.out, "cost", section)
 
 
 if __name__ == "__main__":

@@ -6,9 +6,8 @@
 
 from __future__ import annotations
 
-import argparse
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any, get_args
@@ -21,7 +20,7 @@ from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracke
 from gridtrack.trackers.recurrent.settings import Precision
 
 from benchmarks.inference import compiled, observed
-from studies.support.results_file import measured_table, write_table
+from studies.support.results_file import measured_table, study_parser, write_table
 
 SIZE = 100
 TRACKERS = {"dilated-convgru": DilatedConvGRUTracker, "deep-tracking-rnn": DeepTrackingRNNTracker}
@@ -53,12 +52,12 @@ def training_rates(
     return {name: options.batch * options.length / least for name, least in least_s.items()}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__)
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--peers", action="store_true", help="time PyTorch and torch.compile too")
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/recurrent.json")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     cases = list(product(get_args(Precision), given.threads))
     rows, values = [], {}
     for label, kind in TRACKERS.items():

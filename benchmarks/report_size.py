@@ -1,31 +1,33 @@
 """Size and opening time of a report of many trackers on many recordings.
 
 `python -m benchmarks.report_size RUN [--trackers 20] [--recordings 20]` (minutes): the trials of a finished run are
-repeated under other names, so that moments, curves and histograms are those of real forecasts. Printed are the size of
-the page, the moments on it of those that were kept, the time to render it, and the time from the request until a
-browser has run its scripts and painted. The opening needs Chromium (Debian: apt install chromium).
+repeated under other names, so that moments, curves and histograms come from real forecasts. It prints the size of the
+page, its share of the kept moments, the time to render it, and the time from the request until a browser has run the
+scripts and painted. Opening needs Chromium (Debian: apt install chromium).
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 import tempfile
 import time
+from collections.abc import Sequence
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
 
-from gridtrack.evaluation.results.run_record import RUN_FILE
-from gridtrack.evaluation.results.summary import SUMMARY_FILE
+from gridtrack.evaluation.runs.run_record import RUN_FILE
+from gridtrack.evaluation.runs.summary import SUMMARY_FILE
 from gridtrack.reports.page import render_report
+
+from studies.support.results_file import study_parser
 
 MIB = 2.0**20
 
 
 def repeated_run(run: Path, out: Path, trackers: int, recordings: int) -> Path:
-    """A run's folder at `out` with so many of the run's trackers and recordings, repeated with a number behind them."""
+    """Make the folder of a run at `out` with these numbers of trackers and recordings, by repeating those of `run`."""
     summary, record = (json.loads((run / name).read_text("utf-8")) for name in (SUMMARY_FILE, RUN_FILE))
     names = {f"{name} {i}": name for i, name in enumerate(islice(cycle(summary["recordings"]), recordings))}
     rows = [label for label, row in summary["trackers"].items() if row["role"] != "ceiling"]
@@ -52,7 +54,7 @@ def _repeated_row(row: dict[str, Any], names: dict[str, str]) -> dict[str, Any]:
 
 
 def opened_s(page: Path, chromium: str) -> tuple[float, float, str]:
-    """Seconds until the last figure is drawn and until the first moment is, and the moments as the page counts them."""
+    """Seconds until the last figure and until the first moment are drawn, and the page's note on its moments."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as driver:
@@ -70,14 +72,14 @@ def opened_s(page: Path, chromium: str) -> tuple[float, float, str]:
     return figures, moment, words
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__)
     parser.add_argument("run", type=Path, metavar="RUN")
     parser.add_argument("--trackers", type=int, default=20)
     parser.add_argument("--recordings", type=int, default=20)
-    arguments = parser.parse_args()
+    given = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
-        run = repeated_run(arguments.run, Path(folder) / "run", arguments.trackers, arguments.recordings)
+        run = repeated_run(given.run, Path(folder) / "run", given.trackers, given.recordings)
         begun = time.perf_counter()
         page = render_report([run])
         print(f"rendered in {time.perf_counter() - begun:.1f} s: {page.stat().st_size / MIB:.1f} MiB", flush=True)

@@ -1,15 +1,14 @@
 """Cost of a comparison as recordings become many: time, memory and disk, with each engine, and an estimate for more.
 
-`python -m benchmarks.scale [--engine ENGINE]... [--recordings COUNT]... [--out FILE]` (a minute for ten recordings and
-an engine on a free core; default: every engine with 1 and 10). Each recording is 20 s long, and two trackers that
-compute next to nothing forecast it, so that what is measured is the cost beside the trackers. The Ray cluster is the
-one that `compare` starts; Slurm runs for the measurement, from Debian's packages (apt: slurmctld slurmd slurm-client
-munge). The results file keeps the rows of earlier measurements, and the estimate is computed from all of them.
+`python -m benchmarks.scale [--engine ENGINE]... [--recordings COUNT]... [--out FILE]` (a minute for ten recordings with
+an engine on a free core; default: every engine with 1 and 10). Each recording is 20 s long, and two trackers forecast
+it that compute almost nothing, so that the cost beside the trackers is measured. `compare` starts the Ray cluster;
+Slurm is started for the measurement (Debian: apt install slurmctld slurmd slurm-client munge). The results file keeps
+earlier measurements, and the estimate is computed from all of them.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import resource
@@ -29,10 +28,17 @@ import psutil
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.processes.orphans import adopt_orphans
+from gridtrack.evaluation.hosting.host import adopt_orphans
 from gridtrack.recordings import RecordingInfo, write_native
 
-from studies.support.results_file import ResultSection, ResultTable, measured_table, read_sections, write_section
+from studies.support.results_file import (
+    ResultSection,
+    ResultTable,
+    measured_table,
+    read_sections,
+    study_parser,
+    write_section,
+)
 from studies.support.slurm_machine import slurm_machine
 
 ENGINES = ("local", "ray", "slurm")
@@ -57,12 +63,12 @@ COLUMNS = (
 )
 SECTION = "cost"
 PLAN_RECORDINGS, PLAN_TRACKERS, PLAN_MACHINES, PLAN_CORES = 10_000, 20, 50, 16
-"""What is estimated; the cores are of each machine."""
+"""The plan to estimate; the cores are those of each machine."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What a comparison with an engine costs: seconds and MB, in the order of COLUMNS."""
+    """The cost of a comparison with an engine: seconds and MB, in the order of COLUMNS."""
 
     engine: str
     recordings: int
@@ -70,26 +76,26 @@ class Cost:
     compare_s: float
     processor_s: float
     host_s: float
-    """Processor time of the comparison's own process; with `local` that of the trials, which it starts, too."""
+    """Processor time of the comparison's own process; with `local` also of the trials, which it starts."""
     memory_mb: float
-    """Peak of the comparison's own process, or of a tracker that is larger; those of this benchmark are not."""
+    """Peak of the comparison's own process, or of a larger tracker."""
     folder_mb: float
     report_s: float
     page_mb: float
     regress_s: float
 
     def row(self) -> list[str]:
-        """As a row of the table."""
+        """The row of the table."""
         return [f"{value:.1f}" if isinstance(value, float) else str(value) for value in astuple(self)]
 
     @classmethod
     def of_row(cls, row: Sequence[str]) -> Cost:
-        """From a row of the table."""
+        """The cost in a row of the table."""
         return cls(row[0], int(row[1]), int(row[2]), *map(float, row[3:]))
 
 
 def scans(number: int) -> Iterator[Scan]:
-    """A wall ahead, and something 0.3 m wide that walks to and fro before it; in each recording at another time."""
+    """A wall, and in front of it an object 0.3 m wide that moves to and fro, shifted in time in each recording."""
     angles = np.linspace(-math.pi / 3, math.pi / 3, BEAMS)
     for index in range(SECONDS * RATE_HZ):
         ranges = 3.0 / np.cos(angles)
@@ -106,7 +112,7 @@ def scans(number: int) -> Iterator[Scan]:
 
 
 def write_recordings(folder: Path, count: int) -> list[Path]:
-    """So many recordings in `folder`, one after the other in time."""
+    """Write `count` recordings into `folder`, one after the other in time."""
     paths = [folder / f"room-{number:05d}.mcap" for number in range(count)]
     info = RecordingInfo(site="room", grid="40x0.2@-1,-4", rate_hz=RATE_HZ, stretches=STRETCHES)
     for number, path in enumerate(paths):
@@ -124,7 +130,8 @@ def measure(engine: str, count: int, folder: Path) -> Cost:
     with Descendants() as descendants:
         with slurm_machine() if engine == "slurm" else nullcontext() as configuration:
             compare_s, usage = _timed(words, **({"SLURM_CONF": str(configuration)} if configuration else {}))
-        _reap()
+        if engine != "local":
+            _reap()
     _, report = _timed(["report", str(run)])
     _timed(["regress", str(run), "--baseline", str(baseline), "--update"])
     _, regress = _timed(["regress", str(run), "--baseline", str(baseline)])
@@ -146,8 +153,8 @@ def measure(engine: str, count: int, folder: Path) -> Cost:
 class Descendants:
     """The processor time of all processes that are started in the block, seconds.
 
-    It is what the kernel adds up as processes are waited for. Ray does not wait for its own: of those counts what
-    samples show, without what a process uses after its last one.
+    The kernel adds up the time of processes that are waited for. Ray does not wait for its processes: their time is
+    sampled.
     """
 
     def __init__(self) -> None:
@@ -176,7 +183,7 @@ class Descendants:
 
 
 def _timed(words: Sequence[str], **environment: str) -> tuple[float, resource.struct_rusage]:
-    """Wall time of a command of gridtrack, and what it and those that it waited for have used."""
+    """Wall time of a command of gridtrack, and the resources that it and its children used."""
     began = time.perf_counter()
     command = [sys.executable, "-m", "gridtrack.cli", *words]
     process = subprocess.Popen(command, env={**os.environ, **environment}, stdout=subprocess.DEVNULL)
@@ -188,7 +195,7 @@ def _timed(words: Sequence[str], **environment: str) -> tuple[float, resource.st
 
 
 def _reap() -> None:
-    """Wait for what a cluster has left running: as children of this process, whose time then counts."""
+    """Wait for the processes that a cluster leaves: adopted by this process, so that their time counts."""
     end = time.monotonic() + REAP_S
     while time.monotonic() < end:
         try:
@@ -208,9 +215,9 @@ def _bytes_of(folder: Path) -> int:
 
 
 def estimate(costs: Sequence[Cost]) -> ResultTable | None:
-    """What PLAN_RECORDINGS recordings cost, by the growth between the two largest sizes of an engine; None without.
+    """The cost of PLAN_RECORDINGS recordings, by the growth between the two largest sizes of an engine.
 
-    The page has a largest size.
+    None if there is only one size. The page is left out, because its size is limited.
     """
     local, slurm = ([cost for cost in costs if cost.engine == engine][-2:] for engine in ("local", "slurm"))
     if len(local) < 2 or len(slurm) < 2:
@@ -236,39 +243,38 @@ def estimate(costs: Sequence[Cost]) -> ResultTable | None:
 
 
 def _per_trial(two: Sequence[Cost], field: str) -> float:
-    """By how much each further trial raises a cost, from a smaller and a larger comparison; never below 0."""
+    """The increase of a cost with each further trial, from a smaller and a larger comparison; never below 0."""
     small, large = two
     return max(0.0, (getattr(large, field) - getattr(small, field)) / (large.trials - small.trials))
 
 
 def kept_costs(path: Path | None) -> dict[tuple[str, int], Cost]:
-    """What an earlier command has measured, by engine and number of recordings."""
+    """Earlier measurements, by engine and number of recordings."""
     if path is None or not path.exists():
         return {}
     costs = map(Cost.of_row, read_sections(path)[SECTION].tables["table"].rows)
     return {(cost.engine, cost.recordings): cost for cost in costs}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/scale.json")
     parser.add_argument("--engine", action="append", choices=ENGINES)
     parser.add_argument("--recordings", action="append", type=int, metavar="COUNT")
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/scale.json")
-    arguments = parser.parse_args()
+    given = parser.parse_args(arguments)
     adopt_orphans()
-    costs = kept_costs(arguments.out)
-    for engine in arguments.engine or ENGINES:
-        for count in arguments.recordings or (1, 10):
+    costs = kept_costs(given.out)
+    for engine in given.engine or ENGINES:
+        for count in given.recordings or (1, 10):
             load = os.getloadavg()[0]
             with tempfile.TemporaryDirectory(prefix="gridtrack-scale-") as folder:
                 costs[engine, count] = measure(engine, count, Path(folder))
             print(f"load before: {load:.1f}; {dict(zip(COLUMNS, costs[engine, count].row(), strict=True))}", flush=True)
-            if arguments.out:
-                write_costs(arguments.out, sorted(costs.values(), key=lambda cost: (cost.engine, cost.recordings)))
+            if given.out:
+                write_costs(given.out, sorted(costs.values(), key=lambda cost: (cost.engine, cost.recordings)))
 
 
 def write_costs(path: Path, costs: Sequence[Cost]) -> None:
-    """Write the measured costs, and the estimate where they suffice for one."""
+    """Write the measured costs, and the estimate if there are enough."""
     tables = {"table": measured_table(COLUMNS, [cost.row() for cost in costs])}
     table = estimate(costs)
     if table is not None:

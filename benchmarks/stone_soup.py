@@ -1,23 +1,21 @@
 """The model-free pipeline beside Stone Soup's trackers on the same clusters: error and time.
 
 `pip install stonesoup==1.9.1`, then `python -m benchmarks.stone_soup` (ten minutes). Round people walk through a hall
-with a laser and occlude one another; every tracker receives the clusters that our segmentation makes of the same grid
-frames, and has the same motion and measurement noise. Stone Soup's are its Kalman filters with global nearest
-neighbours and with joint probabilistic data association (by loopy belief propagation). The initiation and deletion of
-tracks are tuned for each on a seed of its own, by the measure of the comparison: Stone Soup's own OSPA (cut-off 1 m,
-order 1) to the people who were seen within the last second.
+with a laser and occlude one another. Every tracker gets the clusters of our segmentation in the same grid frames, and
+has the same motion and measurement noise. Stone Soup's trackers are Kalman filters with global nearest neighbours and
+with joint probabilistic data association (by loopy belief propagation). Initiation and deletion of tracks are tuned for
+each tracker on a separate seed, by the measure of the comparison: Stone Soup's OSPA (cut-off 1 m, order 1) to the
+people who were seen within the last second.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +48,7 @@ from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.segmentation import clusters_of, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
 
-from studies.support.results_file import ResultTable, measured_table, write_table
+from studies.support.results_file import ResultTable, measured_table, study_parser, write_table
 
 GRID = GridSpec(100, 0.2, (0.0, -10.0))
 PERIOD_S = 0.125
@@ -65,7 +63,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class HallFrame:
-    """A frame and where the people are who were seen within the last second, (N, 2)."""
+    """A frame, and the positions (N, 2) of the people who were seen within the last second."""
 
     frame: GridFrame
     people: Array
@@ -85,7 +83,7 @@ def walks(people: int, frames: int, random: np.random.Generator) -> Iterator[Arr
 
 
 def seen_in(places: Array, laser: Laser, random: np.random.Generator, step: int) -> tuple[GridFrame, NDArray[np.bool_]]:
-    """The frame, and whom (N,) a beam met."""
+    """The frame, and whether a beam met each person (N,)."""
     angles = np.arange(16) * math.tau / 16
     disc = (RADIUS_M * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(np.float32)
     bodies = tuple(SceneObject(n, n, SE2(x, y, 0.0), disc) for n, (x, y) in enumerate(places.tolist()))
@@ -112,11 +110,11 @@ def hall(people: int, frames: int, seed: int) -> list[HallFrame]:
 
 Results = dict[str, list[tuple[float, Array]]]
 Tracked = tuple[list[Array], list[float]]
-"""Positions (N, 2) that are found in each frame, and the seconds of processor time that it took."""
+"""Positions (N, 2) found in each frame, and its processor time, seconds."""
 
 
 def centres_of(hall_frames: list[HallFrame], settings: PipelineSettings) -> Tracked:
-    """Centres (C, 2) of the clusters in each frame, and the seconds that segmentation takes."""
+    """Centres (C, 2) of the clusters in each frame, and the time of segmentation."""
     found, seconds = [], []
     for frame in (one.frame for one in hall_frames):
         begun = time.thread_time()
@@ -145,7 +143,7 @@ def ours(hall_frames: list[HallFrame], settings: PipelineSettings) -> Tracked:
 
 @dataclass(frozen=True)
 class Life:
-    """When a track of Stone Soup's begins and ends."""
+    """Initiation and deletion of Stone Soup's tracks."""
 
     min_points: int
     coast_steps: int
@@ -154,7 +152,7 @@ class Life:
 def stone_soup(segmented: Tracked, settings: PipelineSettings, life: Life, *, joint: bool) -> Tracked:
     """Stone Soup's multi-target tracker on clusters: global nearest neighbour, or joint probabilistic.
 
-    The time of the segmentation, which it needs as ours does, is counted.
+    The time includes the segmentation, which both need.
     """
     clusters, begun_with = segmented
     axis = OrnsteinUhlenbeck(settings.acceleration**2, 1.0 / settings.velocity_memory_s)
@@ -190,7 +188,7 @@ def stone_soup(segmented: Tracked, settings: PipelineSettings, life: Life, *, jo
 
 
 def ospa(found: list[Array], hall_frames: list[HallFrame]) -> Array:
-    """Of every frame after the first two seconds."""
+    """OSPA of every frame after the first two seconds, metres."""
     metric = OSPAMetric(p=1, c=CUT_OFF_M, measure=Euclidean())
 
     def states(positions: Array, stamp: datetime) -> list[State]:
@@ -211,7 +209,7 @@ def best_life(hall_frames: list[HallFrame], clusters: Tracked, settings: Pipelin
 
 
 def best_settings(hall_frames: list[HallFrame], settings: PipelineSettings) -> PipelineSettings:
-    """The same of ours: from which probability on a track is confirmed, and for how long it may coast."""
+    """Our settings with the least OSPA: probabilities of confirmation and deletion, and mean lifetime."""
     each = itertools.product((0.6, 0.8), (0.1, 0.3), (2.0, 15.0))
     tried = [
         settings.model_copy(update={"confirm_above": c, "delete_below": d, "mean_lifetime_s": life})
@@ -221,7 +219,7 @@ def best_settings(hall_frames: list[HallFrame], settings: PipelineSettings) -> P
 
 
 def compared(people: int, frames: int, seeds: range) -> Results:
-    """Mean OSPA, m, and milliseconds of the frames of every seed by tracker, ours first."""
+    """Mean OSPA, metres, and milliseconds per frame for every seed, by tracker, ours first."""
     settings = PipelineSettings(
         acceleration=WANDER, manoeuvre_noise=1.0, velocity_memory_s=TURN_MEMORY_S, initial_speed=SPEED
     )
@@ -254,7 +252,7 @@ def compared(people: int, frames: int, seeds: range) -> Results:
 
 
 def table_of(results: Results) -> ResultTable:
-    """Mean OSPA and the median time as a ratio to ours; what is paired, is paired by seed, with its 95 % interval."""
+    """Mean OSPA, its difference from ours (paired by seed, with a 95 % interval), and the median time, times ours."""
     (_, base), *_ = results.items()
     base_ms = np.median(np.concatenate([times for _, times in base]))
     rows = []
@@ -268,13 +266,12 @@ def table_of(results: Results) -> ResultTable:
     return measured_table(("", "OSPA, m", "less ours", "time of an update, times ours"), rows)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/trackers/model-free.json")
     parser.add_argument("--people", type=int, default=30)
     parser.add_argument("--frames", type=int, default=160)
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/model-free.json")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     table = table_of(compared(given.people, given.frames, range(1, 1 + given.seeds)))
     print(table.markdown())
     command = f"python -m benchmarks.stone_soup --frames {given.frames} --seeds {given.seeds}"

@@ -1,4 +1,4 @@
-"""How the time of a call is measured."""
+"""Times of a call."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 def times_ms(
     call: Callable[[], object], runs: int, prepare: Callable[[], object] = lambda: None
 ) -> NDArray[np.float64]:
-    """Milliseconds (runs,) of each run of `call`, after one uncounted run; `prepare` runs before each, untimed."""
+    """Milliseconds (runs,) of `call`, after one run that is not counted; `prepare` runs before each, untimed."""
     spent = np.empty(runs + 1)
     for run in range(runs + 1):
         prepare()

@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 
 from gridtrack.common.errors import printable
-from gridtrack.evaluation.processes.contract_clauses import CLAUSES
-from gridtrack.evaluation.processes.contract_suite import ClauseResult
+from gridtrack.evaluation.hosting.contract_clauses import CLAUSES
+from gridtrack.evaluation.hosting.contract_suite import ClauseResult
 
 CONTRACT_PAGE = "docs/contract.md"
 VERDICT_WIDTH = len("not applicable")

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from gridtrack.evaluation.comparison.plan import ComparisonPlan
     from gridtrack.evaluation.regression.measurement import Measurement
     from gridtrack.evaluation.regression.verdict import Verdict
+    from gridtrack.evaluation.runs.plan import ComparisonPlan
     from gridtrack.trackers.contract import StreamSpec
 
 UPDATE = "--gridtrack-update-baseline"
@@ -45,7 +45,7 @@ def _require_contract(tracker: str, stream: StreamSpec | None = None) -> None:
     """Check `tracker`, NAME[:key=value,...], on `stream`; None: a small grid at 8 Hz, without weights."""
     from gridtrack.common.errors import GridtrackError, printable
     from gridtrack.common.grid import GridSpec
-    from gridtrack.evaluation.processes.contract_suite import check_tracker
+    from gridtrack.evaluation.hosting.contract_suite import check_tracker
     from gridtrack.reports.contract import clause_lines, contract_line
     from gridtrack.trackers.contract import StreamSpec
     from gridtrack.trackers.selection import launch, parse_selection
@@ -107,8 +107,8 @@ class TrackerRegression:
 
     def _plan(self, tracker: str, recording: str, options: dict[str, Any]) -> ComparisonPlan:
         from gridtrack.common.config import validated
-        from gridtrack.evaluation.comparison.plan import resolve
-        from gridtrack.evaluation.comparison.settings import CompareSettings
+        from gridtrack.evaluation.runs.plan import resolve
+        from gridtrack.evaluation.runs.settings import CompareSettings
 
         given = {
             "recordings": (str(self._beside / recording),),
@@ -135,8 +135,8 @@ class TrackerRegression:
 
     def _measure(self, plan: ComparisonPlan, like: Measurement | None) -> Measurement:
         """Run the plan and measure the run."""
-        from gridtrack.evaluation.comparison.runner import run
         from gridtrack.evaluation.regression.measuring import measure_run
+        from gridtrack.evaluation.runs.runner import run
         from gridtrack.reports.run_progress import RunProgress
 
         with RunProgress() as progress:

@@ -3,16 +3,15 @@
 `python -m studies.ego_motion relations LOG RELATIONS [--out FILE]` and `python -m studies.ego_motion maps RECORDING...`
 take some minutes each.
 
-`relations` needs reference poses of scan pairs: `t1 t2 x y z roll pitch yaw` a line, as those of Kümmerle et al., On
-measuring the accuracy of SLAM algorithms, Autonomous Robots 2009; aces is the log of docs/results. `maps` has no truth:
-the median distance of returns, across the walls, from the map of the scans before (at the poses of each source), and
-the cells of 5 cm that a minute of returns covers, fewer where the walls of the map are thin; RECORDING may be an .npz
-(studies/support/npz_scans.py).
+`relations` needs reference poses of pairs of scans, a line `t1 t2 x y z roll pitch yaw` each, as in Kümmerle et al.,
+"On measuring the accuracy of SLAM algorithms", Autonomous Robots 2009; docs/results has the log aces. `maps` needs no
+truth. It measures the median distance of returns, across the walls, from the map of the earlier scans at the poses of
+each source, and the cells of 5 cm that a minute of returns covers: thin walls in the map give fewer cells. RECORDING
+may be an .npz (studies/support/real_recordings.py).
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -32,8 +31,8 @@ from gridtrack.recordings.ego_motion.fit import Fit, fit_at, walls_of
 from gridtrack.recordings.ego_motion.matching import POINTS_PER_VOXEL
 from gridtrack.recordings.ego_motion.returns import homogeneous, measured_points, returns_of
 
-from studies.support.npz_scans import npz_scans
-from studies.support.results_file import ResultSection, measured_table, write_section
+from studies.support.real_recordings import npz_scans
+from studies.support.results_file import ResultSection, measured_table, study_parser, write_section
 
 MAX_APART_S = 2.0
 NEAREST_S = 0.01
@@ -47,7 +46,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Pairs:
-    """Scans of reference pairs: indices (P, 2), seconds (P,) of the first, and the relative poses."""
+    """Pairs of scans: indices (P, 2), seconds (P,) of the first scan, and the true relative poses."""
 
     indices: NDArray[np.int64]
     seconds: Array
@@ -55,7 +54,7 @@ class Pairs:
 
 
 def pairs_of(path: Path, scans: Sequence[Scan]) -> Pairs:
-    """The pairs at most MAX_APART_S apart whose scans are in the log."""
+    """The pairs at most MAX_APART_S apart, if both scans are in the log."""
     rows = np.loadtxt(path)
     rows = rows[rows[:, 1] - rows[:, 0] <= MAX_APART_S]
     stamps = np.array([scan.stamp_ns for scan in scans]) / 1e9
@@ -66,7 +65,7 @@ def pairs_of(path: Path, scans: Sequence[Scan]) -> Pairs:
 
 
 def errors(poses: Sequence[SE2], pairs: Pairs) -> Array:
-    """(P, 2): the position's error in metres and the heading's in degrees."""
+    """Errors (P, 2) of position, metres, and heading, degrees."""
     found = []
     for (first, second), true in zip(pairs.indices, pairs.relative, strict=True):
         off = true.inverse() @ (poses[first].inverse() @ poses[second])
@@ -88,7 +87,7 @@ def worst(found: Array) -> float:
 
 
 def cross_fitted(candidates: dict[str, Array], halves: Sequence[NDArray[np.bool_]]) -> tuple[list[str], Array]:
-    """The candidate chosen for each half on the other one, and the errors of every pair with that candidate."""
+    """The candidate chosen for each half on the other half, and the errors of every pair with it."""
     chosen = [min(candidates, key=lambda name: worst(candidates[name][~half])) for half in halves]
     together = np.empty_like(next(iter(candidates.values())))
     for half, name in zip(halves, chosen, strict=True):
@@ -124,21 +123,17 @@ def relations(log: Path, path: Path, out: Path | None) -> None:
         "errors": measured_table(("poses", *COLUMNS), rows),
         "search": measured_table(("settings", *halves), searched),
     }
-    finish(
-        out,
-        "aces",
-        ResultSection(command="python -m studies.ego_motion relations", tables=tables, values=values),
-    )
+    finish(out, "aces", ResultSection(command="python -m studies.ego_motion relations", tables=tables, values=values))
 
 
 def scans_of(path: Path, most: int) -> list[Scan]:
-    """The first scans of a recording, or of an .npz, `most` of them."""
+    """The first `most` scans of a recording or an .npz."""
     scans = npz_scans(path) if path.suffix == ".npz" else open_recording(path).scans()
     return list(islice(scans, most))
 
 
 def covered_cells(scans: Sequence[Scan], poses: Sequence[SE2], max_range_m: float) -> float:
-    """Cells of MAP_CELL_M per hundred returns of MAP_S seconds, mean over the recording."""
+    """Cells of MAP_CELL_M per hundred returns in MAP_S seconds, mean over the recording."""
     start_ns, parts = scans[0].stamp_ns, dict[int, list[Array]]()
     for scan, pose in zip(scans, poses, strict=True):
         points = pose.apply(measured_points(scan, max_range_m)[0])
@@ -152,7 +147,7 @@ def covered_cells(scans: Sequence[Scan], poses: Sequence[SE2], max_range_m: floa
 
 
 def fits(scans: Sequence[Scan], poses: Sequence[SE2], settings: MatchingSettings) -> list[Fit]:
-    """How each scan but the first lies, at its pose, on a local map of the scans before it, at theirs."""
+    """The fit of each scan but the first, at its pose, to a local map of the earlier scans at their poses."""
     local_map, found = VoxelHashMap(settings.voxel_m, settings.max_range_m, POINTS_PER_VOXEL), []
     for number, (scan, pose) in enumerate(zip(scans, poses, strict=True)):
         motion, motion_s = SE2(), 0.0
@@ -193,27 +188,26 @@ def maps(recordings: Iterable[Path], most: int, out: Path | None) -> None:
 
 
 def finish(out: Path | None, name: str, section: ResultSection) -> None:
-    print("\n\n".join(table.markdown() for table in section.tables.values()), *section.values.items(), sep="\n")
-    if out is not None:
-        write_section(out, name, section)
+    print(section.text())
+    write_section(out, name, section)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     one = commands.add_parser("relations")
     one.add_argument("log", type=Path)
     one.add_argument("relations", type=Path)
     many = commands.add_parser("maps")
     many.add_argument("recordings", type=Path, nargs="+")
-    many.add_argument("--scans", type=int, default=MAP_SCANS, help="of each recording, from its first on")
+    many.add_argument("--scans", type=int, default=MAP_SCANS, help="number of scans, from the first of each recording")
     for command in (one, many):
         command.add_argument("--out", type=Path, help="docs/results/moving/ego_motion.json")
-    arguments = parser.parse_args()
-    if arguments.command == "relations":
-        relations(arguments.log, arguments.relations, arguments.out)
+    given = parser.parse_args(arguments)
+    if given.command == "relations":
+        relations(given.log, given.relations, given.out)
     else:
-        maps(arguments.recordings, arguments.scans, arguments.out)
+        maps(given.recordings, given.scans, given.out)
 
 
 if __name__ == "__main__":

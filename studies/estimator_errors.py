@@ -1,38 +1,50 @@
-"""Errors of the Kalman filter and the factor graph as estimators of an object's motion, by what the object does.
+"""Errors of the Kalman filter and the factor graph as estimators of an object's motion, by manoeuvre.
 
-`python -m studies.estimator_errors [--runs 200] [--out FILE]` (ten minutes). Beside them a Kalman filter that leaves
-out measurements beyond the gate of the factor graph; and each in two regimes, as tracks have them. RMS errors over so
-many runs, differences paired by run with normal 95 % intervals.
+`python -m studies.estimator_errors [--runs 200] [--out FILE]` (ten minutes). Beside them a Kalman filter that ignores
+measurements beyond the gate of the factor graph, and each estimator in two regimes, as tracks use it. RMS errors over
+the runs; differences are paired by run, with normal 95 % intervals. Their speed: `benchmarks/estimators.py`.
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridtrack.common.geometry import wrap_angle
 from gridtrack.trackers.model_free.estimators import MotionEstimator, SwitchingEstimator, warm_up
 from gridtrack.trackers.model_free.factor_graph import GATE, FactorGraphEstimator
 from gridtrack.trackers.model_free.kalman import KalmanEstimator
-from gridtrack.trackers.model_free.motion import propagate
+from gridtrack.trackers.model_free.motion import MotionModel, propagate
 from gridtrack.trackers.model_free.settings import PipelineSettings
 
-from studies.support.measured_motion import FRAMES_PER_SECOND, MODEL, NOISE, Array, measured_poses
-from studies.support.results_file import ResultSection, measured_table, write_section
+from studies.support.results_file import ResultSection, measured_table, study_parser, write_section
 
+Array = NDArray[np.float64]
+MODEL = MotionModel(
+    acceleration=0.7,
+    speed_noise=0.001,
+    turn_acceleration=0.3,
+    velocity_memory_s=20.0,
+    turn_memory_s=3.0,
+    initial_speed=5.0,
+    initial_turn_rate=0.2,
+    period_s=0.125,
+)
+NOISE = np.diag([0.06, 0.06, 0.04]) ** 2
+"""Covariance of the measured pose of a vehicle, in cells of 0.1 m: metres, metres, radians."""
+FRAMES_PER_SECOND = 8
 FINE = 50
-"""Steps of the truth's integration in a period."""
+"""Integration steps of the truth per period."""
 
 
 class GatedKalmanEstimator(KalmanEstimator):
-    """Leaves a measurement out that lies beyond the gate, as association does in a pipeline."""
+    """Ignores measurements beyond the gate, as association does in a pipeline."""
 
     def update(self, pose: Array, covariance: Array) -> None:
-        """Take in a measured pose (3,) and its covariance (3, 3), or not."""
+        """Take in a measured pose (3,) with its covariance (3, 3), or ignore it."""
         innovation = pose - self.mean[:3]
         innovation[2] = wrap_angle(innovation[2])
         if innovation @ np.linalg.solve(self.covariance[:3, :3] + covariance, innovation) <= GATE:
@@ -41,7 +53,7 @@ class GatedKalmanEstimator(KalmanEstimator):
 
 Initiate = Callable[..., MotionEstimator]
 Errors = tuple[Array, Array]
-"""RMS errors (3,) in MEASURES, and what each run adds to them (R, 3)."""
+"""RMS errors (3,) in MEASURES, and the contribution of each run (R, 3)."""
 REFERENCE = "factor graph"
 ALONE: dict[str, Initiate] = {
     "Kalman": KalmanEstimator,
@@ -63,7 +75,7 @@ STREET = PipelineSettings(
     initial_speed=5.11,
     initial_turn_rate=0.0511,
 )
-"""The motion of road users at the junction, found by an early search there, so that figures stay comparable."""
+"""Motion of road users at the junction by an early search, kept so that figures stay comparable."""
 REGIMES = STREET.motion(MODEL.period_s, window_m=20.0)
 
 
@@ -73,16 +85,16 @@ def in_two_regimes(initiate: Initiate) -> Initiate:
 
 
 class Scene(NamedTuple):
-    """What an object does over 9 s: its speed (m/s) and turn rate (rad/s) by time (s)."""
+    """The motion of an object over 9 s: speed (m/s) and turn rate (rad/s) by time (s)."""
 
     speed: Callable[[Array], Array]
     turn_rate: Callable[[Array], Array]
     outliers: float = 0.0
-    """The share of its poses that are grossly wrong: anywhere within 1.5 m and 0.5 rad along each axis."""
+    """Share of measured poses that are grossly wrong."""
     gap_s: tuple[float, float] = (0.0, 0.0)
-    """From when to when nothing is measured of it."""
+    """Begin and end of a time without measurements."""
     noise: Array = NOISE
-    """Covariance (3, 3) of its measured poses."""
+    """Covariance (3, 3) of the measured poses."""
 
 
 def straight_on(time_s: Array) -> Array:
@@ -117,6 +129,18 @@ SCENES = {
 }
 
 
+def measured_poses(truth: Array, noise: Array, outliers: float, rng: np.random.Generator) -> Array:
+    """Measured poses (N, 3) of true states (N, 6).
+
+    A share `outliers` is wrong by up to 1.5 m and 0.5 rad along each axis, except among the first three.
+    """
+    poses = truth[:, :3] + rng.multivariate_normal(np.zeros(3), noise, len(truth))
+    wrong = rng.random(len(truth)) < outliers
+    wrong[:3] = False
+    poses[wrong] += rng.uniform(-1.0, 1.0, (wrong.sum(), 3)) * [1.5, 1.5, 0.5]
+    return np.asarray(poses, np.float64)
+
+
 def truth_of(scene: Scene) -> Array:
     """True states (N, 6) at every frame of 9 s."""
     dt = MODEL.period_s / FINE
@@ -129,7 +153,7 @@ def truth_of(scene: Scene) -> Array:
 
 
 def squared_errors(kind: Initiate, scene: Scene, truth: Array, seed: int) -> Array:
-    """Mean squared errors (3,) of position, velocity and position a second ahead, from the second second on."""
+    """Mean squared errors (3,) of position, velocity and position a second ahead, after the first second."""
     poses = measured_poses(truth, scene.noise, scene.outliers, np.random.default_rng(seed))
     track = kind(poses[0], scene.noise, MODEL)
     means, covariances = [track.mean], [track.covariance]
@@ -148,13 +172,13 @@ def squared_errors(kind: Initiate, scene: Scene, truth: Array, seed: int) -> Arr
 
 
 def root(squares: Array) -> Errors:
-    """Root mean squares (3,) of runs' `squares` (R, 3), and what each run adds to them, to first order (R, 3)."""
+    """Root mean squares (3,) over the runs of `squares` (R, 3), and first-order contributions of the runs (R, 3)."""
     level = np.sqrt(squares.mean(axis=0))
     return level, (squares - squares.mean(axis=0)) / (2.0 * level)
 
 
 def differences_of(scene: Scene, initiate: Mapping[str, Initiate], runs: int) -> dict[str, Errors]:
-    """RMS errors of each kind of estimator, and of REFERENCE less each of the others."""
+    """RMS errors of each estimator, and of REFERENCE less each other estimator."""
     truth = truth_of(scene)
     found = {
         name: root(np.array([squared_errors(kind, scene, truth, seed) for seed in range(runs)]))
@@ -167,14 +191,14 @@ def differences_of(scene: Scene, initiate: Mapping[str, Initiate], runs: int) ->
 
 
 def error_text(errors: Errors, measure: int, *, paired: bool) -> str:
-    """`0.267`, or a difference with what its 95 % interval reaches to either side."""
+    """`0.267`, or a difference with half the width of its 95 % interval."""
     level, parts = errors[0][measure], errors[1][:, measure]
     reach = 1.96 * parts.std(ddof=1) / np.sqrt(len(parts))
     return f"{level:+.3f} ± {reach:.3f}" if paired else f"{level:.3f}"
 
 
 def section(initiate: Mapping[str, Initiate], runs: int) -> ResultSection:
-    """Errors in every scene: in the table those of SHOWN, as values all of them."""
+    """Errors in every scene: the columns SHOWN as a table, all of them as values."""
     rows: list[list[str]] = []
     values: dict[str, str] = {}
     for name, scene in SCENES.items():
@@ -191,19 +215,16 @@ def section(initiate: Mapping[str, Initiate], runs: int) -> ResultSection:
     return ResultSection(command=f"{COMMAND} --runs {runs}", tables={"table": table}, values=values)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/trackers/estimators.json")
     parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/estimators.json")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     for kind in (KalmanEstimator, FactorGraphEstimator):
         warm_up(kind, MODEL)
     in_tracks = {name: in_two_regimes(kind) for name, kind in ALONE.items()}
     for name, initiate in {"errors": ALONE, "errors in two regimes": in_tracks}.items():
         print(name)
-        found = section(initiate, given.runs)
-        if given.out:
-            write_section(given.out, name, found)
+        write_section(given.out, name, section(initiate, given.runs))
 
 
 if __name__ == "__main__":

@@ -1,20 +1,20 @@
-"""Hundreds of trials that fail, one after the other: what is left of them, and how far limits are exceeded?
+"""Hundreds of failing trials, one after the other: do they leak resources, and how far do they exceed limits?
 
-`python -m studies.failing_trials [--trials 504] [--sandbox]` starts the failing trackers of
-tests/plugins/bad_trackers.py in turn, each in its own process as in a comparison, and counts after each round what this
-process has: processes, descriptors, temporary folders, memory, and files in shared memory, so that nothing else may
-make any. Writes docs/results/robustness.json. Two seconds a trial on an idle core.
+`python -m studies.failing_trials [--trials 504] [--sandbox]` runs the failing trackers of tests/plugins/bad_trackers.py
+in turn, each in its own process as in a comparison, and counts the resources of this process after each round:
+processes, descriptors, temporary folders, memory, and files in shared memory (nothing else may create any meanwhile).
+Writes docs/results/robustness.json. Two seconds per trial on an idle core.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,15 +23,15 @@ import psutil
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.processes.limits import Limits
-from gridtrack.evaluation.processes.outcome import TrialEnded
-from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.evaluation.hosting.limits import Limits
+from gridtrack.evaluation.hosting.outcome import TrialEnded
+from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.registry import TRACKER_GROUP
 from gridtrack.trackers.selection import launch
 
 from studies.support.plugins import every_class, write_distribution
-from studies.support.results_file import ResultSection, measured_table, write_section
+from studies.support.results_file import ResultSection, measured_table, study_parser, write_section
 
 SOURCE = Path("tests/plugins/bad_trackers.py")
 FAULTS = (
@@ -48,20 +48,28 @@ COMMAND = "python -m studies.failing_trials"
 
 @dataclass(frozen=True)
 class Trial:
-    """How one trial ended, how long its last call took, and its peak memory."""
+    """The outcome of a trial, the duration of its last call, and its peak memory."""
 
     outcome: str
     last_call_s: float
     peak_mb: float
 
 
-def install(folder: Path) -> None:
-    """Register the failing trackers for this process and its children."""
-    write_distribution(
-        folder, "failing", every_class(SOURCE), {SOURCE.name: SOURCE.read_text("utf-8")}, group=TRACKER_GROUP
-    )
-    sys.path.insert(0, str(folder))
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
+@contextmanager
+def installed(site: Path, temporary: Path) -> Iterator[None]:
+    """Register the failing trackers in `site`, for this process and its children; temporary files go to `temporary`."""
+    files = {SOURCE.name: SOURCE.read_text("utf-8")}
+    write_distribution(site, "failing", every_class(SOURCE), files, group=TRACKER_GROUP)
+    search_path, folder = os.environ.get("PYTHONPATH"), tempfile.tempdir
+    sys.path.insert(0, str(site))
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(site), search_path)))
+    tempfile.tempdir = str(temporary)
+    try:
+        yield
+    finally:
+        sys.path.remove(str(site))
+        os.environ["PYTHONPATH"] = search_path or ""
+        tempfile.tempdir = folder
 
 
 def options_of(fault: str, folder: Path, number: int) -> Mapping[str, object]:
@@ -91,7 +99,7 @@ def run_trial(fault: str, options: Mapping[str, object], limits: Limits, log: Pa
 
 
 def resources() -> dict[str, float]:
-    """What may leak."""
+    """The resources that may leak."""
     own = psutil.Process()
     return {
         "processes": len(own.children(recursive=True)),
@@ -103,7 +111,7 @@ def resources() -> dict[str, float]:
 
 
 def write_results(path: Path, trials: Mapping[str, list[Trial]], first: dict[str, float], sandbox: bool) -> None:
-    """Write what was left, and how each fault ended."""
+    """Write the resources, and the outcome of each fault."""
     last = resources()
     left = measured_table(
         ("what", "after a round", "at the end"),
@@ -133,13 +141,13 @@ def write_results(path: Path, trials: Mapping[str, list[Trial]], first: dict[str
     print(left.markdown(), faults.markdown(), values, sep="\n\n")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--fault", action="append", choices=FAULTS, help="default: every one of them")
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__)
+    parser.add_argument("--fault", action="append", choices=FAULTS, help="default: all of them")
     parser.add_argument("--trials", type=int, help="default: 28 rounds")
     parser.add_argument("--sandbox", action="store_true", help="confine the trackers")
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    given = parser.parse_args()
+    parser.add_argument("--results", type=Path, default=RESULTS, help="results file, default: %(default)s")
+    given = parser.parse_args(arguments)
     faults = given.fault or FAULTS
     count = 28 * len(faults) if given.trials is None else given.trials
     if count < len(faults):
@@ -151,17 +159,16 @@ def main() -> None:
         site, pids, temporary = (Path(folder, name) for name in ("site", "pids", "temporary"))
         for path in (site, pids, temporary):
             path.mkdir()
-        install(site)
-        tempfile.tempdir = str(temporary)
-        for number in range(count):
-            fault = faults[number % len(faults)]
-            options = options_of(fault, Path("/tmp") if given.sandbox else pids, number)
-            trials[fault].append(run_trial(fault, options, limits, Path(folder, "stderr.log")))
-            if number + 1 == len(faults):
-                first = resources()
-            if (number + 1) % len(faults) == 0:
-                print(f"{number + 1} of {count}: {resources()}", flush=True)
-        write_results(given.results, trials, first, given.sandbox)
+        with installed(site, temporary):
+            for number in range(count):
+                fault = faults[number % len(faults)]
+                options = options_of(fault, Path("/tmp") if given.sandbox else pids, number)
+                trials[fault].append(run_trial(fault, options, limits, Path(folder, "stderr.log")))
+                if number + 1 == len(faults):
+                    first = resources()
+                if (number + 1) % len(faults) == 0:
+                    print(f"{number + 1} of {count}: {resources()}", flush=True)
+            write_results(given.results, trials, first, given.sandbox)
 
 
 if __name__ == "__main__":

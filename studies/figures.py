@@ -1,7 +1,6 @@
 """Numbers and tables of the pages, filled from committed results.
 
-`python -m studies.figures [--check]` (one second). Between markers, which are HTML comments, a page has what the
-command writes:
+`python -m studies.figures [--check]` (a second) writes between markers, which are HTML comments:
 
     <!-- value: junction: kalman: f1 dynamic 1 s -->0.693<!-- /value -->
     <!-- value: trackers/dogma.json: time: processor time -->13<!-- /value -->
@@ -9,27 +8,23 @@ command writes:
     <!-- table: junction: F1: kalman, dogma: f1 dynamic 1 s, f1 visible 1 s: intervals, best -->...<!-- /table -->
     <!-- table: junction: confusion: kalman: visible -->...<!-- /table -->
     <!-- table: junction: trainings: in-motion 1 s, dynamic 1 s -->...<!-- /table -->
-    <!-- table: label-budget -->...<!-- /table -->
 
-`junction` and `leg_tracker` are the summary.json of a comparison in that folder of docs/results (rows and columns:
-studies/support/run_scores.py), `label-budget` is docs/results/junction/label-budget.csv; any other source is a file
-below docs/results, its section and a name in it (studies/support/results_file.py), and where no study has written that
-file yet, the page says so. A results page has
-decimal numbers only between markers, in code, or among the constants it names: `<!-- constants: 0.5 2.5 -->`.
+`junction` and `leg_tracker` are summaries of comparisons (rows and columns: studies/kept_summary.py). Other addresses
+name a results file, a section and a number or table (studies/support/results_file.py); for a file that does not exist
+the page says "not measured yet". A results page has decimal numbers only between markers, in code, or among the
+constants that it names: `<!-- constants: 0.5 2.5 -->`.
 """
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
-from studies.support.label_table import budget_table
-from studies.support.results_file import ResultSection, ResultTable, read_sections
-from studies.support.run_scores import RunScores
+from studies.kept_summary import RunScores
+from studies.support.results_file import ResultSection, ResultTable, read_sections, study_parser
 
 NOT_MEASURED = "not measured yet"
 ROOT = Path(__file__).parents[1]
@@ -41,25 +36,25 @@ DECIMAL = re.compile(r"(?<![\w.])\d*\.\d+(?![\w]|\.\d)")
 
 
 def marked_pages(root: Path = ROOT) -> list[Path]:
-    """The pages with generated numbers: the results pages, and every other one with a marker."""
+    """The pages with generated numbers: the results pages, and other pages that have a marker."""
     others = set((root / "docs").rglob("*.md")) - set(results_pages(root))
     return [*results_pages(root), *sorted(page for page in others if MARKED.search(page.read_text("utf-8")))]
 
 
 def results_pages(root: Path = ROOT) -> list[Path]:
-    """The pages whose numbers are all generated."""
+    """The pages with generated numbers only."""
     docs = root / "docs"
     of_trackers = [*docs.glob("trackers/*results*.md"), docs / "trackers" / "model-cards.md"]
     return sorted([root / "README.md", *docs.glob("results/**/*.md"), *of_trackers])
 
 
 def filled(text: str) -> str:
-    """A page with every marker's content generated anew. Raises KeyError for an address that has no number."""
+    """A page with the content of its markers written anew. Raises KeyError for an unknown address."""
     return MARKED.sub(_generated, text)
 
 
 def unmarked_decimals(text: str) -> Iterator[str]:
-    """The lines with a decimal number outside markers, code and the page's constants, each with that number."""
+    """Line and number of each decimal outside markers, code and the constants of the page."""
     constants = {one for found in CONSTANTS.findall(text) for one in found.split()}
     rest = CODE.sub(_blank, MARKED.sub(_blank, text))
     for number, line in enumerate(rest.splitlines(), 1):
@@ -91,8 +86,6 @@ def _value(address: list[str]) -> str:
 
 def _table(address: list[str]) -> ResultTable:
     match address:
-        case ["label-budget"]:
-            return budget_table(RESULTS / "junction" / "label-budget.csv")
         case [source, section, *name] if source.endswith(".json"):
             return _section(source, section).tables[": ".join(name)]
         case [place, "trainings", columns]:
@@ -123,10 +116,10 @@ def _scores(place: str) -> RunScores:
     return RunScores(RESULTS / place / "summary.json")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 where a page differs")
-    check = parser.parse_args().check
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a page differs")
+    check = parser.parse_args(arguments).check
     stale = []
     for page in marked_pages():
         text = page.read_text("utf-8")
@@ -136,7 +129,8 @@ def main() -> None:
             if not check:
                 page.write_text(new, "utf-8")
     print(f"{'differ' if check else 'written'}: {', '.join(stale) or 'none'}")
-    sys.exit(check and bool(stale))
+    if check and stale:
+        sys.exit(1)
 
 
 if __name__ == "__main__":

@@ -1,52 +1,54 @@
-"""False alarms and power of the regression gate's criteria together, on simulated runs of twenty recordings.
+"""False alarms and power of the regression gate, all criteria together, on simulated runs of twenty recordings.
 
-`python -m studies.gate_power [--out docs/results/regression.json]` (ten minutes). Each comparison is judged by the
-gate's own code, with 18 rows: F1 and log loss, of visible, dynamic and rare cells, in three step bands. Aims: without a
-true change at most 5 % are called worse, where the baseline has the variance in question; a tracker that answers
+`python -m studies.gate_power [--out docs/results/regression.json]` (ten minutes). The gate's own code judges each
+comparison, with 18 rows: F1 and log loss of visible, dynamic and rare cells in three step bands. Aims: without a true
+change at most 5 % are called worse, if the baseline has runs with the variance in question; a tracker that answers
 nothing on one recording is found; a fall in F1 of 0.02 in all recordings is found in at least 95 %.
 
-Recordings differ in difficulty and traffic, alike for both runs. Beyond that, the runs of a tracker differ in each
-recording (another seed), and as a whole (another training). Hits are drawn as if one in `CORRELATED` cells were
-independent.
+Recordings differ in difficulty and traffic, alike for both runs. The runs of a tracker differ further in each recording
+(another seed) and as a whole (another training). Hits are drawn as if one in CORRELATED cells were independent.
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 from scipy.special import expit
 
 from gridtrack.evaluation.regression.confirmation import judged_again
-from gridtrack.evaluation.regression.criteria import row_tests
 from gridtrack.evaluation.regression.judging import VerdictRow, judged_recordings, judged_row
-from gridtrack.evaluation.regression.rows import PairedRow
+from gridtrack.evaluation.regression.rows import PairedRow, row_tests
 from gridtrack.evaluation.regression.settings import GateSettings
-from gridtrack.evaluation.statistics.jackknife import Floats
+from gridtrack.evaluation.scores.definition import Floats, TrialFacts
+from gridtrack.evaluation.scores.f1 import F1
+from gridtrack.evaluation.scores.log_loss import LOG_LOSS
+from gridtrack.evaluation.scores.thresholds import half
 
-from studies.support.results_file import measured_table, write_table
+from studies.support.results_file import measured_table, study_parser, write_table
 
 RECORDINGS = 20
 REGIONS = {"visible": (20_000.0, 1.0), "dynamic": (4_000.0, 0.5), "rare": (300.0, 0.0)}
-"""Occupied cells of a recording in a step band, and the log odds of the recall in the first."""
+"""Occupied cells of a recording in a step band, and the log odds of the recall in the first band."""
 BANDS = {"short": 0.3, "middle": 0.0, "long": -0.5}
-"""Step bands, and what they add to the log odds."""
+"""Step bands, and their addition to the log odds."""
 CORRELATED = 20.0
-MARKED = ("F1", "dynamic", "middle")
-"""The row whose F1 is lowered by a given amount."""
+MARKED = ("f1.f1", "dynamic", "middle")
+"""The row with a fall in F1 of a given size."""
 SETTINGS = GateSettings()
 COMMAND = "python -m studies.gate_power"
-CRITERIA = ("significant", "large", "collapse")
+CRITERIA = ("significant", "collapse")
+F1_PARTS = F1.parts(TrialFacts(0.2, 1, ("visible",), half(1, ("visible",))))
 
 
 @dataclass(frozen=True)
 class Runs:
-    """How the runs of one tracker differ: standard deviations of the log odds of the recall, in one recording by
-    itself, and of a run as a whole. `trainings`: number of runs in the baseline."""
+    """The variation between runs of one tracker: standard deviations of the log odds of the recall.
+
+    `of_recording`: in each recording separately; `of_run`: of a run as a whole; `trainings`: runs in the baseline.
+    """
 
     name: str
     of_recording: float = 0.0
@@ -56,13 +58,13 @@ class Runs:
 
 @dataclass(frozen=True)
 class Fall:
-    """A share of its hits that the judged run loses in the first recordings, all where `recordings` is None."""
+    """The judged run loses this share of its hits in the first `recordings`; None: in all of them."""
 
     share: float = 0.0
     recordings: int | None = None
 
     def in_each(self) -> Floats:
-        """The share of each recording."""
+        """The lost share of each recording."""
         affected = RECORDINGS if self.recordings is None else self.recordings
         return np.where(np.arange(RECORDINGS) < affected, self.share, 0.0)
 
@@ -74,14 +76,14 @@ NOISY = Runs("another seed, very noisy", of_recording=0.3)
 
 @dataclass
 class Tally:
-    """Of simulated comparisons, how many each criterion calls worse."""
+    """The number of simulated comparisons that each criterion calls worse."""
 
     comparisons: int = 0
     worse: int = 0
     by: dict[str, int] = field(default_factory=lambda: dict.fromkeys(CRITERIA, 0))
 
     def cells(self) -> list[str]:
-        """Shares in percent: each criterion, and any of them."""
+        """Shares in per cent: each criterion, and any of them."""
         return [f"{100 * count / self.comparisons:.1f}" for count in (*self.by.values(), self.worse)]
 
 
@@ -93,7 +95,7 @@ def simulated(runs: Runs, fall: Fall, rng: np.random.Generator) -> Iterator[Pair
 def simulated_twice(
     runs: Runs, fall: Fall, rng: np.random.Generator, seconds: int = 1
 ) -> Iterator[tuple[PairedRow, PairedRow]]:
-    """The rows of one comparison, and those of its judged run run again, as the same training."""
+    """The rows of one comparison, and those of a second run of the judged training."""
     sides = runs.trainings + 1 + seconds
     traffic = np.exp(0.5 * rng.standard_normal(RECORDINGS))
     difficulty = 0.5 * rng.standard_normal(RECORDINGS)
@@ -115,19 +117,20 @@ def simulated_twice(
 
 
 def _rows(region: str, band: str, hits: Floats, occupied: Floats) -> Iterator[PairedRow]:
-    """F1 and log loss of hits (K + 1, U) among occupied cells (U,); false alarms are as many as a fifth of these."""
+    """F1 and log loss of hits (K + 1, U) among occupied cells (U,), with false alarms in a fifth of that number."""
     units, names = np.arange(RECORDINGS), tuple(f"{n:02}" for n in range(RECORDINGS))
     missed = occupied - hits
-    f1 = np.stack([2 * hits, 2 * hits + missed + 0.2 * occupied], axis=-1)
+    f1 = np.zeros((*hits.shape, len(F1_PARTS)))
+    for part, counts in (("tp chosen", hits), ("fp chosen", 0.2 * occupied), ("fn chosen", missed)):
+        f1[..., F1_PARTS.index(part)] = counts
     losses = 0.3 * hits + 2.5 * missed + 0.02 * 20 * occupied
     loss = np.stack([losses, np.broadcast_to(21 * occupied, losses.shape)], axis=-1)
-    for score, sums in (("F1", f1), ("log loss", loss)):
-        equal = bool((sums[:-1] == sums[-1]).all(axis=(1, 2)).any())
-        yield PairedRow("net", score, region, band, sums[:-1], sums[-1], units, names, units >= 0, equal)  # type: ignore[arg-type]
+    for score, parts, sums in ((F1, F1_PARTS, f1), (LOG_LOSS, ("loss", "cells"), loss)):
+        yield PairedRow("net", score, score.lead, region, band, parts, sums[:-1], sums[-1], units, names)
 
 
 def judged(runs: Runs, fall: Fall, comparisons: int) -> Tally:
-    """How often the gate calls simulated comparisons worse."""
+    """Simulated comparisons that the gate calls worse."""
     rng = np.random.default_rng(1)
     tally = Tally()
     for _ in range(comparisons):
@@ -143,7 +146,7 @@ def judged(runs: Runs, fall: Fall, comparisons: int) -> Tally:
 
 
 def confirmations(comparisons: int) -> Iterator[list[str]]:
-    """How often a comparison is worse at first, and how often in a second run too."""
+    """Shares of comparisons that are worse at first, and in a second run too."""
     for name, runs, fall in confirmed_cases():
         rng = np.random.default_rng(3)
         first = both = 0
@@ -159,13 +162,13 @@ def confirmations(comparisons: int) -> Iterator[list[str]]:
 
 
 def confirmed_cases() -> Iterator[tuple[str, Runs, Fall]]:
-    """Description, runs and fall of the cases with a second run."""
+    """Description, runs and fall of each case with a second run."""
     for runs in (SEEDS, NOISY, TRAININGS):
         yield f"no change, {runs.name}", runs, Fall()
     for f1 in (0.005, 0.01, 0.02):
         yield f"{f1:g} F1 in all recordings", SEEDS, Fall(share_for(f1))
-    for share, what in ((1.0, "no answer"), (0.5, "half of the hits")):
-        yield f"{what} on 1 recording", SEEDS, Fall(share, 1)
+    for share, name in ((1.0, "no answer"), (0.5, "half of the hits")):
+        yield f"{name} on 1 recording", SEEDS, Fall(share, 1)
 
 
 def cases() -> Iterator[tuple[str, str, Runs, Fall]]:
@@ -176,13 +179,13 @@ def cases() -> Iterator[tuple[str, str, Runs, Fall]]:
             yield "no change", name, Runs(name, runs.of_recording, runs.of_run, trainings), Fall()
     for f1 in (0.005, 0.01, 0.02, 0.04):
         yield "all recordings", f"{f1:g} F1", SEEDS, Fall(share_for(f1))
-    for share, what in ((1.0, "no answer"), (0.5, "half of the hits")):
+    for share, name in ((1.0, "no answer"), (0.5, "half of the hits")):
         for recordings in range(1, 6):
-            yield "few recordings", f"{what} on {recordings}", SEEDS, Fall(share, recordings)
+            yield "few recordings", f"{name} on {recordings}", SEEDS, Fall(share, recordings)
 
 
 def stated_falls(runs: Runs, comparisons: int) -> Iterator[list[str]]:
-    """How often a multiple of the smallest fall that one comparison states is found in the next one."""
+    """Shares of falls found, of a multiple of the smallest fall that the previous comparison stated."""
     for multiple in (0.5, 1.0, 1.5, 2.0):
         rng = np.random.default_rng(2)
         found, stated = 0, []
@@ -194,9 +197,9 @@ def stated_falls(runs: Runs, comparisons: int) -> Iterator[list[str]]:
 
 
 def _marked(rows: Iterator[PairedRow]) -> VerdictRow:
-    """The verdict on F1 of dynamic cells in the middle band."""
+    """The verdict on the row MARKED."""
     every = list(rows)
-    (index,) = (i for i, row in enumerate(every) if (row.score, row.region, row.band) == MARKED)
+    (index,) = (i for i, row in enumerate(every) if row.key[1:] == MARKED)
     return judged_row(every[index], row_tests(every)[index], SETTINGS)
 
 
@@ -205,46 +208,45 @@ def _sums() -> Floats:
     """Numerator and denominator of the F1 of MARKED, of many recordings."""
     rng = np.random.default_rng(0)
     rows = [row for _ in range(50) for row in simulated(Runs("exact"), Fall(), rng)]
-    marked = [row.run.sum(axis=0) for row in rows if (row.score, row.region, row.band) == MARKED]
-    sums: Floats = np.sum(marked, axis=0)
-    return sums
+    marked = [row.run.sum(axis=0) for row in rows if row.key[1:] == MARKED]
+    tp, fp, fn = (np.sum(marked, axis=0)[F1_PARTS.index(f"{count} chosen")] for count in ("tp", "fp", "fn"))
+    return np.array([2 * tp, 2 * tp + fp + fn])
 
 
 def share_for(f1: float) -> float:
-    """The share of hits whose loss in all recordings lowers the F1 of MARKED by `f1`."""
+    """The share of hits to lose in all recordings so that the F1 of MARKED falls by `f1`."""
     part, whole = _sums()
-    # 2 TP (1 - s) over the denominator less s TP is f1 less than before
+    # 2 TP (1 - s) / (denominator - s TP) = F1 - f1, solved for s
     target = part / whole - f1
     return float((part - target * whole) / (part - target * part / 2))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/regression.json")
     parser.add_argument("--comparisons", type=int, default=200, help="simulated comparisons of each case")
-    parser.add_argument("--out", type=Path, help="results file for the tables")
-    parser.add_argument("--only-stated", action="store_true", help="only the falls that are stated as the smallest")
+    parser.add_argument("--only-stated", action="store_true", help="only the smallest falls that comparisons state")
     parser.add_argument("--only-confirmed", action="store_true", help="only the effect of a second run")
-    arguments = parser.parse_args()
-    if not arguments.only_stated:
+    given = parser.parse_args(arguments)
+    if not given.only_stated:
         columns = ("case", "worse at first, %", "worse again, %")
-        table = measured_table(columns, list(confirmations(arguments.comparisons)))
+        table = measured_table(columns, list(confirmations(given.comparisons)))
         print(table.markdown(), flush=True)
-        write_table(arguments.out, "second run", table, COMMAND)
-    if arguments.only_confirmed:
+        write_table(given.out, "second run", table, COMMAND)
+    if given.only_confirmed:
         return
-    table = measured_table(("fall", "found, %"), list(stated_falls(SEEDS, arguments.comparisons)))
+    table = measured_table(("fall", "found, %"), list(stated_falls(SEEDS, given.comparisons)))
     print(table.markdown(), flush=True)
-    write_table(arguments.out, "stated fall", table, COMMAND)
-    if arguments.only_stated:
+    write_table(given.out, "stated fall", table, COMMAND)
+    if given.only_stated:
         return
     tables: dict[str, list[list[str]]] = {}
     for title, name, runs, fall in cases():
-        row = [name, *judged(runs, fall, arguments.comparisons).cells()]
+        row = [name, *judged(runs, fall, given.comparisons).cells()]
         print(title, *row, sep="  ", flush=True)
         tables.setdefault(title, []).append(row)
     for title, rows in tables.items():
-        table = measured_table(("case", "significant, %", "large, %", "collapse, %", "worse, %"), rows)
-        write_table(arguments.out, title, table, COMMAND)
+        table = measured_table(("case", "significant, %", "collapse, %", "worse, %"), rows)
+        write_table(given.out, title, table, COMMAND)
 
 
 if __name__ == "__main__":

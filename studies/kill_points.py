@@ -1,16 +1,15 @@
-"""Kills of gridtrack, of a tracker and of a supervisor at random moments: what is lost, and what is left behind?
+"""Kills of gridtrack, a tracker and a supervisor at random moments: are results lost, are processes or files left?
 
 `python -m studies.kill_points [--points 102] [--engine local]` compares three trackers on two stretches of a hall, once
-undisturbed, then once for each kill: a process is killed (SIGKILL) at a moment drawn from the duration of the
-undisturbed run, its processes and temporary files that are left are counted, and `--resume` completes the run, whose
-files must have the hashes of the undisturbed one. Writes docs/results/robustness.json. `--engine ray` and `--engine
-slurm` make a cluster on this machine. Half a minute a point on an idle core; Ctrl-C keeps the kills so far, and `--add`
-goes on with another seed.
+undisturbed, then once for each kill: a process is killed (SIGKILL) at a random moment of the undisturbed duration, the
+processes and temporary files that remain are counted, and `--resume` completes the run, whose files must have the
+hashes of the undisturbed run. Writes docs/results/robustness.json. `--engine ray` and `--engine slurm` start a cluster
+on this machine. Half a minute per kill on an idle core; Ctrl-C keeps the kills so far, and `--add` adds kills of
+another seed.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import signal
@@ -27,28 +26,28 @@ from typing import Any
 import numpy as np
 import psutil
 
-from gridtrack.evaluation.processes.orphans import adopt_orphans
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.hosting.host import adopt_orphans
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 
-from studies.support.results_file import ResultSection, measured_table, read_sections, write_section
+from studies.support.results_file import ResultSection, measured_table, read_sections, study_parser, write_section
 from studies.support.slurm_machine import slurm_machine
 
 HALL = "data/leg_tracker/leg_tracker.mcap"
 STRETCHES, TRACKERS = ("95s-100s", "105s-110s"), ("persistence", "static-map", "kalman")
 VICTIMS = {"gridtrack": "", "a tracker": "gridtrack.trackers.serve", "a supervisor": "supervisor.py"}
-"""Words of their command lines; gridtrack is the process that was started."""
+"""Words of the command line of each victim; gridtrack is the process that was started."""
 COLUMNS = ("killed", "kills", "resumed to equal scores", "processes left", "temporary files left")
 GONE_S = 10.0
-"""Until what a killed process started must have ended."""
+"""Time for the children of a killed process to end."""
 COMPARED = {"outcome", "frames_scored", "delivered", "thresholds"}
-"""Parts of a trial's record that must be equal, as the hashes of its files."""
+"""Parts of a trial's record that must be equal, like the hashes of its files."""
 RESULTS = Path("docs/results/robustness.json")
 COMMAND = "python -m studies.kill_points"
 
 
 @dataclass(frozen=True)
 class Kill:
-    """What one kill did: processes and temporary files that were left, and what differs in the resumed run."""
+    """The effect of one kill: remaining processes and temporary files, and differences of the resumed run."""
 
     victim: str
     moment_s: float
@@ -73,7 +72,7 @@ def start(out: Path, engine: Sequence[str], temporary: Path) -> subprocess.Popen
 
 
 def complete(out: Path, engine: Sequence[str], temporary: Path) -> dict[str, object]:
-    """Run the comparison to its end; the parts of its trials that must be equal. Ends the program where it fails."""
+    """Complete the comparison; the parts of its trials that must be equal. Ends the program on failure."""
     with start(out, engine, temporary) as host:
         code = host.wait()
     if code:
@@ -88,7 +87,7 @@ def complete(out: Path, engine: Sequence[str], temporary: Path) -> dict[str, obj
 
 
 def victim_of(kind: str, host: psutil.Process, above: psutil.Process, until: float) -> psutil.Process | None:
-    """A process of the kind: the host, or below `above`, waited for as long as the host lives."""
+    """A process of the kind, the host or below `above`; waits for one while the host lives."""
     while host.is_running() and host.status() != psutil.STATUS_ZOMBIE and time.monotonic() < until:
         if not VICTIMS[kind]:
             return host
@@ -96,7 +95,7 @@ def victim_of(kind: str, host: psutil.Process, above: psutil.Process, until: flo
             try:
                 if VICTIMS[kind] in " ".join(process.cmdline()):
                     return process
-            except psutil.Error:  # it has ended in the meantime
+            except psutil.Error:  # it has ended
                 continue
         time.sleep(0.005)
     return None
@@ -105,7 +104,7 @@ def victim_of(kind: str, host: psutil.Process, above: psutil.Process, until: flo
 def kill_once(
     kind: str, moment_s: float, out: Path, engine: Sequence[str], steady: int, undisturbed: dict[str, object]
 ) -> Kill | None:
-    """Kill a process of the kind `moment_s` after the start and complete the run; None where there was none to kill.
+    """Kill a process of the kind `moment_s` after the start and complete the run; None if there was no such process.
 
     `steady`: the number of processes below this one that belong to the engine.
     """
@@ -132,7 +131,7 @@ def kill_once(
 
 
 def alive(above: psutil.Process) -> int:
-    """The number of processes below `above`, without those that have ended and that it adopted."""
+    """The number of processes below `above`, without adopted ones that have ended."""
     count = 0
     for process in above.children(recursive=True):
         try:
@@ -147,7 +146,7 @@ def alive(above: psutil.Process) -> int:
 
 @contextmanager
 def engine_words(engine: str) -> Iterator[list[str]]:
-    """The options of the engine, with a cluster of its own where it needs one."""
+    """The options of the engine; a cluster is started if it needs one."""
     if engine == "local":
         yield ["--jobs", "2"]
         return
@@ -168,7 +167,7 @@ def engine_words(engine: str) -> Iterator[list[str]]:
 
 
 def write_results(engine: str, kills: Sequence[Kill], add: bool) -> None:
-    """Write the table of one engine, by victim; with `add` the kills are added to those that the results have."""
+    """Write the table of one engine by victim; with `add` these kills are added to the earlier results."""
     name, rows = f"kills, {engine}", []
     earlier = read_sections(RESULTS)[name].tables["kills"].rows if add else [("0",) * len(COLUMNS)] * len(VICTIMS)
     for kind, before in zip(VICTIMS, earlier, strict=True):
@@ -186,18 +185,18 @@ def write_results(engine: str, kills: Sequence[Kill], add: bool) -> None:
     print(table.markdown())
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--points", type=int, default=102, help="kills, a third of them for each kind of process")
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__)
+    parser.add_argument("--points", type=int, default=102, help="number of kills, a third for each kind of process")
     parser.add_argument("--engine", choices=("local", "ray", "slurm"), default="local")
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
-    parser.add_argument("--add", action="store_true", help="to the kills that the results have, of another --seed")
-    given = parser.parse_args()
+    parser.add_argument("--add", action="store_true", help="add to the results of another --seed")
+    given = parser.parse_args(arguments)
     adopt_orphans()
     random = np.random.default_rng(given.seed)
     kills: list[Kill] = []
     with tempfile.TemporaryDirectory() as folder, engine_words(given.engine) as engine:
-        # SIGTERM too; a process that was started in the background ignores interrupts, and Ray ends at a SIGTERM
+        # a process that was started in the background ignores Ctrl-C, and Ray ends at a SIGTERM
         for ends in (signal.SIGINT, signal.SIGTERM):
             signal.signal(ends, signal.default_int_handler)
         steady = alive(psutil.Process())

@@ -1,103 +1,134 @@
-"""Label budget as curves: the mean and the range over draws of the table of `studies/label_budget.py`.
+"""Label budget: the table that `studies/label_budget.py` measures, its summary and its curves.
 
-`python -m studies.label_curve [TABLE]` (one second) draws the table into an SVG file beside it, and writes the means
-that the text of the page has.
+`python -m studies.label_curve [TABLE]` (a second) draws the curves beside the table and writes the summary of
+docs/results/trackers/one-shot.json.
 """
 
 from __future__ import annotations
 
-import argparse
+import csv
 import statistics
 from collections import defaultdict
-from html import escape
+from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
-from gridtrack.reports.figures import Axis, document
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from studies.support.label_table import BUDGETS, COLUMNS, read_rows
-from studies.support.results_file import ResultSection, write_section
-from studies.support.svg import svg_path
+from studies.support.drawings import COLOURS, SETTINGS, write_svg
+from studies.support.results_file import ResultSection, ResultTable, study_parser, write_section
 
 TABLE = Path("docs/results/junction/label-budget.csv")
 RESULTS = Path("docs/results/trackers/one-shot.json")
-STYLES = {"one-shot": "#c2410c", "latent": "#1d4ed8", "latent, linear": "#0f766e", "latent and scan": "#7e22ce"}
-DASHES = {"spread": "none", "consecutive": "5 3"}
-WIDTH, HEIGHT, GAP, LEFT, TOP, BOTTOM = 270, 220, 46, 40, 30, 42
-LOSSES = (0.1, 0.2, 0.5, 1.0, 2.0)
-"""Ticks of the loss axis, nats a scan."""
-
-Points = list[tuple[int, float, float, float]]
-"""Of each budget its number of scans, and mean, least and most over the draws."""
+BUDGETS = (50, 100, 200, 400, 800)
+"""Numbers of labelled scans."""
+DASHES = {"spread": "-", "consecutive": "--"}
+"""How the labelled scans are drawn, and the line of each way."""
+COLUMNS = {"visible now": (0, "visible"), "visible 1 s": (1, "visible"), "occluded now": (0, "occluded")}
+"""The scores of a row: of the two scored steps, now and one second ahead, the first or second, and the visibility."""
 
 
-def curves(path: Path, column: str) -> dict[tuple[str, str], Points]:
-    """The curve of each method and drawing."""
+class Losses(NamedTuple):
+    """The losses of the draws of one number of labelled scans, nats per scan."""
+
+    mean: float
+    least: float
+    most: float
+    draws: int
+
+
+Curves = dict[tuple[str, str], dict[int, Losses]]
+"""By drawing and method, then by number of labelled scans."""
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """The rows measured so far; none if the file does not exist."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def append_row(path: Path, row: Mapping[str, object]) -> None:
+    """Append one row to the table; a new file begins with its header."""
+    new = not path.exists()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", newline="") as file:
+        writer = csv.DictWriter(file, list(row))
+        if new:
+            writer.writeheader()
+        writer.writerow(row)
+
+
+def curves(rows: Sequence[Mapping[str, str]], column: str) -> Curves:
+    """One column of the table as curves."""
     values: dict[tuple[str, str], dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
-    for row in read_rows(path):
-        values[row["method"], row["drawing"]][int(row["scans"])].append(float(row[column]))
+    for row in rows:
+        values[row["drawing"], row["method"]][int(row["scans"])].append(float(row[column]))
     return {
-        line: [(scans, statistics.fmean(own), min(own), max(own)) for scans, own in sorted(of_scans.items())]
+        line: {scans: Losses(statistics.fmean(own), min(own), max(own), len(own)) for scans, own in of_scans.items()}
         for line, of_scans in values.items()
     }
 
 
-def means(path: Path) -> dict[str, str]:
-    """The mean over the draws of each drawing, method, budget and column, for texts."""
-    return {
-        f"{drawn}, {method}, {scans}, {column}": f"{mean:.2f}"
-        for column in COLUMNS
-        for (method, drawn), points in curves(path, column).items()
-        for scans, mean, _, _ in points
-    }
+def summary(rows: Sequence[Mapping[str, str]]) -> ResultSection:
+    """Mean and range over the draws as a table, and each mean as a value."""
+    of_columns = {column: curves(rows, column) for column in COLUMNS}
+    measured = of_columns[next(iter(COLUMNS))]
+    methods = dict.fromkeys(row["method"] for row in rows)
+    lines: list[tuple[str, ...]] = []
+    values: dict[str, str] = {}
+    for drawing, method, scans in product(DASHES, methods, BUDGETS):
+        if scans in measured.get((drawing, method), {}):
+            losses = {column: found[drawing, method][scans] for column, found in of_columns.items()}
+            texts = [f"{one.mean:.3f} [{one.least:.3f}, {one.most:.3f}]" for one in losses.values()]
+            lines.append((drawing, method, str(scans), str(measured[drawing, method][scans].draws), *texts))
+            values |= {f"{drawing}, {method}, {scans}, {name}": f"{one.mean:.2f}" for name, one in losses.items()}
+    columns = ("drawing", "method", "scans", "draws", *COLUMNS)
+    table = ResultTable(columns=columns, alignment=("---", "---", *["--:"] * (len(columns) - 2)), rows=tuple(lines))
+    return ResultSection(command="python -m studies.label_curve", tables={"table": table}, values=values)
 
 
-def curve_panel(number: int, title: str, lines: dict[tuple[str, str], Points]) -> str:
-    """One column of the table as axes and curves."""
-    left = LEFT + number * (WIDTH + GAP)
-    x = Axis(BUDGETS[0], BUDGETS[-1], left, left + WIDTH, logarithmic=True)
-    y = Axis(0.08, 2.2, TOP + HEIGHT, TOP, logarithmic=True)
-    parts = [f'<text x="{left}" y="18" font-weight="bold">{escape(title)}</text>']
-    for loss in LOSSES:
-        parts.append(f'<path d="M{left} {y(loss)}h{WIDTH}" stroke="#ddd"/>')
-        parts.append(f'<text x="{left - 6}" y="{y(loss) + 4}" text-anchor="end">{loss:g}</text>')
-    for scans in BUDGETS:
-        parts.append(f'<text x="{x(scans)}" y="{TOP + HEIGHT + 16}" text-anchor="middle">{scans}</text>')
-    for (method, drawing), points in lines.items():
-        above = [f"{x(scans)},{y(most)}" for scans, _, _, most in points]
-        below = [f"{x(scans)},{y(least)}" for scans, _, least, _ in reversed(points)]
-        mean = " ".join(f"{x(scans)},{y(value)}" for scans, value, _, _ in points)
-        colour = STYLES[method]
-        parts.append(f'<polygon points="{" ".join(above + below)}" fill="{colour}" opacity="0.13"/>')
-        parts.append(
-            f'<polyline points="{mean}" fill="none" stroke="{colour}" stroke-width="2"'
-            f' stroke-dasharray="{DASHES[drawing]}"/>'
-        )
-    return "".join(parts)
+def draw(rows: Sequence[Mapping[str, str]], path: Path) -> None:
+    """Draw the mean and the range over the draws of each method, a panel for each column."""
+    colours = dict(zip(sorted({row["method"] for row in rows}), COLOURS, strict=False))
+    with matplotlib.rc_context(SETTINGS):
+        figure = Figure((9.0, 3.2), layout="constrained")
+        panels = figure.subplots(1, len(COLUMNS), sharey=True)
+        for axes, column in zip(panels, COLUMNS, strict=True):
+            draw_panel(axes, curves(rows, column), colours)
+            axes.set(title=column, xlabel="labelled scans (dashed: consecutive)")
+        panels[0].set_ylabel("log loss, nats per scan")
+        keys = [panels[0].plot([], [], color=colour)[0] for colour in colours.values()]
+        figure.legend(keys, list(colours), loc="outside lower center", ncols=len(colours))
+        write_svg(figure, path)
 
 
-def drawing(path: Path) -> str:
-    """The figure, SVG."""
-    panels = [curve_panel(number, title, curves(path, title)) for number, title in enumerate(COLUMNS)]
-    foot, width = TOP + HEIGHT + 36, LEFT + len(panels) * (WIDTH + GAP)
-    keys = [
-        f'<path d="M{LEFT + 150 * k} {foot - 4}h22" stroke="{colour}" stroke-width="2"/>'
-        f'<text x="{LEFT + 150 * k + 28}" y="{foot}">{escape(method)}</text>'
-        for k, (method, colour) in enumerate(STYLES.items())
-    ]
-    text = "log loss, nats a scan, by labelled scans (dashed: in a row)"
-    caption = f'<text x="{width - GAP}" y="{foot}" text-anchor="end">{text}</text>'
-    return document(width, TOP + HEIGHT + BOTTOM, [*panels, *keys, caption], font_size=12)
+def draw_panel(axes: Axes, lines: Curves, colours: Mapping[str, str]) -> None:
+    """Draw the curves of one column."""
+    for (drawing, method), points in lines.items():
+        scans = sorted(points)
+        axes.plot(scans, [points[n].mean for n in scans], DASHES[drawing], color=colours[method])
+        ends = [points[n].least for n in scans], [points[n].most for n in scans]
+        axes.fill_between(scans, *ends, color=colours[method], alpha=0.13, linewidth=0)
+    axes.set(xscale="log", yscale="log", ylim=(0.08, 2.2))
+    axes.set_xticks(BUDGETS, [str(n) for n in BUDGETS])
+    axes.set_yticks((0.1, 0.2, 0.5, 1.0, 2.0), ("0.1", "0.2", "0.5", "1", "2"))
+    axes.minorticks_off()
+    axes.grid(axis="y", color="#ddd")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__)
     parser.add_argument("table", type=Path, nargs="?", default=TABLE)
-    parser.add_argument("--picture", type=svg_path, help="default: beside the table")
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    given = parser.parse_args()
-    (given.picture or given.table.with_suffix(".svg")).write_text(drawing(given.table))
-    section = ResultSection(command="python -m studies.label_curve", values=means(given.table))
-    write_section(given.results, "how many labels", section)
+    parser.add_argument("--out", type=Path, default=RESULTS, help=f"results file, default: {RESULTS}")
+    given = parser.parse_args(arguments)
+    rows = read_rows(given.table)
+    draw(rows, given.table.with_suffix(".svg"))
+    write_section(given.out, "how many labels", summary(rows))
 
 
 if __name__ == "__main__":

@@ -1,15 +1,13 @@
-"""Real drives: trackers with general weights on stretches of recordings of robots that drive, to be looked at.
+"""Real drives: trackers with general weights on stretches of recordings of driving robots.
 
-`python -m studies.real_drives DATA FOLDER [--out FILE]` (some ten minutes): DATA has the folders datmo, radish and ual
-(docs/results/real); FOLDER gets the imported recordings and the runs, whose reports have the pictures.
-`persistence` is compared with poses from each source, every tracker with the refined ones. A last table counts the
-confirmed tracks of `kalman` that are faster than MOVING_MPS, and those of them whose velocity is not zero at a
-confidence of 99.9 %.
+`python -m studies.real_drives DATA FOLDER [--out FILE]` (ten minutes): DATA has the folders datmo, radish and ual
+(docs/results/real); FOLDER gets the imported recordings, the runs with their reports, and the pictures. `persistence`
+is compared with poses from each source, every tracker with refined ones. The last table counts the confirmed tracks of
+`kalman`, the tracks faster than MOVING_MPS, and of these the ones with a velocity that is not zero at 99.9 %.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
@@ -19,18 +17,19 @@ import numpy as np
 
 from gridtrack.common.files import sha256_of
 from gridtrack.common.scan import Scan
+from gridtrack.evaluation.referee.samples import SAMPLES, read_samples
 from gridtrack.recordings.ego_motion import PoseSource
 from gridtrack.recordings.stream import open_stream
-from gridtrack.reports.run import read_runs
+from gridtrack.reports.run import ReportedRun, read_runs
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
 from gridtrack.trackers.training.card import GENERAL
 
 from studies.support.comparison import compare
-from studies.support.forecast_pictures import forecast_pictures
+from studies.support.drawings import draw_pictures, forecast_pictures
 from studies.support.real_recordings import REAL, RealRecording, import_real
-from studies.support.results_file import ResultSection, measured_table, write_section
+from studies.support.results_file import ResultSection, measured_table, study_parser, write_section
 from studies.support.unseen_places import REFERENCE, TRAININGS, WEIGHTS, further_training, general_rows, not_measured
 
 HORIZON_S, WARM_UP = 1.0, 20
@@ -45,7 +44,7 @@ MOVING_MPS, SIGNIFICANT = 0.5, 13.8
 
 @dataclass(frozen=True)
 class Drive:
-    """A stretch of a recording, and whose weights are used on it."""
+    """A stretch of a recording."""
 
     recording: RealRecording
     start_s: float
@@ -53,7 +52,7 @@ class Drive:
 
     @property
     def name(self) -> str:
-        """That of the recording."""
+        """The name of the recording."""
         return self.recording.name
 
 
@@ -83,23 +82,31 @@ def imported(drive: Drive, scans: list[Scan], source: PoseSource, data: Path, fo
 
 
 def compared(drive: Drive, recording: str, rows: Sequence[str], folder: Path) -> dict[str, list[str]]:
-    """F1 of each tracker, HORIZON_S ahead, in the strata; thresholds are those of the cards."""
+    """F1 of each tracker in STRATA, HORIZON_S ahead, with the thresholds of the cards."""
     out = folder / f"run-{Path(recording).name.partition('.')[0]}"
     compare([recording], None, rows, out, "--jobs", "1", "--horizon", f"{HORIZON_S}s", "--every", "0.4s")
     (run,) = read_runs([out])
     if drive.name in PICTURES and len(rows) > 1:
-        drawing = forecast_pictures(run, SHOWN, PICTURES[drive.name], HORIZON_S)
-        (folder / f"real-drive-{drive.name}.svg").write_text(drawing, "utf-8")
+        draw_samples(run, PICTURES[drive.name], folder / f"real-drive-{drive.name}.svg")
     found = {}
     for label, entry in run.summary.trackers.items():
         (trial,) = entry.recordings.values()
-        f1 = [trial.strata[stratum].f1[-1] if stratum in trial.strata else None for stratum in STRATA]
+        (described,) = run.summary.recordings.values()
+        f1 = [trial.at(stratum, "f1", "f1", len(described.horizons_s) - 1).value for stratum in STRATA]
         found[label] = ["" if value is None else f"{value:.2f}" for value in f1]
     return found
 
 
+def draw_samples(run: ReportedRun, numbers: Sequence[int], path: Path) -> None:
+    """Draw the kept forecasts of these numbers in a run of one recording, as SHOWN trackers made them."""
+    (recording,) = run.summary.recordings
+    kept = {name: list(read_samples(run.trial_folder(name, recording) / SAMPLES)) for name in SHOWN}
+    rows = [{name: found[number] for name, found in kept.items()} for number in numbers]
+    draw_pictures([forecast_pictures("scan", row, HORIZON_S) for row in rows], path)
+
+
 def tracks_in_motion(recording: str, card: Path) -> list[str]:
-    """Confirmed tracks of `kalman` a frame, the fast ones, and those whose velocity is significant."""
+    """Confirmed tracks of `kalman` per frame, the fast ones, and the fast ones with a significant velocity."""
     stream = open_stream(recording)
     spec = StreamSpec(stream.grid, stream.period_s, stream.site, weights=card, weights_sha256=sha256_of(card))
     tracker = KalmanTracker(spec, ModelFreeSettings())
@@ -115,13 +122,12 @@ def tracks_in_motion(recording: str, card: Path) -> list[str]:
     return [f"{count:.2f}" for count in np.mean(counts[WARM_UP:], axis=0)]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/moving/real_drives.json")
     parser.add_argument("data", type=Path)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", help="the name of one drive")
-    parser.add_argument("--out", type=Path, help="docs/results/moving/real_drives.json")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     given.folder.mkdir(parents=True, exist_ok=True)
     rows = {label: row for label, row in general_rows(WEIGHTS, TRAININGS).items() if not further_training(label)}
     scores, tracks, poses = [], [], []
@@ -142,11 +148,10 @@ def main() -> None:
         "tracks": measured_table(("drive", "tracks", "faster than 0.5 m/s", "and significant"), tracks),
         "poses": measured_table(("drive and poses", *(f"F1 {name}" for name in STRATA)), poses),
     }
-    print("\n\n".join(table.markdown() for table in tables.values()))
-    if given.out is not None:
-        values = {"not measured": not_measured(rows)}
-        section = ResultSection(command="python -m studies.real_drives", tables=tables, values=values)
-        write_section(given.out, "drives", section)
+    values = {"not measured": not_measured(rows)}
+    section = ResultSection(command="python -m studies.real_drives", tables=tables, values=values)
+    print(section.text())
+    write_section(given.out, "drives", section)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
-"""Trackers with general weights on recordings of real robots: places that none of them has learned.
+"""Trackers with general weights on recordings of real robots: places that they have not learned.
 
-`python -m studies.real_results DATA` compares every tracker that has general weights on each recording of
-`studies.support.real_recordings.REAL`, whole, and writes the numbers of docs/results/real and its drawing; DATA has the
-folders leg_tracker, datmo, radish and ual. A sensor that moves gets refined poses (docs/importing.md), in recordings
-that are written once to the folder of the run. Thresholds are those of the cards. A tracker without general weights is
-left out and named. An interrupted comparison is continued with the same rows. Duration: ten minutes for the poses,
-twenty for each network on one idle core.
+`python -m studies.real_results DATA` compares every tracker with general weights on each of the recordings `REAL`
+(studies/support/real_recordings.py), and writes the numbers and the chart of docs/results/real; DATA has the folders
+leg_tracker, datmo, radish and ual. A sensor that moves gets refined poses (docs/importing.md), in recordings that are
+written once beside the folder of the run. Thresholds come from the cards. An interrupted comparison resumes with the
+same rows. On one idle core the poses need ten minutes, each network twenty.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from studies.support.place_command import compare_places, place_parser, write_places
+from studies.support.place_command import SKILL, compare_places, place_parser, write_places
 from studies.support.real_recordings import REAL, RealRecording, import_real
 from studies.support.results_file import ResultSection, ResultTable, measured_table
 from studies.support.unseen_places import STRATA, PlaceScores, not_measured
@@ -26,7 +25,7 @@ MIDDLE_S = 1.0
 
 
 def imported(recordings: Sequence[RealRecording], data: Path, folder: Path) -> list[Path]:
-    """The recordings as they are compared, below `folder`; with refined poses where the sensor moves."""
+    """The recordings to compare on, below `folder`; with refined poses if the sensor moves."""
     return [
         import_real(one, one.scans(data), "refined" if one.moves else "recorded", data, folder / f"{one.name}.mcap")
         for one in recordings
@@ -34,7 +33,7 @@ def imported(recordings: Sequence[RealRecording], data: Path, folder: Path) -> l
 
 
 def contents(scores: PlaceScores) -> ResultTable:
-    """What is in each recording: frames, forecasts, and occupied cells a forecast of the strata, MIDDLE_S ahead."""
+    """Each recording: sensor, frames, forecasts, and occupied cells per forecast in the strata, MIDDLE_S ahead."""
     known = {one.name: one for one in REAL}
     occupied = [scores.occupied(stratum, MIDDLE_S) for stratum in SHOWN_STRATA]
     rows = []
@@ -51,10 +50,11 @@ def by_recording(scores: PlaceScores) -> ResultTable:
     rows = [
         [
             f"{name}, {label}",
-            *(scores.text_of(strata.get("dynamic"), one, MIDDLE_S) for one in ("pr_auc", "f1", "fss_5")),
+            *(scores.text(label, "dynamic", one, MIDDLE_S, name) for one in ("pr_auc", "f1", "fss.5_cells")),
         ]
         for name in scores.described
-        for label, strata in scores.on(name).items()
+        for label in scores.labels
+        if any(trial.record.recording == name for trial in scores.trials_of(label))
     ]
     return measured_table((f"dynamic, {MIDDLE_S:g} s", "PR-AUC", "F1", "FSS, 5 cells"), rows)
 
@@ -67,11 +67,13 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
         for stratum in ("in-motion", "dynamic")
         for h in (0.5, 1.0)
     ]
-    near = [(f"{h:g} s, {scale} cells", "dynamic", f"fss_{scale}", h) for h in (0.5, 1.0) for scale in (1, 3, 5, 9)]
+    near = [
+        (f"{h:g} s, {scale} cells", "dynamic", f"fss.{scale}_cells", h) for h in (0.5, 1.0) for scale in (1, 3, 5, 9)
+    ]
     tables = {
         "pooled": scores.table("together", pooled),
         "visible": scores.over_horizons("F1, visible", "visible", "f1"),
-        "fractions skill": scores.table("FSS, dynamic", near),
+        SKILL: scores.table("FSS, dynamic", near),
         "recordings": contents(scores),
         "by recording": by_recording(scores),
         "trainings": scores.training_table(),
@@ -87,17 +89,16 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
     return {"scores": ResultSection(command=COMMAND, tables=tables, values=values)}
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = place_parser(__doc__, Path("runs/real-results"), RESULTS)
     parser.add_argument("data", type=Path)
     parser.add_argument("--recording", action="append", help="such as aces; default: all of them")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     if not given.collect:
         recordings = [one for one in REAL if given.recording is None or one.name in given.recording]
         folder = given.out.with_name(f"{given.out.name}-recordings")
         compare_places(given, imported(recordings, given.data, folder), given.out)
-    scores = PlaceScores.read(given.out)
-    write_places(given.results, scores, sections_of(scores))
+    write_places(given.results, sections_of(PlaceScores.read(given.out)))
 
 
 if __name__ == "__main__":

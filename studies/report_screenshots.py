@@ -1,22 +1,23 @@
 """Pictures of a report at two widths, light and dark, as a browser shows it.
 
-`python -m studies.report_screenshots RUN --out DIR` (half a minute) renders the report of a run and writes, for each of
-WIDTHS and each of SCHEMES, the first screen, every section, and the whole page, as `WIDTH-SCHEME-NAME.png`. `--only
-NAME` writes the pictures of that name alone. It needs Chromium (Debian: apt install chromium).
+`python -m studies.report_screenshots RUN --out DIR` (half a minute) renders the report of a run and writes the first
+screen, every section and the whole page, in each of WIDTHS and SCHEMES, as `WIDTH-SCHEME-NAME.png`. `--only NAME`
+writes the pictures of that name alone. It needs Chromium (Debian: apt install chromium).
 """
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
 
 from gridtrack.common.errors import GridtrackError
 from gridtrack.reports.page import render_report
+
+from studies.support.results_file import study_parser
 
 WIDTHS = (1280, 400)
 SCHEMES = ("light", "dark")
@@ -35,7 +36,7 @@ def take_pictures(report: Path, out: Path, chromium: str, only: Collection[str] 
                 page = browser.new_page(viewport={"width": width, "height": HEIGHT}, color_scheme=scheme)  # type: ignore[arg-type]
                 page.goto(report.resolve().as_uri())
                 page.wait_for_load_state()
-                page.wait_for_timeout(500)  # a player draws its first moment after the page is there
+                page.wait_for_timeout(500)  # a player draws its first moment after the page has loaded
                 taken += _of_page(page, out, f"{width}-{scheme}", only)
                 page.close()
         browser.close()
@@ -53,7 +54,7 @@ def _of_page(page: Page, out: Path, prefix: str, only: Collection[str]) -> list[
         page.screenshot(path=path_of(FIRST))
     if not only or WHOLE in only:
         page.screenshot(path=path_of(WHOLE), full_page=True)
-    # The bar of trackers stays at the top of the window: in a picture of a tall section it would lie over its middle.
+    # the bar of trackers follows the window: in a picture of a tall section it would cover the middle
     page.locator(".trackers").evaluate_all("bars => bars.forEach(bar => (bar.style.position = 'static'))")
     for section in page.locator("section[id], .player").all():
         name = section.get_attribute("id") or "player"
@@ -62,20 +63,20 @@ def _of_page(page: Page, out: Path, prefix: str, only: Collection[str]) -> list[
     return taken
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__)
     parser.add_argument("run", type=Path, metavar="RUN")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--only", action="append", default=[], metavar="NAME")
-    arguments = parser.parse_args()
+    given = parser.parse_args(arguments)
     chromium = shutil.which("chromium")
     if chromium is None:
-        sys.exit("chromium: there is no such program; Debian: apt install chromium")
+        sys.exit("chromium is not installed; Debian: apt install chromium")
     try:
-        report = render_report([arguments.run])
+        report = render_report([given.run])
     except GridtrackError as error:
         sys.exit(f"{error} (`make demo` makes runs/demo)")
-    for path in take_pictures(report, arguments.out, chromium, arguments.only):
+    for path in take_pictures(report, given.out, chromium, given.only):
         print(path)
 
 

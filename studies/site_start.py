@@ -1,35 +1,43 @@
-"""A short training at a site: from general weights, and from scratch, beside the general weights that it starts from.
+"""A short training at a site, from general weights and from scratch, beside the general weights.
 
-`python -m studies.site_start` (half an hour of a core) trains on the 75 s of the hall's training stretch in both ways,
-and scores all three on its validation stretch, which both trainings have used to choose between their tries, and on its
-test stretch, which they have not seen. Thresholds are chosen on the training stretch for every row. A training that
-exists in `--out` is kept.
+`python -m studies.site_start` (half an hour of a core) trains in both ways on the training stretch of the hall, 75 s,
+and scores all three on the validation stretch, which both trainings used to choose between candidates, and on the test
+stretch, which is new to them. Thresholds are chosen on the training stretch for every row. Complete trainings in
+`--out` are kept.
 """
 
 from __future__ import annotations
 
-import argparse
 import resource
 from collections.abc import Sequence
 from pathlib import Path
 
-from gridtrack.evaluation.results.summary import RunSummary, read_summary
+from gridtrack.evaluation.runs.summary import RunSummary, read_summary
+from gridtrack.evaluation.scores.registry import built_in, find_output
 from gridtrack.trackers.training.card import GENERAL
 
 from studies.support.comparison import compare, train
-from studies.support.results_file import ResultSection, ResultTable, measured_table, read_sections, write_section
-from studies.support.unseen_places import NONE, REFERENCE, WEIGHTS
+from studies.support.results_file import (
+    NONE,
+    ResultSection,
+    ResultTable,
+    measured_table,
+    read_sections,
+    study_parser,
+    write_section,
+)
+from studies.support.unseen_places import REFERENCE, WEIGHTS
 
 HALL, SITE = Path("data/leg_tracker/leg_tracker.mcap"), "leg_tracker"
 STRETCHES = {"validation": f"{HALL}@validation", "test": f"{HALL}@test"}
 TRACKERS = ("kalman", "dilated-convgru")
 WAYS = ("from general", "from scratch")
 RECIPES = Path("studies/recipes/from-scratch")
-"""What a tracker is trained with from scratch, TRACKER-SITE.toml; from general weights their own settings hold."""
+"""Recipes of trainings from scratch, TRACKER-SITE.toml; a training from general weights keeps their settings."""
 SCORES = (
     ("in-motion", "pr_auc", "PR-AUC, in motion"),
     ("dynamic", "f1", "F1, dynamic"),
-    ("visible", "nll", "log loss"),
+    ("visible", "log_loss", "log loss"),
 )
 HORIZONS_S = (0.5, 1.0)
 RESULTS = Path("docs/results/worlds/site_start.json")
@@ -37,7 +45,7 @@ COMMAND = "python -m studies.site_start"
 
 
 def train_one_way(tracker: str, way: str, out: Path) -> float:
-    """Train in one of WAYS; seconds of processor time, 0 where that had been done before."""
+    """Train in one of WAYS; seconds of processor time, 0 if the training exists."""
     recipe = ("--recipe", RECIPES / f"{tracker}-{SITE}.toml")
     before_s = _children_s()
     card = trained(out, tracker, way) / tracker / f"{SITE}.toml"
@@ -51,19 +59,19 @@ def _children_s() -> float:
 
 
 def trained(out: Path, tracker: str, way: str) -> Path:
-    """The folder of weights of one training."""
+    """The folder of weights of a training."""
     return out / way.replace(" ", "-") / tracker
 
 
 def rows_of(tracker: str, out: Path) -> dict[str, str]:
-    """The rows of a tracker as `--tracker` names them, by label."""
+    """The rows of a tracker, as values of `--tracker` by label."""
     rows = {"general": f"weights={WEIGHTS},card={GENERAL}"}
     rows |= {way: f"weights={trained(out, tracker, way)},card=site" for way in WAYS}
     return {f"{tracker} {name}": f"{tracker} {name}={tracker}:{weights}" for name, weights in rows.items()}
 
 
 def run(trackers: Sequence[str], out: Path) -> dict[str, float]:
-    """Train what is missing, and compare on both stretches; the time of both trainings of each tracker that ran, s."""
+    """Train what is missing and compare on both stretches; the ratio of both training times, by tracker trained now."""
     took = {}
     for tracker in trackers:
         times_s = [train_one_way(tracker, way, out) for way in WAYS]
@@ -83,25 +91,30 @@ def table(summary: RunSummary) -> ResultTable:
     rows = []
     for label, row in summary.trackers.items():
         (scored,) = row.recordings.values()
-        found = (getattr(scored.strata[stratum], score)[step] for stratum, score, _ in SCORES for step in steps)
+        outputs = ((stratum, *find_output(score, built_in())) for stratum, score, _ in SCORES)
+        found = [
+            scored.at(stratum, score.name, output.name, step).value
+            for stratum, score, output in outputs
+            for step in steps
+        ]
         rows.append([label, *(NONE if one is None else f"{one:.3f}" for one in found)])
     return measured_table(("row", *(f"{name} {h:g} s" for *_, name in SCORES for h in HORIZONS_S)), rows)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__)
     parser.add_argument("--tracker", action="append", choices=TRACKERS, help="default: both")
-    parser.add_argument("--out", type=Path, default=Path("runs/site-start"))
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    given = parser.parse_args()
+    parser.add_argument("--out", type=Path, default=Path("runs/site-start"), help="folder, default: %(default)s")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="results file, default: %(default)s")
+    given = parser.parse_args(arguments)
     took = run(given.tracker or TRACKERS, given.out)
     tables = {name: table(read_summary(given.out / name)) for name in STRETCHES}
-    # a training that was kept has the time of when it ran
+    # the time of a kept training was measured when it ran
     values = dict(read_sections(given.results)["scores"].values) if given.results.exists() else {}
     values |= {f"time of {tracker}, of that from scratch": f"{share:.2f}" for tracker, share in took.items()}
-    write_section(given.results, "scores", ResultSection(command=COMMAND, tables=tables, values=values))
-    print("\n\n".join(one.markdown() for one in tables.values()))
-    print(values)
+    section = ResultSection(command=COMMAND, tables=tables, values=values)
+    write_section(given.results, "scores", section)
+    print(section.text())
 
 
 if __name__ == "__main__":

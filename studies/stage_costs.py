@@ -1,18 +1,16 @@
-"""Cost of each stage of the model-free pipeline in F1: the junction with the truth in a stage's place.
+"""Cost of each stage of the model-free pipeline in F1: the junction with the truth in place of a stage.
 
-`python -m studies.stage_costs [kalman|factor-graph]` (ten minutes). The validation recording, scored as in tuning
-(dynamic and visible cells, each step's best threshold), with the pipeline as it is and then with one thing from the
-truth: all returns of a body as one cluster; how the body has moved since its first match, in place of each later
-match; the velocity and turn rate of every visible track, or of those that are at most a second old, at the time of the
-forecast.
+`python -m studies.stage_costs [kalman|factor-graph]` (ten minutes). The validation recording is scored as in tuning
+(dynamic and visible cells, the best threshold of each step), with the pipeline as it is, and then with one part
+replaced by the truth: all returns of a body as one cluster; the motion of the body since its first match, in place of
+each later match; velocity and turn rate, when a forecast is made, of all visible tracks, or of those at most a second
+old.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,9 +19,9 @@ from numpy.typing import NDArray
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.common.scene import SceneObject
-from gridtrack.evaluation.scoring.in_process import score_in_process
-from gridtrack.evaluation.scoring.regions import regions_of
-from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.referee.kinds import regions_of
+from gridtrack.evaluation.referee.strata import STRATA
+from gridtrack.evaluation.runs.objective import score_in_process
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.contract import Forecast
@@ -34,8 +32,9 @@ from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.segmentation import Cluster, joined
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
+from gridtrack.trackers.registry import registered_name
 
-from studies.support.results_file import measured_table, write_table
+from studies.support.results_file import measured_table, study_parser, write_table
 from studies.support.shipped import JUNCTION, STEPS, with_shipped_weights
 from studies.support.true_bodies import Points, bodies, body_cells, most_frequent, rigid_velocity
 
@@ -43,7 +42,7 @@ HORIZONS = {"0.5 s": 4, "1 s": 8, "2 s": 16}
 YOUNG_S = 1.0
 VELOCITY_SD, TURN_RATE_SD = 0.03, 0.01
 POSE_SD = 0.03
-"""Standard deviations given to the truth: m/s, rad/s, and m and rad."""
+"""Standard deviations of the truth as the pipeline gets it: m/s, rad/s, and m and rad."""
 REPLACED = {
     "nothing": "nothing",
     "clusters": "which clusters are one object",
@@ -51,12 +50,12 @@ REPLACED = {
     "velocity": "the velocity of every visible track",
     "young": "the velocity of tracks visible for at most one second",
 }
-"""What is taken from the truth, and how the table names it."""
-TRACKERS: dict[str, type[ModelFreeTracker]] = {kind.name: kind for kind in (KalmanTracker, FactorGraphTracker)}
+"""The parts that the truth replaces, and their names in the table."""
+TRACKERS: dict[str, type[ModelFreeTracker]] = {"kalman": KalmanTracker, "factor-graph": FactorGraphTracker}
 
 
 class TrueFrame(NamedTuple):
-    """The bodies of one frame, the one before and the one after; `owner` (M, M): the body on each cell, -1: none."""
+    """The bodies of a frame, the one before and the one after; `owner` (M, M): the body on each cell, -1: none."""
 
     owner: NDArray[np.int64]
     before: dict[int, SceneObject]
@@ -66,7 +65,7 @@ class TrueFrame(NamedTuple):
     world_T_grid: SE2
 
     def motion(self, body: int, at: Points) -> tuple[Points, float] | None:
-        """Velocity (2,) of the body at a point (1, 2), grid frame, and its turn rate; None at its first and last."""
+        """Velocity (2,) of a body at a point (1, 2), grid frame, and its turn rate; None in a first or last frame."""
         if body not in self.before or body not in self.after:
             return None
         poses = self.before[body].world_T_object, self.after[body].world_T_object
@@ -75,7 +74,7 @@ class TrueFrame(NamedTuple):
 
 
 def true_frames(observations: Sequence[Observation], grid: GridSpec) -> dict[int, TrueFrame]:
-    """The true frames by their stamp."""
+    """The true frames by stamp."""
     centres, found = grid.cell_centres(np.ones(grid.shape, bool)), {}
     for number, now in enumerate(observations):
         before, after = observations[max(number - 1, 0)], observations[min(number + 1, len(observations) - 1)]
@@ -89,7 +88,7 @@ def true_frames(observations: Sequence[Observation], grid: GridSpec) -> dict[int
 
 
 def informed_pipeline(replaced: str, truth: Mapping[int, TrueFrame]) -> type[Pipeline]:
-    """The pipeline, with the clusters or the poses from the truth where `replaced` names them."""
+    """The pipeline, with clusters or poses from the truth if `replaced` says so."""
 
     class InformedPipeline(Pipeline):
         def __init__(self, *arguments: Any) -> None:
@@ -153,7 +152,7 @@ def informed_tracker(
 
 
 def set_true_velocity(track: Track, truth: TrueFrame, grid: GridSpec) -> None:
-    """Give the estimators of a track the velocity of the body that most of its returns are on."""
+    """Give the estimators of a track the velocity of the body that has most of its returns."""
     body = owner_of(track.returns, truth, grid)
     motion = None if body is None else truth.motion(body, track.returns.mean(axis=0, keepdims=True))
     if motion is None:
@@ -176,7 +175,7 @@ def true_poses(
 ) -> dict[int, Match]:
     """The matches by track number; after a track's first match on a body, its pose follows the body's true motion.
 
-    `first` is by identity: the body of the track's first match, and the track's pose in that body's frame.
+    `first` has by identity the body of a track's first match, and the track's pose in the frame of that body.
     """
     corrected = {}
     for number, match in matches.items():
@@ -190,14 +189,14 @@ def true_poses(
             continue
         true, covariance = grid_T_body @ first[identity][1], np.eye(3) * POSE_SD**2
         pose = np.array([true.x, true.y, true.theta])
-        if match.covariance[2, 2] > math.pi**2:  # which shows no heading
+        if match.covariance[2, 2] > math.pi**2:  # the match has no heading
             pose[2], covariance[2, 2] = match.pose[2], match.covariance[2, 2]
         corrected[number] = match._replace(pose=pose, covariance=covariance)
     return corrected
 
 
 def one_per_body(clusters: Sequence[Cluster], truth: TrueFrame, grid: GridSpec) -> list[Cluster]:
-    """The clusters; those of which most returns are on the same body are joined."""
+    """The clusters; clusters that have most of their returns on the same body are joined."""
     of_body: dict[int, list[Cluster]] = {}
     for number, cluster in enumerate(clusters):
         body = owner_of(cluster.points, truth, grid)
@@ -206,7 +205,7 @@ def one_per_body(clusters: Sequence[Cluster], truth: TrueFrame, grid: GridSpec) 
 
 
 def owner_of(points: Points, truth: TrueFrame, grid: GridSpec) -> int | None:
-    """The body that most of `points` (N, 2) are on."""
+    """The body that has most of `points` (N, 2)."""
     cells, inside = grid.cells_of(points)
     body = most_frequent(truth.owner[tuple(cells[inside].T)])
     return None if body < 0 else body
@@ -214,20 +213,19 @@ def owner_of(points: Points, truth: TrueFrame, grid: GridSpec) -> int | None:
 
 def scores(kind: type[ModelFreeTracker], stream: GridStream) -> list[float]:
     """F1 of dynamic and of visible cells at HORIZONS."""
-    tracker = with_shipped_weights(kind, kind.name, stream)
+    tracker = with_shipped_weights(kind, registered_name(kind), stream)
     found = score_in_process(tracker, stream, STEPS, regions_of(stream, STRATA))
     return [float(found.f1[stratum][step]) for stratum in ("dynamic", "visible") for step in HORIZONS.values()]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/trackers/model-free.json")
     parser.add_argument("tracker", nargs="?", choices=list(TRACKERS), default="kalman")
     parser.add_argument("--stretch", help="of the validation recording, such as 0s-20s; default: all of it")
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/model-free.json")
-    arguments = parser.parse_args()
-    kind = TRACKERS[arguments.tracker]
+    given = parser.parse_args(arguments)
+    kind = TRACKERS[given.tracker]
     recording = JUNCTION / "validation.tracks"
-    stream = open_stream(f"{recording}@{arguments.stretch}" if arguments.stretch else recording)
+    stream = open_stream(f"{recording}@{given.stretch}" if given.stretch else recording)
     truth = true_frames(list(stream.observations()), stream.grid)
     columns = [f"{stratum} {horizon}" for stratum in ("dynamic", "visible") for horizon in HORIZONS]
     rows: list[list[str]] = []
@@ -238,9 +236,9 @@ def main() -> None:
         without = without or values
         rows.append([name, *(f"{value:.3f}" for value in values)])
         gains |= {f"gain, {name}: {c}": f"{v - w:.3f}" for c, v, w in zip(columns, values, without, strict=True)}
-    table = measured_table([f"{kind.name}, with the truth of", *columns], rows)
+    table = measured_table([f"{registered_name(kind)}, with the truth of", *columns], rows)
     print(table.markdown())
-    write_table(arguments.out, "stage costs", table, f"python -m studies.stage_costs {kind.name}", gains)
+    write_table(given.out, "stage costs", table, f"python -m studies.stage_costs {registered_name(kind)}", gains)
 
 
 if __name__ == "__main__":

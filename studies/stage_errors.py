@@ -1,29 +1,27 @@
-"""Error of each stage of the model-free pipeline at the junction, against the truth: which stage is the weakest.
+"""Error of each stage of the model-free pipeline at the junction, against the truth: which stage is the weakest?
 
-`python -m studies.stage_errors [kalman|factor-graph]` (two minutes). Two stretches of the validation recording, by
-class of the true body, over bodies of which at least two cells are visible:
+`python -m studies.stage_errors [kalman|factor-graph]` (two minutes). Two stretches of the validation recording, by the
+class of the true body, over bodies with at least two visible cells:
 
-- segmentation: the share of bodies that are whole in one cluster, and of those that are alone in theirs;
-- association: how often a second the returns of a body go to another track than in the frame before;
-- estimation: error of the velocity along and across the true one (median, root mean square), of bodies in view for a
-  second that move, and the median of the squared normalised error (1.4 where it is consistent);
-- forecast: the share of the cells of bodies that have moved by 0.2 m which is forecast above the threshold that is best
-  for dynamic cells at that horizon: one frame, half a second and a second ahead.
+- segmentation: the share of bodies in one cluster, and of bodies with clusters of their own;
+- association: how often per second the returns of a body change to another track;
+- estimation: error of the velocity along and across the true one (median, root mean square), of moving bodies that have
+  been in view for a second, and the median of the squared normalised error (1.4 if consistent);
+- forecast: recall of the cells of bodies that have moved by 0.2 m, one frame, half a second and a second ahead, at the
+  threshold that is best for dynamic cells at that horizon.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, cell_kinds_around
+from gridtrack.evaluation.referee.strata import CELL_KINDS, cell_kinds_around
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
 from gridtrack.recordings.truth import static_cells
@@ -33,8 +31,9 @@ from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
+from gridtrack.trackers.registry import registered_name
 
-from studies.support.results_file import measured_table, write_table
+from studies.support.results_file import measured_table, study_parser, write_table
 from studies.support.shipped import JUNCTION, with_shipped_weights
 from studies.support.true_bodies import MOVING_MPS, Points, bodies, body_cells, most_frequent, rigid_velocity
 
@@ -47,13 +46,13 @@ COLUMNS = ("whole", "alone", "switches/s", "along", "across", "normalised", "0.1
 NOTHING = np.empty((0, 2))
 
 Found = dict[tuple[str, str], list[float]]
-"""By class and measure every value."""
+"""Values by class and measure."""
 Forecasts = dict[int, list[tuple[NDArray[Any], ...]]]
-"""By steps ahead: probability, truth and class (-1: of nothing that moved) of visible cells where things move."""
+"""By steps ahead: probability, truth and class of visible dynamic cells; class -1: nothing that has moved."""
 
 
 class ClusterRecorder(Pipeline):
-    """A pipeline that keeps the clusters of its newest frame."""
+    """A pipeline that keeps the clusters of the newest frame."""
 
     clusters: Sequence[Cluster] = ()
 
@@ -75,11 +74,13 @@ class RecordedFactorGraph(FactorGraphTracker):
     pipeline = ClusterRecorder
 
 
-TRACKERS: dict[str, type[ModelFreeTracker]] = {kind.name: kind for kind in (RecordedKalman, RecordedFactorGraph)}
+TRACKERS: dict[str, type[ModelFreeTracker]] = {
+    registered_name(kind): kind for kind in (RecordedKalman, RecordedFactorGraph)
+}
 
 
 def cell_owners(groups: Sequence[Points], grid: GridSpec) -> NDArray[np.int64]:
-    """The number (M*M,) of the group of points (N, 2) that has returns in each cell; -1: none."""
+    """The index (M*M,) of the group of points (N, 2) with returns in each cell; -1: none."""
     owner = np.full(grid.size**2, -1)
     for number, points in enumerate(groups):
         cells, inside = grid.cells_of(points)
@@ -147,7 +148,7 @@ def add_segmentation(
 def add_velocity(
     found: Found, label: str, track: Track, key: int, around: Sequence[Observation], cells: Points
 ) -> None:
-    """The error against the velocity of the body `key` at its `cells` (N, 2), by the frames before, now and after."""
+    """Add the error of a track against the true velocity of body `key` at its `cells` (N, 2), from three frames."""
     before, now, after = around
     scenes = bodies(before.scene), bodies(after.scene)
     if any(key not in scene for scene in scenes):
@@ -182,35 +183,34 @@ def add_forecast(
 
 
 def best_threshold(p: NDArray[np.float32], occupied: NDArray[np.bool_]) -> float:
-    """The threshold with the highest F1, of the edges of the probability bins."""
+    """The threshold with the highest F1, of 49 that are denser near 0 and 1."""
     thresholds = np.sin(np.pi * np.arange(1, 50) / 100) ** 2
     scores = [2 * (occupied & (p >= t)).sum() / ((p >= t).sum() + occupied.sum()) for t in thresholds]
     return float(thresholds[int(np.argmax(scores))])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/trackers/model-free.json")
     parser.add_argument("tracker", nargs="?", choices=list(TRACKERS), default="kalman")
     parser.add_argument("--stretches", nargs="+", default=STRETCHES, help="of the validation recording")
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/model-free.json")
-    arguments = parser.parse_args()
+    given = parser.parse_args(arguments)
     found: Found = defaultdict(list)
     forecasts: Forecasts = defaultdict(list)
-    for stretch in arguments.stretches:
+    for stretch in given.stretches:
         stream = open_stream(f"{JUNCTION / 'validation.tracks'}@{stretch}")
-        kind = TRACKERS[arguments.tracker]
-        tracker = with_shipped_weights(kind, kind.name, stream)
+        kind = TRACKERS[given.tracker]
+        tracker = with_shipped_weights(kind, given.tracker, stream)
         measure_stretch(tracker, list(stream.observations()), found, forecasts)
     parts = {steps: [np.concatenate(part) for part in zip(*forecasts[steps], strict=True)] for steps in AHEAD}
     classes = tracker.stream.classes
     rows = [class_row(name, label, found, parts) for label, name in enumerate(classes)]
-    table = measured_table([kind.name, *COLUMNS], [row for row in rows if row])
+    table = measured_table([registered_name(kind), *COLUMNS], [row for row in rows if row])
     print(table.markdown())
-    write_table(arguments.out, "stages", table, f"python -m studies.stage_errors {kind.name}")
+    write_table(given.out, "stages", table, f"python -m studies.stage_errors {given.tracker}")
 
 
 def class_row(name: str, label: int, found: Found, parts: dict[int, list[NDArray[Any]]]) -> list[str]:
-    """The errors of one class, a text for each of COLUMNS; empty where no body of it moved."""
+    """The errors of one class, a text for each of COLUMNS; empty if no body of the class moved."""
     if (name, "along") not in found:
         return []
     mean = {measure: np.mean(found[name, measure]) for measure in ("whole", "alone", "switches")}

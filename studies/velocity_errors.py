@@ -1,14 +1,13 @@
 """Velocity error against the truth at the junction, on the visible cells of moving bodies.
 
-`python -m studies.velocity_errors [TRACKER...]` (dogma and kalman by default; five minutes). The true velocity of a
-cell is the rigid motion of the body on whose outline it lies, from the poses one frame before and after. Where a
-tracker gives objects in place of a velocity field, each cell of an object's box has the object's velocity; where boxes
-overlap, that of the smallest (a bus passes a person). A cell without a velocity counts as 0.
+`python -m studies.velocity_errors [TRACKER...]` (default: dogma and kalman; five minutes). The true velocity of a cell
+is the rigid motion of the body whose outline crosses it, from its poses one frame before and after. If a tracker gives
+objects instead of a velocity field, the cells of an object's box have its velocity; of overlapping boxes the smallest
+counts, as when a bus passes a person. A cell without a velocity counts as 0.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -22,18 +21,18 @@ from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers.contract import Forecast
 
-from studies.support.results_file import measured_table, write_table
+from studies.support.results_file import measured_table, study_parser, write_table
 from studies.support.shipped import JUNCTION, shipped_tracker
 from studies.support.true_bodies import MOVING_MPS, bodies, body_cells, points_within, rigid_velocity
 
 RECORDINGS = [JUNCTION / f"test-{number}.tracks" for number in range(101, 105)]
 WARM_UP, EVERY = 20, 4
 SEEN_FOR = 8
-"""Cells of bodies that have been in view for fewer frames are not counted."""
+"""Bodies that have been in view for fewer frames are not counted."""
 
 
 def velocity_field(forecast: Forecast, grid: GridSpec) -> NDArray[np.float32]:
-    """Velocity (2, M, M), m/s, of each cell; NaN where the forecast has none."""
+    """Velocity (2, M, M), m/s, of each cell; NaN for cells without one."""
     if forecast.velocity is not None:
         return forecast.velocity
     field = np.full((2, *grid.shape), np.nan, np.float32)
@@ -67,7 +66,7 @@ def true_velocities(
 
 
 def errors_by_class(name: str, recordings: Sequence[Path]) -> dict[str, NDArray[np.float64]]:
-    """Error and whether there was an estimate (2, N) of every measured cell, by the class of its body."""
+    """Error, m/s, and whether there was an estimate (2, N), of every measured cell by the class of its body."""
     found: dict[str, list[NDArray[np.float64]]] = {}
     for recording in recordings:
         stream = open_stream(recording)
@@ -87,24 +86,23 @@ def errors_by_class(name: str, recordings: Sequence[Path]) -> dict[str, NDArray[
     return {label: np.concatenate(parts, axis=1) for label, parts in sorted(found.items())}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__, "docs/results/trackers/dogma.json")
     parser.add_argument("trackers", nargs="*", default=["dogma", "kalman"])
-    parser.add_argument("--recordings", type=int, default=len(RECORDINGS), help="how many to measure on")
-    parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/dogma.json")
-    arguments = parser.parse_args()
+    parser.add_argument("--recordings", type=int, default=len(RECORDINGS), help="number of recordings")
+    given = parser.parse_args(arguments)
     rows: dict[str, list[str]] = {}
     medians = {}
-    for name in arguments.trackers:
-        by_class = errors_by_class(name, RECORDINGS[: arguments.recordings])
-        for label, (error, given) in {**by_class, "all": np.concatenate(list(by_class.values()), axis=1)}.items():
-            texts = f"{math.sqrt((error**2).mean()):.2f}", f"{np.median(error):.2f}", f"{100 * given.mean():.0f} %"
+    for name in given.trackers:
+        by_class = errors_by_class(name, RECORDINGS[: given.recordings])
+        for label, (error, known) in {**by_class, "all": np.concatenate(list(by_class.values()), axis=1)}.items():
+            texts = f"{math.sqrt((error**2).mean()):.2f}", f"{np.median(error):.2f}", f"{100 * known.mean():.0f} %"
             rows.setdefault(label, [label, str(error.size)]).extend(texts)
             medians[f"{name}, {label}: median, m/s"] = texts[1]
-    columns = [text for name in arguments.trackers for text in (f"{name} RMS m/s", "median", "with a velocity")]
+    columns = [text for name in given.trackers for text in (f"{name} RMS m/s", "median", "with a velocity")]
     table = measured_table(["class", "cells", *columns], list(rows.values()))
     print(table.markdown())
-    write_table(arguments.out, "velocity", table, "python -m studies.velocity_errors", medians)
+    write_table(given.out, "velocity", table, "python -m studies.velocity_errors", medians)
 
 
 if __name__ == "__main__":

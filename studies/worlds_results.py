@@ -1,53 +1,50 @@
-"""Trackers with general weights on the twenty test worlds: places that none of them has learned.
+"""Trackers with general weights on the twenty test worlds: places that they have not learned.
 
-`python -m studies.worlds_results` compares every tracker that has general weights, with its further trainings, on the
-worlds of data/worlds/test, all in one run, and writes the numbers of docs/results/worlds and its drawing. The worlds
-whose robot drives with the poses of its wheels are compared once more with refined poses (`recording import
---ego-motion refined`, which knows the scans and the odometry alone); forecasts are scored by the true poses both times.
-Thresholds are those of the cards, chosen on the validation worlds. A tracker without general weights is left out and
-named. An interrupted comparison is continued with the same rows; `--out` takes another folder for others. Duration: a
-minute a world for a network on one idle core, half of that for the pipeline, seconds for the floors.
+`python -m studies.worlds_results` compares every tracker with general weights, and its further trainings, on the worlds
+of data/worlds/test, and writes the numbers and the chart of docs/results/worlds. The worlds whose poses come from the
+wheels of a robot are compared once more with refined poses (`recording import --ego-motion refined`, which knows the
+scans and the odometry alone). Forecasts are always scored by the true poses, at the thresholds of the cards, which were
+chosen on the validation worlds. An interrupted comparison resumes with the same rows; `--out` takes another folder for
+others. On one idle core a network needs a minute per world, the pipeline half of that, the floors seconds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from studies.support.place_command import compare_places, place_parser, worlds_called, write_places
-from studies.support.results_file import ResultSection, ResultTable, measured_table
-from studies.support.score_text import score_text
-from studies.support.unseen_places import (
-    REFERENCE,
-    STRATA,
-    PlaceScores,
-    not_measured,
-)
-from studies.support.world_lasers import DRIVES, ODOMETRY, STANDS, drift_text, laser_of, refined_world
+from gridtrack.recordings import open_recording
+
+from studies.support.comparison import gridtrack
+from studies.support.place_command import SKILL, compare_places, place_parser, worlds_called, write_places
+from studies.support.results_file import NONE, ResultSection, ResultTable, measured_table
+from studies.support.unseen_places import REFERENCE, STRATA, PlaceScores, not_measured, point_text
 
 RESULTS = Path("docs/results/worlds/worlds.json")
 COMMAND = "python -m studies.worlds_results"
 PARTS = ("indoors", "outdoors")
 FEWEST_POOLED = 2
-"""Worlds that can be pooled."""
+"""Fewer worlds are not pooled."""
+STANDS, DRIVES, ODOMETRY = "stands", "drives", "drives, odometry"
+"""The laser stands; it drives and its poses are exact; it drives with the poses of the wheels."""
 AIM_TRACKERS, AIM_HORIZONS_S, AIM_F1 = ("dilated-convgru", "kalman"), (0.5, 1.0), 0.10
-"""The aim: these trackers are above the reference by AIM_F1 on dynamic cells at these horizons, interval apart."""
+"""The aim: on dynamic cells at these horizons these trackers exceed the reference by AIM_F1, significantly."""
 
 CONTENDERS = ("kalman", "factor-graph", "dogma", "dilated-convgru")
-"""The trackers that forecast motion and are near each other: which of them is best?"""
-CONTENDER_SCORES = {"F1": ("f1", 3), "PR-AUC": ("pr_auc", 3), "log loss": ("nll", 4), "soft IoU": ("soft_iou", 3)}
-"""The scores by which they are told apart, and the decimals of a difference: log losses are small."""
+"""The trackers that forecast motion and have similar scores: which of them is best?"""
+CONTENDER_SCORES = {"F1": ("f1", 3), "PR-AUC": ("pr_auc", 3), "log loss": ("log_loss", 4), "soft IoU": ("soft_iou", 3)}
+"""The scores in which they are compared, and the decimals of a difference: log losses are small."""
 
 
 def aim_met(difference: float | None, low: float | None) -> str:
-    """What a difference and the lower end of its interval say of the aim: at least AIM_F1, and the interval above 0."""
+    """Whether a difference meets the aim: at least AIM_F1, with the whole interval above 0."""
     if difference is None or low is None:
         return "no interval"
     return "met" if difference >= AIM_F1 and low > 0 else "not met"
 
 
 def aim_table(scores: PlaceScores) -> ResultTable:
-    """The aim by tracker and horizon: the difference, and whether it is met."""
+    """The difference and the verdict by tracker and horizon."""
     rows = []
     for tracker in AIM_TRACKERS:
         for horizon_s in AIM_HORIZONS_S:
@@ -55,14 +52,14 @@ def aim_table(scores: PlaceScores) -> ResultTable:
             if tracker not in scores.differences:
                 rows.append([name, "", "not measured"])
                 continue
-            value, low, high = scores.difference(tracker, "dynamic", horizon_s)
-            text = "" if value is None else score_text(value, low, high, signed=True)
-            rows.append([name, text, aim_met(value, low)])
+            found = scores.difference(tracker, "dynamic", horizon_s)
+            text = "" if found.value is None else point_text(found, signed=True)
+            rows.append([name, text, aim_met(found.value, found.low)])
     return measured_table(("F1, dynamic", "difference", "at least 0.10"), rows)
 
 
 def part_table(parts: Mapping[str, PlaceScores], labels: list[str]) -> ResultTable:
-    """F1 a second ahead indoors and outdoors, each of ten worlds: too few for intervals."""
+    """F1 a second ahead indoors and outdoors; ten worlds each are too few for intervals."""
     strata = ("in-motion", "dynamic", "visible", "occluded")
     rows = [
         [label, *(part.text(label, stratum, "f1", 1.0) for part in parts.values() for stratum in strata)]
@@ -73,7 +70,7 @@ def part_table(parts: Mapping[str, PlaceScores], labels: list[str]) -> ResultTab
 
 
 def pair_tables(scores: PlaceScores) -> dict[str, ResultTable]:
-    """The contenders pair by pair on dynamic cells, a table for each score."""
+    """The contenders in pairs on dynamic cells, a table for each score."""
     return {
         name: scores.pair_table(f"{name}, dynamic", "dynamic", score, CONTENDERS, decimals=decimals)
         for name, (score, decimals) in CONTENDER_SCORES.items()
@@ -84,7 +81,9 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
     """The sections of the results file."""
     names = {part: [name for name in scores.described if name.startswith(part)] for part in PARTS}
     parts = {part: scores.of(found) for part, found in names.items() if len(found) >= FEWEST_POOLED}
-    near = [(f"{h:g} s, {scale} cells", "dynamic", f"fss_{scale}", h) for h in (0.5, 1.0) for scale in (1, 3, 5, 9)]
+    near = [
+        (f"{h:g} s, {scale} cells", "dynamic", f"fss.{scale}_cells", h) for h in (0.5, 1.0) for scale in (1, 3, 5, 9)
+    ]
     along = [
         (f"{h:g} s, {name}", stratum, score, h)
         for h in (0.5, 1.0)
@@ -97,7 +96,7 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
                 **{name: scores.over_horizons(f"F1, {name}", stratum, "f1") for stratum, name in STRATA.items()},
                 "PR-AUC": scores.over_horizons("PR-AUC, dynamic", "dynamic", "pr_auc"),
                 "indoors and outdoors": part_table(parts, scores.labels),
-                "fractions skill": scores.table("FSS, dynamic", near),
+                SKILL: scores.table("FSS, dynamic", near),
                 "along beams": scores.table("", along),
                 "trainings": scores.training_table(),
             },
@@ -117,8 +116,32 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
     }
 
 
+def laser_of(world: Path) -> str:
+    """STANDS, DRIVES or ODOMETRY; in the last case the poses to score by differ from the recorded ones."""
+    recording = open_recording(world)
+    if next(recording.scans()).reference_T_sensor is not None:
+        return ODOMETRY
+    (sensor,) = recording.overview().sensors.values()
+    return DRIVES if sensor.moves else STANDS
+
+
+def refined_world(world: Path, folder: Path) -> Path:
+    """The world with refined poses, in `folder`; an existing file is kept."""
+    path = folder / f"{world.stem}.mcap"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        gridtrack("recording", "import", world, "--out", path, "--ego-motion", "refined")
+    return path
+
+
+def drift_text(path: Path) -> str:
+    """Apparent motion of a wall in a second, metres, as `recording info` measures it."""
+    (sensor,) = open_recording(path).overview().sensors.values()
+    return NONE if sensor.pose_drift_m is None else f"{sensor.pose_drift_m:.3f}"
+
+
 def by_laser(groups: Mapping[str, PlaceScores]) -> ResultTable:
-    """F1 of dynamic cells by how the laser is carried: too few worlds of each for intervals."""
+    """F1 of dynamic cells by the motion of the laser; too few worlds each for intervals."""
     rows = [
         [label, *(scores.text(label, "dynamic", "f1", h) for scores in groups.values() for h in AIM_HORIZONS_S)]
         for label in next(iter(groups.values())).labels
@@ -138,7 +161,7 @@ def both_poses(recorded: PlaceScores, refined: PlaceScores) -> ResultTable:
 
 
 def drift_table(drivers: Mapping[str, Path], refined: Mapping[str, Path]) -> ResultTable:
-    """How far a wall moves in a second by the poses of each kind, metres."""
+    """Apparent motion of a wall in a second with each kind of poses, metres."""
     rows = [[name, drift_text(path), drift_text(refined[name])] for name, path in drivers.items()]
     return measured_table(("a wall moves in a second, m", "odometry", "refined"), rows)
 
@@ -146,7 +169,7 @@ def drift_table(drivers: Mapping[str, Path], refined: Mapping[str, Path]) -> Res
 def poses_section(
     recorded: PlaceScores, refined: PlaceScores, lasers: Mapping[str, str], drift: ResultTable
 ) -> ResultSection:
-    """What the poses of the wheels cost: `recorded` are the scores of all worlds, `refined` of those with odometry."""
+    """The cost of wheel odometry: `recorded` are the scores on all worlds, `refined` on those with odometry."""
     names = {kind: [name for name, laser in lasers.items() if laser == kind] for kind in (STANDS, DRIVES, ODOMETRY)}
     groups = {kind: recorded.of(found) for kind, found in names.items() if len(found) >= FEWEST_POOLED}
     counted = {f"{kind} ({len(names[kind])})": scores for kind, scores in groups.items()}
@@ -159,10 +182,10 @@ def poses_section(
     return ResultSection(command=COMMAND, tables=tables)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = place_parser(__doc__, Path("runs/worlds-results"), RESULTS)
     parser.add_argument("--world", action="append", help="such as indoors-room-1008; default: all twenty")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     worlds = {path.stem: path for path in worlds_called(given.world)}
     lasers = {name: laser_of(path) for name, path in worlds.items()}
     drivers = {name: worlds[name] for name, laser in lasers.items() if laser == ODOMETRY}
@@ -178,7 +201,7 @@ def main() -> None:
     if refined:
         drift = drift_table(drivers, refined)
         sections["poses"] = poses_section(scores["recorded"], scores["refined"], lasers, drift)
-    write_places(given.results, scores["recorded"], sections)
+    write_places(given.results, sections)
 
 
 if __name__ == "__main__":

@@ -9,9 +9,9 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.files import LABEL_RULE, is_label
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.common.names import LABEL_RULE, is_label
 from gridtrack.trackers.contract import MAX_FUTURES, ComparedPart, Forecast, Role, StreamSpec, TrackedObject
 from gridtrack.trackers.wire import Message, WireError
 

@@ -1,1 +1,1 @@
-"""Engines: what carries out the work of a run, on one machine or on many."""
+"""Engines: where the jobs of a run are executed, on one machine or on many."""

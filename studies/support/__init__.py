@@ -1,1 +1,1 @@
-"""What several studies and benchmarks use."""
+"""Parts that several studies and benchmarks use."""

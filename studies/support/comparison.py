@@ -1,4 +1,4 @@
-"""Comparisons as the studies run them: `gridtrack compare` in a folder, and its finished trials."""
+"""Comparisons and trainings as the studies run them: by the commands of gridtrack; and the finished trials of a run."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from gridtrack.evaluation.results.summary import RunSummary
-from gridtrack.evaluation.results.trial_record import read_trial_record
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.evaluation.runs.finished import FinishedTrial
+from gridtrack.evaluation.runs.summary import RunSummary
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.trackers.training.weights import read_card
 
 RECORDINGS = Path("data/junction")
@@ -18,7 +18,7 @@ VALIDATION = RECORDINGS / "validation.tracks"
 
 
 def compare_at_junction(trackers: Iterable[str], reference: str, out: Path, *options: str) -> None:
-    """Compare `trackers` on the test recordings of the junction; `out` is made anew. As `compare`."""
+    """Compare `trackers` on the test recordings of the junction, in a new folder `out`; otherwise as `compare`."""
     shutil.rmtree(out, ignore_errors=True)
     compare(sorted(RECORDINGS.glob("test-*.tracks")), VALIDATION, trackers, out, "--reference", reference, *options)
 
@@ -26,9 +26,9 @@ def compare_at_junction(trackers: Iterable[str], reference: str, out: Path, *opt
 def compare(
     recordings: Iterable[Path | str], validation: Path | None, trackers: Iterable[str], out: Path, *options: str | Path
 ) -> None:
-    """Compare `trackers`, each [LABEL=]NAME[:key=value,...], on RECORDING[@range]s. Ends the program where it fails.
+    """Compare `trackers`, each [LABEL=]NAME[:key=value,...], on RECORDING[@range]s. Ends the program on failure.
 
-    Without `validation` thresholds are those of the recordings' own validation stretches, else of the cards.
+    Without `validation`, thresholds come from the validation stretches of the recordings, or else from the cards.
     """
     rows = [word for tracker in trackers for word in ("--tracker", tracker)]
     chosen_on: list[str | Path] = ["--validation", validation] if validation else []
@@ -36,9 +36,9 @@ def compare(
 
 
 def train(card: Path, *words: str | Path) -> bool:
-    """Train as `words` say, into the folder of weights that `card` is for, unless a complete training has written it.
+    """Train with these words of the command line, if the `card` is missing or interrupted. Ends the program on failure.
 
-    Whether it was trained. Ends the program where it fails.
+    Returns whether it was trained.
     """
     if card.exists() and not read_card(card).interrupted:
         return False
@@ -47,7 +47,7 @@ def train(card: Path, *words: str | Path) -> bool:
 
 
 def gridtrack(*words: str | Path) -> None:
-    """Run a command of gridtrack. Ends the program where it fails."""
+    """Run a command of gridtrack in a process of its own. Ends the program on failure."""
     done = subprocess.run([sys.executable, "-m", "gridtrack.cli", *map(str, words)], check=False)
     if done.returncode:
         raise SystemExit(done.returncode)

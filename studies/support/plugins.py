@@ -1,4 +1,4 @@
-"""A distribution of trackers made on the spot: the entry points and modules that an installation would have."""
+"""Distributions made on the fly: entry points and modules, as if they were installed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def write_distribution(
 ) -> None:
     """Write a distribution with entry points {name: "module:attribute"} of a `group`, and {file: text}, into `site`.
 
-    `requires`: lines of its metadata. `site` must be on the path of whoever is to find it.
+    `requires`: lines of its metadata. `site` must be on the import path.
     """
     info = site / f"{distribution.replace('-', '_')}-1.0.dist-info"
     info.mkdir()

@@ -1,41 +1,44 @@
-"""The recordings of real robots that may ship, how each is read, and as what they are imported.
+"""Recordings of real robots: how each is read, and its import as a native recording.
 
-They are no part of the project: DATA has the folders leg_tracker, datmo, radish and ual (docs/results/real).
+They do not ship: DATA is a folder with leg_tracker, datmo, radish and ual (docs/results/real).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from gridtrack.common.files import atomic_write, sha256_of
+from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.ego_motion import MatchingSettings, PoseSource, matched_trajectory, with_matched_poses
-from gridtrack.recordings.formats.native_writer import write_native
-from gridtrack.recordings.mounts import Mount, parse_mount
+from gridtrack.recordings.formats.native import write_native
+from gridtrack.recordings.read_options import Mount, parse_mount
 from gridtrack.recordings.recording_info import RecordingInfo
 
-from studies.support.npz_scans import npz_scans
-
 CELLS = 100
-"""A side of the window."""
+"""Cells along a side of the window."""
+NPZ_RANGE_MAX_M = 81.0
 
 
 @dataclass(frozen=True)
 class RealRecording:
-    """A file, how it is read, and the grid and rate that it is compared with."""
+    """A file, how it is read, and its grid and rate in comparisons."""
 
     name: str
     path: str
     rate_hz: float
     cell_m: float = 0.1
     window_from: tuple[float, float] | None = None
-    """The window's lower left corner, metres from the sensor; None: the sensor is in the middle.
+    """Lower left corner of the window, metres from the sensor; None: the sensor is in the middle.
 
-    A window keeps its directions, so only a sensor that stands has a side that it looks to.
+    Windows do not turn, so only a standing sensor has one direction to face.
     """
     moves: bool = True
     topic: str | None = None
@@ -44,11 +47,11 @@ class RealRecording:
 
     @property
     def grid(self) -> str:
-        """As `--grid` takes it."""
+        """A value of `--grid`."""
         return str(GridSpec(CELLS, self.cell_m, self.window_from))
 
     def scans(self, data: Path) -> Iterator[Scan]:
-        """Its scans, with the recorded poses."""
+        """The scans, with the recorded poses."""
         path = data / self.path
         if path.suffix == ".npz":
             return npz_scans(path)
@@ -75,11 +78,17 @@ REAL = (
 )
 
 
-def import_real(recording: RealRecording, scans: Iterable[Scan], poses: PoseSource, data: Path, out: Path) -> Path:
-    """Write `scans` of a recording with these poses as a native one at `out`, as `gridtrack recording import` does.
+def npz_scans(path: Path) -> Iterator[Scan]:
+    """The scans of an outdoor laser in an .npz file: t (s), r (m) over 180 degrees, and pose (x, y, heading)."""
+    with np.load(path) as arrays:
+        for t, r, pose in zip(*(arrays[name] for name in ("t", "r", "pose")), strict=True):
+            ranges, step = np.asarray(r, np.float32), math.pi / (len(r) - 1)
+            where = SE2(*pose.tolist())
+            yield Scan(round(t * 1e9), ranges, -math.pi / 2, step, 0.1, NPZ_RANGE_MAX_M, world_T_sensor=where)
 
-    Nothing is done where `out` exists.
-    """
+
+def import_real(recording: RealRecording, scans: Iterable[Scan], poses: PoseSource, data: Path, out: Path) -> Path:
+    """Write `scans` of a recording with these poses as `gridtrack recording import` does; an existing `out` is kept."""
     if out.exists():
         return out
     described = {"source": Path(recording.path).name, "source_sha256": sha256_of(data / recording.path)}

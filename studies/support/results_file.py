@@ -1,16 +1,24 @@
-"""Results of a study as a small JSON file, from which the pages in docs take their numbers."""
+"""Results of a study or benchmark: its command line, tables and numbers as text, and the JSON file that pages read."""
 
 from __future__ import annotations
 
+import argparse
 import json
+import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
+NONE = "–"
+"""Stands for a score that is undefined, such as F1 where no cell of the stratum is occupied."""
+MAY_BE_CHANCE = "°"
+"""Follows a difference whose corrected p-value is 0.05 or more."""
+
 
 class ResultTable(BaseModel):
-    """A table as it is printed: texts of the header, of each row, and how columns are aligned (Markdown's rule)."""
+    """A table as text: the header, the rows, and the alignment of the columns (Markdown's rule)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     columns: tuple[str, ...]
@@ -27,12 +35,25 @@ def _line(cells: Sequence[str]) -> str:
 
 
 class ResultSection(BaseModel):
-    """What one command measured."""
+    """The results of one command."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     command: str
     tables: dict[str, ResultTable] = {}
     values: dict[str, str] = {}
+
+    def text(self) -> str:
+        """Tables in Markdown, then a line for each value."""
+        tables = [f"{name}\n{table.markdown()}" for name, table in self.tables.items()]
+        return "\n\n".join([*tables, "\n".join(f"{name}: {value}" for name, value in self.values.items())]).strip()
+
+
+def study_parser(documentation: str | None, results: str = "") -> argparse.ArgumentParser:
+    """A parser that describes a module by the first line of its docstring; `--out` takes a file such as `results`."""
+    parser = argparse.ArgumentParser(description=(documentation or "").partition("\n")[0])
+    if results:
+        parser.add_argument("--out", type=Path, help=f"results file to write, such as {results}; default: none")
+    return parser
 
 
 def read_sections(path: Path) -> dict[str, ResultSection]:
@@ -40,16 +61,25 @@ def read_sections(path: Path) -> dict[str, ResultSection]:
     return {name: ResultSection.model_validate(value) for name, value in json.loads(path.read_text("utf-8")).items()}
 
 
-def write_section(path: Path, name: str, section: ResultSection) -> None:
-    """Write one section of a results file, with the other sections kept."""
+def write_section(path: Path | None, name: str, section: ResultSection) -> None:
+    """Write one section of a results file and keep its other sections; without a path nothing is written."""
+    if path is None:
+        return
     sections = read_sections(path) if path.exists() else {}
     texts = {key: value.model_dump(mode="json") for key, value in {**sections, name: section}.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(texts, indent=1, ensure_ascii=False) + "\n", "utf-8")
 
 
+def write_table(
+    path: Path | None, section: str, table: ResultTable, command: str, values: Mapping[str, str] | None = None
+) -> None:
+    """Write one table, and values by their names, as a section of a results file; without a path nothing is written."""
+    write_section(path, section, ResultSection(command=command, tables={"table": table}, values=dict(values or {})))
+
+
 def measured_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> ResultTable:
-    """A table with its first column left and the others right."""
+    """A table with its first column aligned left and the others right."""
     return ResultTable(
         columns=tuple(columns),
         alignment=("---", *["--:"] * (len(columns) - 1)),
@@ -57,10 +87,18 @@ def measured_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Res
     )
 
 
-def write_table(
-    path: Path | None, section: str, table: ResultTable, command: str, values: Mapping[str, str] | None = None
-) -> None:
-    """Write a measured table, and values by their names, as one section of a results file; nothing without a path."""
-    if path is not None:
-        measured = ResultSection(command=command, tables={"table": table}, values=dict(values or {}))
-        write_section(path, section, measured)
+def score_text(
+    value: float, low: float | None = None, high: float | None = None, *, signed: bool = False, decimals: int = 3
+) -> str:
+    """A score or difference: `0.693 [.670, .713]`, `-0.012 [-.020, -.004]`; no interval if that is None or NaN."""
+    shown = f"{'+' if signed else ''}.{decimals}f"
+    text = format(value, shown)
+    if low is None or high is None or math.isnan(low):
+        return text
+    ends = (re.sub(r"^([+-]?)0\.", r"\1.", format(end, shown)) for end in (low, high))
+    return f"{text} [{', '.join(ends)}]"
+
+
+def chance_marked(text: str, may_be_chance: bool) -> str:
+    """The text of a difference, marked with MAY_BE_CHANCE if it may be chance."""
+    return f"{text} {MAY_BE_CHANCE}" if may_be_chance else text

@@ -1,12 +1,15 @@
-"""The shipped recordings, and trackers with the weights that ship for a stream's site."""
+"""The shipped recordings, trackers with the weights that ship for a site, and scans in memory as a recording."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from gridtrack.evaluation.comparison.learned import find_weights
-from gridtrack.recordings import packaged_recording
+from gridtrack.common.scan import Scan
+from gridtrack.evaluation.runs.learned import find_weights
+from gridtrack.recordings import ReadOptions, Recording, packaged_recording
+from gridtrack.recordings.recording import Topics
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import StreamSpec, Tracker, stream_of
@@ -26,7 +29,7 @@ def junction_tests() -> list[Path]:
 
 
 def shipped_stream(name: str, source: GridStream) -> StreamSpec:
-    """`source` as a tracker receives it, with the weights of tracker `name` for its site."""
+    """`source` as tracker `name` receives it, with its weights for the site."""
     learned = find_weights(name, source.site, None)
     return stream_of(source, learned.path if learned else None)
 
@@ -41,3 +44,16 @@ def with_shipped_weights(kind: type[AnyTracker], name: str, source: GridStream) 
     tracker = kind(shipped_stream(name, source), kind.Options())
     tracker.reset(0)
     return tracker
+
+
+class HeldRecording(Recording):
+    """Scans in memory as a recording, so that nothing is read or decoded. Metadata and hash are those of `origin`."""
+
+    def __init__(self, held: Sequence[Scan], origin: Recording) -> None:
+        super().__init__(origin.path, ReadOptions())
+        self.held, self.info = held, origin.info
+
+    def read(self, topics: Topics) -> Iterator[Scan]:
+        """The scans."""
+        topics.add("scan", "held", is_scan=True)
+        return iter(self.held)

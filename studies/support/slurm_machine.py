@@ -57,8 +57,8 @@ def missing_programs() -> list[str]:
 
 @contextmanager
 def slurm_machine() -> Iterator[Path]:
-    """A running cluster; the path of its slurm.conf. Raises TimeoutError where a daemon does not start."""
-    # the path of a socket has at most 107 characters, which a folder of pytest may have already
+    """A running cluster; the path of its slurm.conf. Raises TimeoutError if a daemon does not start."""
+    # the path of a socket has at most 107 characters: a folder of pytest may be too deep
     with tempfile.TemporaryDirectory(prefix="slurm-") as name, ExitStack() as daemons:
         folder = Path(name)
         (folder / "state").mkdir()
@@ -96,7 +96,7 @@ def _free_ports(count: int) -> list[int]:
 
 @contextmanager
 def _daemon(folder: Path, *command: str) -> Iterator[None]:
-    """A daemon in the foreground; what it writes is beside its files, for who looks for a failure."""
+    """A daemon in the foreground; its output goes to a file beside its other files."""
     environment = {**os.environ, "PATH": os.pathsep.join((os.environ["PATH"], "/usr/sbin"))}
     with (folder / f"{command[0]}.out").open("ab") as out:
         process = subprocess.Popen(command, stdout=out, stderr=out, env=environment)

@@ -1,4 +1,4 @@
-"""The true bodies of a simulated frame: which cells each occupies, and how it moves."""
+"""The true bodies of a simulated frame: the cells that each occupies, and its motion."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from gridtrack.common.scene import Scene, SceneObject
 
 Points = NDArray[np.floating[Any]]
 MOVING_MPS = 0.3
-"""A body below this speed, m/s, counts as standing."""
+"""Slower bodies count as standing, m/s."""
 
 
 def bodies(scene: Scene | None) -> dict[int, SceneObject]:
-    """The bodies of a scene by their track number. Raises ValueError where the recording has no true scene."""
+    """The bodies of a scene by their track number. Raises ValueError for a recording without a true scene."""
     if scene is None:
         raise ValueError("the recording has no true scene: choose a simulated one")
     return {body.track: body for body in scene.objects}
@@ -41,7 +41,7 @@ def body_cells(
 
 
 def rigid_velocity(before: SE2, after: SE2, elapsed_s: float, world_T_grid: SE2, points: Points) -> Points:
-    """Velocity (2, N), m/s, grid frame, of `points` (N, 2) of a body that moves between two poses in the world."""
+    """Velocity (2, N), m/s, grid frame, of `points` (N, 2) on a body that moves between two poses in the world."""
     grid_T_before, grid_T_after = (world_T_grid.inverse() @ pose for pose in (before, after))
     turn = wrap_angle(grid_T_after.theta - grid_T_before.theta) / elapsed_s
     middle = np.array([grid_T_before.x + grid_T_after.x, grid_T_before.y + grid_T_after.y]) / 2
@@ -51,6 +51,6 @@ def rigid_velocity(before: SE2, after: SE2, elapsed_s: float, world_T_grid: SE2,
 
 
 def most_frequent(numbers: NDArray[np.int64]) -> int:
-    """The most frequent of the numbers that are not -1; -1 where there is none."""
+    """The most frequent number except -1; -1 if there is no other."""
     known = numbers[numbers >= 0]
     return int(np.bincount(known).argmax()) if known.size else -1

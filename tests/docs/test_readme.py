@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.processes.contract_scene import scene
+from gridtrack.evaluation.hosting.contract_scene import scene
 from gridtrack.trackers.contract import StreamSpec, Tracker
 from gridtrack.trackers.registry import contract_breach
 

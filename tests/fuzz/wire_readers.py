@@ -64,7 +64,7 @@ def started_message(folder: Path) -> None:
 
 
 def read_started(folder: Path) -> str:
-    from gridtrack.evaluation.processes.tracker_process import description_from
+    from gridtrack.evaluation.hosting.tracker_process import description_from
 
     try:
         described = description_from(received(folder, 0))

@@ -16,7 +16,9 @@ class ConvLSTM(RecurrentNetwork):
     def __init__(self, size, channels=3):
         super().__init__(size)
         self.channels = channels
-        self.layers = nn.ModuleList(nn.Conv2d(inputs + channels, 4 * channels, 3, padding=1) for inputs in (2, channels))
+        self.layers = nn.ModuleList(
+            nn.Conv2d(inputs + channels, 4 * channels, 3, padding=1) for inputs in (2, channels)
+        )
         self.decode = nn.Conv2d(channels, 1, 3, padding=1)
 
     def initial(self, batch):

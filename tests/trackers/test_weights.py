@@ -16,7 +16,7 @@ from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import sha256_of
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.comparison.learned import LearnedWeights
+from gridtrack.evaluation.runs.learned import LearnedWeights
 from gridtrack.trackers.contract import FitTask, FrameSource, StreamSpec, StretchScore
 from gridtrack.trackers.training.card import Card, CardThresholds, card_for
 from gridtrack.trackers.training.weights import MAX_ARRAYS_BYTES, array, load_weights, read_card, save_weights

@@ -17,7 +17,7 @@ import torch
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import WeightsError
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.trackers.contract import FitTask, FrameSource, StretchScore, stream_of
 from gridtrack.trackers.recurrent.devices import Devices, training_precision
 from gridtrack.trackers.recurrent.network import RecurrentNetwork

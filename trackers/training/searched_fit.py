@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.trackers.contract import FitTask, FrameSource, StretchScore, stream_of
 from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.training.calibration import IDENTITY, CalibratedTracker, fit_calibration

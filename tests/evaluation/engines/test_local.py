@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from gridtrack.evaluation.comparison.plan import resolve
-from gridtrack.evaluation.comparison.runner import run
 from gridtrack.evaluation.engines.local import LocalEngine
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.runner import run
 
 
 def test_what_a_killed_run_left_behind_is_removed(settings, progress, tmp_path):

@@ -9,13 +9,13 @@ import sys
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.comparison.plan import resolve
-from gridtrack.evaluation.comparison.runner import run
-from gridtrack.evaluation.comparison.settings import CompareSettings
-from gridtrack.evaluation.processes.tracker_process import TrackerProcess
+from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.evaluation.regression import turns
 from gridtrack.evaluation.regression.speed import TurnsRow
 from gridtrack.evaluation.regression.turns import speed_ratio_interval
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.settings import CompareSettings
 
 TRACKER = '''
 from pathlib import Path

@@ -1,1 +1,0 @@
-"""Planning and running a comparison, and the folder of its results."""

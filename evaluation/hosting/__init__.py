@@ -1,0 +1,1 @@
+"""Trackers and trainings in processes of their own, through one supervisor: limits, wire, sandbox, contract checks."""

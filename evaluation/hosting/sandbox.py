@@ -1,0 +1,192 @@
+"""The sandbox of an untrusted tracker: bubblewrap shows its program only its own code and its weights.
+
+Linux namespaces without privileges, set up by `bwrap`: no network, no other processes, and no writable files outside
+`/tmp` and `/dev/shm`, which are its own memory. docs/wire.md describes its guarantees and its limits.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+from gridtrack.common.errors import ConfigurationError, one_line
+from gridtrack.common.files import read_bounded
+from gridtrack.common.untrusted import parse_json
+from gridtrack.evaluation.hosting.supervisor import IN_MEMORY
+from gridtrack.trackers.selection import Launch
+
+BUBBLEWRAP = "bwrap"
+PROBE_S = 30.0
+MAX_LINK_BYTES = 1 << 16
+KEPT_VARIABLES = ("PATH", "PYTHONPATH", "LANG", "LC_ALL", "TZ")
+INSIDE = {"HOME": "/tmp", "TMPDIR": "/tmp", "USER": "tracker"}
+NAMESPACES = ("user", "ipc", "pid", "net", "uts", "cgroup-try")
+SYSTEM = (
+    *("/usr", "/bin", "/lib", "/lib32", "/lib64", "/sbin"),
+    *("/etc/alternatives", "/etc/ld.so.cache", "/etc/localtime"),
+)
+PROCESSORS = "/sys/devices/system/cpu"
+"""Numerical libraries look here for the number of cores."""
+GRIDTRACK = Path(__file__).parents[2]
+GRIDTRACK_CODE = ("__init__.py", "common", "trackers")
+"""The parts of gridtrack that a tracker imports. In an editable installation recordings and runs lie beside them."""
+CACHES, CACHE_ROOM = "/run/caches", 1 << 20
+COPY = f'n=0; while [ "$1" != -- ]; do cp {CACHES}/$n/* "$1"/; n=$((n+1)); shift; done; shift; exec "$@"'
+
+
+@dataclass(frozen=True, slots=True)
+class SandboxView:
+    """What a sandboxed program sees beside the system's libraries: `folders` and `files`, without the `hidden` ones."""
+
+    folders: tuple[Path, ...]
+    hidden: tuple[Path, ...] = ()
+    files: tuple[Path, ...] = ()
+    """Visible even below a hidden folder."""
+    compiled: tuple[Path, ...] = ()
+    """Folders of compiled code (`__pycache__`), shown as copies: numba ignores those that it cannot write to."""
+
+    def arguments(self) -> Iterator[str]:
+        """The options of bwrap; an outer folder comes before its inner ones."""
+        for folder in sorted({path for path in self.folders if path.exists()}):
+            yield from ("--ro-bind", str(folder), str(folder))
+        inside = {folder.resolve() for folder in self.folders}
+        for path in sorted({path.resolve() for path in self.hidden if path.exists()}):
+            if inside & set(path.parents):
+                yield from ("--tmpfs", str(path)) if path.is_dir() else ("--ro-bind", "/dev/null", str(path))
+        for path in self.files:
+            yield from ("--ro-bind", str(path), str(path))
+        for number, path in enumerate(self.compiled):
+            size = str(CACHE_ROOM + _bytes_in(path))
+            yield from ("--ro-bind", str(path), f"{CACHES}/{number}", "--size", size, "--tmpfs", str(path))
+
+    def starting(self, argv: Iterable[str]) -> tuple[str, ...]:
+        """The command inside the sandbox: `argv`, after a shell that copies the compiled code."""
+        if not self.compiled:
+            return tuple(argv)
+        return ("/bin/sh", "-c", COPY, "sh", *map(str, self.compiled), "--", *argv)
+
+
+def check_sandbox() -> None:
+    """Raise ConfigurationError, with what to do, where this machine cannot confine a program."""
+    problem = _problem()
+    if problem:
+        raise ConfigurationError(f"--sandbox: {problem}")
+
+
+@cache
+def _problem() -> str:
+    if sys.platform != "linux":
+        return "it works on Linux only: run trackers in a container, without --sandbox"
+    if shutil.which(BUBBLEWRAP) is None:
+        return "bubblewrap is not installed: install the package `bubblewrap` of the system (`apt install bubblewrap`)"
+    command = confined(("true",), SandboxView(()), 16, None)
+    try:
+        tried = subprocess.run(command, capture_output=True, timeout=PROBE_S, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"bubblewrap cannot be started ({error})"
+    if tried.returncode == 0:
+        return ""
+    problem = one_line(tried.stderr.decode(errors="replace"), 200)
+    return (
+        f"bubblewrap cannot confine a program here ({problem}): it needs version 0.8 or later, and a kernel and a"
+        " container that let users make namespaces; without --sandbox, use a container that has no recordings"
+    )
+
+
+def confine(
+    launch: Launch, environment: Mapping[str, str], memory_mb: int, hidden: Iterable[Path], files: Iterable[Path]
+) -> tuple[tuple[str, ...], dict[str, str]]:
+    """The command that starts a program in the sandbox, and its environment.
+
+    It sees its own code and the `files`, but nothing `hidden`. Raises ConfigurationError where this machine cannot
+    confine it.
+    """
+    check_sandbox()
+    program = launch.argv[0]
+    folders = code_folders(program, launch.cwd, environment)
+    view = SandboxView(folders, tuple(hidden), tuple(files), compiled_folders(program))
+    variables = {name: environment[name] for name in KEPT_VARIABLES if name in environment}
+    return confined(launch.argv, view, memory_mb, launch.cwd), variables
+
+
+def confined(argv: Iterable[str], view: SandboxView, memory_mb: int, cwd: Path | None) -> tuple[str, ...]:
+    """The command that runs `argv` with `view` in the folder `cwd`; /tmp and /dev/shm have `memory_mb` MiB each."""
+    size = str(memory_mb << 20)
+    options = [f"--unshare-{name}" for name in NAMESPACES]
+    options += ["--disable-userns", "--cap-drop", "ALL", "--die-with-parent", "--new-session"]
+    for path in SYSTEM:
+        options += ["--ro-bind-try", path, path]
+    options += ["--ro-bind-try", PROCESSORS, PROCESSORS, "--proc", "/proc", "--dev", "/dev"]
+    for path in IN_MEMORY:
+        options += ["--size", size, "--tmpfs", path]
+    options += view.arguments()
+    for name, value in INSIDE.items():
+        options += ["--setenv", name, value]
+    options += ["--remount-ro", "/dev", "--remount-ro", "/", "--chdir", str(cwd or "/")]
+    return (BUBBLEWRAP, *options, "--", *view.starting(argv))
+
+
+def code_folders(program: str, cwd: Path | None, environment: Mapping[str, str]) -> tuple[Path, ...]:
+    """The folders with the code of `program`: `cwd`, its Python environment, and those in PYTHONPATH."""
+    found = shutil.which(program, path=environment.get("PATH"))
+    path = Path(found or program).absolute()
+    folders = [cwd] if cwd else []
+    if program == sys.executable:
+        folders += _code_of(GRIDTRACK.resolve())
+    if path.name.startswith("python"):
+        for prefix in _prefixes(path):
+            folders += [prefix, *_editable_folders(prefix)]
+    else:
+        folders += [path, path.resolve()]
+    folders += [Path(entry).absolute() for entry in environment.get("PYTHONPATH", "").split(":") if entry]
+    return tuple(folder for folder in folders if not folder.is_relative_to("/usr"))
+
+
+def compiled_folders(program: str) -> tuple[Path, ...]:
+    """Folders of gridtrack in this environment in which numba has stored compiled code."""
+    if program != sys.executable:
+        return ()
+    parts = _code_of(GRIDTRACK.resolve())
+    return tuple(sorted({file.parent for part in parts for file in part.rglob("*.nbi")}))
+
+
+def _code_of(gridtrack: Path) -> tuple[Path, ...]:
+    """The files and folders of the package `gridtrack` that a tracker imports."""
+    return tuple(gridtrack / part for part in GRIDTRACK_CODE)
+
+
+def _bytes_in(folder: Path) -> int:
+    """The size of the files in a folder; another process may replace some meanwhile."""
+    total = 0
+    for file in folder.iterdir():
+        with suppress(FileNotFoundError):
+            total += file.stat().st_size
+    return total
+
+
+def _prefixes(python: Path) -> tuple[Path, ...]:
+    """Folders of an interpreter's environment and of the installation that it comes from."""
+    base = python.resolve().parents[1]
+    own = python.parents[1]
+    return (own, base) if (own / "pyvenv.cfg").exists() else (base,)
+
+
+def _editable_folders(prefix: Path) -> Iterator[Path]:
+    """Folders of the distributions in an environment that were installed as editable (PEP 610)."""
+    for link in sorted(prefix.glob("lib*/python*/site-packages/*.dist-info/direct_url.json")):
+        try:
+            origin = parse_json(read_bounded(link, MAX_LINK_BYTES, ConfigurationError))
+            editable, url = origin["dir_info"]["editable"], urlsplit(origin["url"])
+        except (OSError, ValueError, KeyError, TypeError):
+            continue  # the distribution is not editable
+        folder = Path(unquote(url.path))
+        if editable and url.scheme == "file" and folder != Path("/"):
+            own = link.parent.name.startswith("gridtrack-")
+            yield from _code_of(folder) if own else (folder,)

@@ -1,0 +1,191 @@
+"""A program under the supervisor: messages with deadlines, interrupts, and a guaranteed end of all its processes."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import select
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import mkdtemp
+
+from gridtrack.evaluation.hosting.host import forget_leader, start_leader
+from gridtrack.trackers.wire import Message, encode, receive, widen, without
+
+SUPERVISOR = Path(__file__).with_name("supervisor.py")
+OF_A_SIGNAL = 128
+NO_DEADLINE = math.inf
+INTERRUPT = b"i"
+ORDERLY_END_S = 2.0
+KILL_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessExit:
+    """Exit of a supervised program: `status` as of `os.waitpid`, None where unknown; `peak_kb` resident memory, KiB."""
+
+    status: int | None = None
+    peak_kb: int = 0
+    over_memory: bool = False
+    start_error: str = ""
+
+    def __str__(self) -> str:
+        if self.start_error:
+            return f"cannot be started ({self.start_error})"
+        if self.status is None:
+            return "ended for an unknown reason"
+        names = {s.value: s.name for s in signal.Signals}
+        if os.WIFSIGNALED(self.status):
+            number = os.WTERMSIG(self.status)
+            return f"killed by {names.get(number, f'signal {number}')}"
+        code = os.WEXITSTATUS(self.status)
+        if code - OF_A_SIGNAL in names:  # the exit code by which a shell, and the sandbox, report a signal
+            return f"exited with code {code}: killed by {names[code - OF_A_SIGNAL]}"
+        return f"exited with code {code}"
+
+
+class SupervisedProgram:
+    """A program started as a child of a supervisor process, in its own session, so that Ctrl-C does not reach it.
+
+    The supervisor ends the program and all processes that it started, and removes its temporary folder (`TMPDIR`) and
+    its files in shared memory, also when this process dies. If the supervisor itself was killed, this process ends
+    those that it adopted (`adopt_orphans`). `send` and `receive` are for one thread; the others may be called from any.
+    """
+
+    def __init__(
+        self,
+        argv: tuple[str, ...],
+        env: Mapping[str, str],
+        *,
+        log: Path | None = None,
+        memory_mb: int | None = None,
+        cwd: Path | None = None,
+    ) -> None:
+        """Start the program. Its stderr goes to `log`, in bounded size, or to the stderr of this process.
+
+        With `memory_mb` it ends when the resident memory of all its processes exceeds it. Raises OSError where the log
+        cannot be opened.
+        """
+        self._folder = mkdtemp(prefix="gridtrack-")
+        control, supervisors_end = socket.socketpair()
+        command = [sys.executable, "-I", "-S", str(SUPERVISOR), str(supervisors_end.fileno()), str(memory_mb or 0)]
+        command += ["1" if log else "0", self._folder, *argv]
+        with supervisors_end, log.open("wb") if log else contextlib.nullcontext() as stderr:
+            self._supervisor = start_leader(
+                lambda: subprocess.Popen(
+                    command,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=stderr,
+                    bufsize=0,
+                    pass_fds=(supervisors_end.fileno(),),
+                    env=dict(env) | {"TMPDIR": self._folder},
+                    cwd=cwd,
+                    start_new_session=True,
+                )
+            )
+        self._control = control
+        assert self._supervisor.stdin is not None
+        assert self._supervisor.stdout is not None
+        self._stdin, self._stdout = self._supervisor.stdin, self._supervisor.stdout
+        for pipe in (self._stdin, self._stdout):
+            os.set_blocking(pipe.fileno(), False)
+            widen(pipe.fileno())
+        self._exit: ProcessExit | None = None
+        self.killed = False
+        """Whether `kill` was called."""
+
+    def send(self, message: Message, deadline: float = NO_DEADLINE) -> None:
+        """Send `message` by `deadline` (time.monotonic). Raises TimeoutError, BrokenPipeError."""
+        left = encode(message)
+        while left:
+            try:
+                left = without(left, os.writev(self._stdin.fileno(), left))
+            except BlockingIOError:
+                _wait(self._stdin.fileno(), select.POLLOUT, deadline)
+
+    def receive(self, max_body: int = 0, deadline: float = NO_DEADLINE) -> Message:
+        """Receive a message with at most `max_body` bytes of arrays by `deadline` (time.monotonic).
+
+        Raises TimeoutError, EOFError, WireError.
+        """
+        return receive(lambda buffers: self._fill(buffers, deadline), max_body)
+
+    def _fill(self, buffers: list[memoryview], deadline: float) -> None:
+        left = [b for b in buffers if b.nbytes]
+        while left:
+            try:
+                count = os.readv(self._stdout.fileno(), left)
+            except BlockingIOError:
+                _wait(self._stdout.fileno(), select.POLLIN, deadline)
+                continue
+            if count == 0:
+                raise EOFError
+            left = without(left, count)
+
+    def has_unread(self) -> bool:
+        """Whether there are received bytes that have not been read."""
+        poll = select.poll()
+        poll.register(self._stdout.fileno(), select.POLLIN)
+        return any(event & select.POLLIN for _, event in poll.poll(0))
+
+    def interrupt(self) -> None:
+        """Interrupt the program itself (SIGINT), and no other process."""
+        with contextlib.suppress(OSError):  # it has ended
+            self._control.send(INTERRUPT)
+
+    def kill(self) -> None:
+        """End the program and everything that it started, without waiting for it."""
+        self.killed = True
+        # another thread may have closed it already
+        with contextlib.suppress(OSError):
+            self._control.shutdown(socket.SHUT_WR)
+
+    def ended(self, within_s: float) -> bool:
+        """Whether the program ends by itself within `within_s` seconds."""
+        poll = select.poll()
+        poll.register(self._control.fileno(), select.POLLIN)
+        return bool(poll.poll(within_s * 1000))
+
+    def close(self, orderly: bool = True) -> ProcessExit:
+        """End the program and its processes; an `orderly` end first gives it ORDERLY_END_S to exit by itself."""
+        if self._exit is None:
+            self._stdin.close()
+            if not orderly or not self.ended(ORDERLY_END_S):
+                self.kill()
+            self._exit = self._collect_exit()
+            self._stdout.close()
+            self._control.close()
+            shutil.rmtree(self._folder, ignore_errors=True)  # where the supervisor was killed
+        return self._exit
+
+    def _collect_exit(self) -> ProcessExit:
+        self._control.settimeout(KILL_S)
+        try:
+            with self._control.makefile("rb") as lines:
+                line = lines.readline()
+            self._supervisor.wait(KILL_S)
+        except (TimeoutError, subprocess.TimeoutExpired):
+            line = b""
+        if self._supervisor.poll() is None:  # only a stopped or blocked supervisor is still alive here
+            self._supervisor.kill()
+            self._supervisor.wait()
+        forget_leader(self._supervisor, orderly=bool(line))
+        return ProcessExit(**json.loads(line)) if line else ProcessExit()
+
+
+def _wait(fd: int, event: int, deadline: float) -> None:
+    left_s = deadline - time.monotonic()
+    poll = select.poll()
+    poll.register(fd, event)
+    if left_s <= 0 or not poll.poll(None if deadline == NO_DEADLINE else left_s * 1000):
+        raise TimeoutError

@@ -1,1 +1,0 @@
-"""Tracker processes: limits, outcomes, and the contract suite."""

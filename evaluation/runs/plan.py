@@ -1,0 +1,320 @@
+"""The plan of a comparison: its settings resolved to one trial for each tracker on each recording."""
+
+from __future__ import annotations
+
+import shlex
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+
+from gridtrack.common.entry_points import VALID_NAME
+from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
+from gridtrack.common.files import check_utf8
+from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.hosting.limits import Limits
+from gridtrack.evaluation.hosting.sandbox import check_sandbox
+from gridtrack.evaluation.hosting.tracker_process import TrackerProcess, describe
+from gridtrack.evaluation.referee.splits import ORACLE, EvaluationSplit, Sampling, plan_splits, segments_of, with_points
+from gridtrack.evaluation.referee.strata import OCCLUDED, SCORING_RULES
+from gridtrack.evaluation.runs.learned import (
+    LearnedWeights,
+    copy_weights,
+    find_weights,
+    leaks_of,
+    refuse_leaks,
+    weights_in,
+)
+from gridtrack.evaluation.runs.run_record import RunConfiguration, TrialIdentity, identity_of
+from gridtrack.evaluation.runs.settings import CompareSettings, check_together
+from gridtrack.evaluation.runs.summary import ALL_RECORDINGS
+from gridtrack.evaluation.runs.training_hints import stretches_to_train_on
+from gridtrack.evaluation.scores.registry import scores
+from gridtrack.recordings.stream import GridStream
+from gridtrack.trackers import registry
+from gridtrack.trackers.contract import stream_of
+from gridtrack.trackers.selection import Launch, Selection, launch, parse_selections, read_trackers_toml
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One tracker on one recording, with everything that is needed to run it."""
+
+    selection: Selection
+    launch: Launch
+    split: EvaluationSplit
+    weights: LearnedWeights | None
+    seed: int
+    limits: Limits
+    others: tuple[EvaluationSplit, ...] = ()
+    """The other splits of its recording, on which its tracker must not be trained either."""
+    scores: tuple[str, ...] = ()
+    """Names of the scores of other packages by which it is scored."""
+
+    @property
+    def label(self) -> str:
+        """The tracker's label in this run."""
+        return self.selection.label
+
+    @property
+    def name(self) -> str:
+        """The name of the trial's folder."""
+        return f"{self.label}@{self.split.name}"
+
+    @property
+    def test(self) -> GridStream:
+        """The test stretch, with the returns that this tracker requested."""
+        return with_points(self.split.test, self.selection.points)
+
+    @property
+    def validation(self) -> GridStream | None:
+        """The stretch on which thresholds are chosen, with the requested returns, or None."""
+        stretch = self.split.validation
+        return stretch and with_points(stretch, self.selection.points)
+
+    @property
+    def beyond_training(self) -> str:
+        """A notice if its general weights were trained on other cell sizes or periods than the stream's, or ""."""
+        beyond = self.weights and self.weights.card.beyond_training(self.test.grid.cell_m, self.test.period_s)
+        return f"{self.label}, {self.split.name}: its general weights were trained on {beyond}" if beyond else ""
+
+    @property
+    def leaks(self) -> tuple[str, ...]:
+        """Frames that its weights learned from and that it is scored on, or its thresholds are chosen on."""
+        return leaks_of(self.split, self.weights)
+
+    def tracker_process(self, log: Path, *, scored: bool = False) -> TrackerProcess:
+        """The tracker, not started yet, on the test stretch's grid and period; its stderr goes to `log`.
+
+        `scored`: whether its forecasts get all scores of a trial, such as those of classes and velocities.
+        """
+        stream = replace(stream_of(self.test), velocity_scored=scored and OCCLUDED in self.split.strata)
+        if self.weights:
+            stream = replace(stream, weights=self.weights.path, weights_sha256=self.weights.sha256)
+        stretches = (self.split.test, self.split.validation)
+        return TrackerProcess(
+            self.launch,
+            stream,
+            self.selection.options,
+            self.limits,
+            log,
+            [stretch.recording.path for stretch in stretches if stretch],
+            classes_used=scored and bool(stream.classes),
+        )
+
+    def with_original_paths(self, reason: str) -> str:
+        """`reason` with the original folder of the weights in place of the folder of their copy."""
+        return reason.replace(str(self.weights.path.parent), str(self.weights.original)) if self.weights else reason
+
+    @property
+    def how_to_train(self) -> str:
+        """The reason of the outcome `untrained`: how to train the tracker at the recording's site, in one line."""
+        missing = f"no weights for site '{self.split.test.site}'"
+        if self.launch.external:
+            return f"{missing}; train it where it is installed, and name the folder of its weights with --weights"
+        stretches = stretches_to_train_on(self.split, self.others)
+        if stretches is None:
+            return f"{missing}; train it on a longer recording of this site: this one has no part to spare"
+        command = shlex.join(
+            ["gridtrack", "train", self.selection.name, *stretches.arguments, *self._sampling_options()]
+        )
+        then = f"the rest, {stretches.compare}, into another folder" if stretches.compare else "again with --resume"
+        return f"{missing}; run `{command}`, then compare {then}"
+
+    def _sampling_options(self) -> list[str]:
+        """The grid and rate of this comparison as command-line options, if they differ from the recording's own."""
+        test = self.split.test
+        own = GridStream(test.recording)
+        grid = [] if test.grid == own.grid else ["--grid", str(test.grid)]
+        return grid if test.period_ns == own.period_ns else [*grid, "--rate", f"{1 / test.period_s:g}"]
+
+    def identity(self) -> TrialIdentity:
+        """All that the scores depend on, except learned weights; a resumed run keeps scores of the same identity."""
+        return TrialIdentity(
+            tracker=self.selection.name,
+            options=dict(self.selection.options),
+            points=self.selection.points,
+            argv=tuple(self.launch.argv if self.launch.external else self.launch.argv[1:]),
+            seed=self.seed,
+            threads=self.limits.threads,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonPlan:
+    """A comparison before it runs: settings, splits, trials, and notices for the user."""
+
+    settings: CompareSettings
+    splits: tuple[EvaluationSplit, ...]
+    trials: tuple[Trial, ...]
+    notices: tuple[str, ...]
+
+    def identity(self) -> RunConfiguration:
+        """The resolved configuration; a resumed run must have the same."""
+        return RunConfiguration(
+            scoring_rules=SCORING_RULES,
+            recordings={split.name: identity_of(split) for split in self.splits},
+            trials={trial.name: trial.identity() for trial in self.trials},
+        )
+
+
+def with_copied_weights(plan: ComparisonPlan, folder: Path) -> ComparisonPlan:
+    """`plan` with copies of all weights in `folder`, so that every trial uses the files whose hash is recorded.
+
+    Raises WeightsError, OSError.
+    """
+    found = {trial.weights.path: trial.weights for trial in plan.trials if trial.weights}
+    copies = {path: copy_weights(weights, folder / str(n)) for n, (path, weights) in enumerate(found.items())}
+    trials = (replace(trial, weights=copies[trial.weights.path]) if trial.weights else trial for trial in plan.trials)
+    return replace(plan, trials=tuple(trials))
+
+
+def sampling_of(settings: CompareSettings) -> Sampling:
+    """Horizon, interval, grid and rate as `settings` give them. Raises ConfigurationError."""
+    grid = GridSpec.parse(settings.grid) if settings.grid else None
+    return Sampling(settings.horizon_s, settings.every_s, grid, settings.rate_hz, settings.format)
+
+
+def segmented(whole: EvaluationSplit, settings: CompareSettings) -> Iterable[EvaluationSplit]:
+    """The segments of a split that `settings` request, or the split itself."""
+    return (whole,) if settings.segment_s is None else segments_of(whole, settings.segment_s, settings.warm_up_s)
+
+
+def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | None = None) -> ComparisonPlan:
+    """Look up everything that `settings` names, before any trial runs; `splits` of its recordings if they are known.
+
+    Raises a GridtrackError for a recording, stretch, tracker, option or weights file that cannot be used.
+    """
+    check_utf8(settings.out, ConfigurationError)
+    check_together(settings)
+    scores(settings.scores)  # an unknown one is an error before anything runs
+    if settings.limits.sandbox:
+        check_sandbox()
+    external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
+    selections = parse_selections(settings.trackers or _every_tracker(external))
+    _refuse_oracle_label(selections)
+    _refuse_unknown_reference(settings.reference, selections)
+    launches = {selection.label: launch(selection.name, external) for selection in selections}
+    for selection in selections:
+        _check_options(selection, launches[selection.label], settings.limits)
+    wholes = splits or plan_splits(settings.recordings, settings.validation, sampling_of(settings))
+    splits = tuple(split for whole in wholes for split in segmented(whole, settings))
+    _refuse_equal_names(splits)
+    _refuse_overlaps(wholes)
+    weights = {
+        (selection.label, site): _weights_of(selection, site, settings.weights)
+        for site in dict.fromkeys(split.test.site for split in splits)
+        for selection in selections
+    }
+    trials = tuple(
+        Trial(
+            selection,
+            launches[selection.label],
+            split,
+            weights[selection.label, split.test.site],
+            settings.seed,
+            settings.limits,
+            others,
+            settings.scores,
+        )
+        for split, others in zip(splits, _others_of_recording(splits), strict=True)
+        for selection in selections
+    )
+    for trial in trials:
+        _refuse_thresholds_of_another_site(trial)
+    notices = [notice for split in splits for notice in split.notices]
+    notices += [
+        f"{trial.label}: {trial.weights.name} is of a training that was interrupted at {trial.weights.card.interrupted}"
+        for trial in trials
+        if trial.weights and trial.weights.card.interrupted
+    ]
+    notices += [trial.beyond_training for trial in trials if trial.beyond_training]
+    if settings.allow_leak:
+        notices += [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
+    else:
+        refuse_leaks(trial.leaks for trial in trials)
+    return ComparisonPlan(settings, splits, trials, tuple(dict.fromkeys(notices)))
+
+
+def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
+    """Names of all trackers that can be selected; `gridtrack trackers list` reports the others."""
+    return (*(name for name in registry.entries() if VALID_NAME.fullmatch(name)), *external)
+
+
+def _check_options(selection: Selection, start: Launch, limits: Limits) -> None:
+    """Let the tracker validate its options; defaults need no check, which would start a process."""
+    if not selection.options:
+        return
+    # a tracker that cannot be loaded ends as `unavailable` in its own trial, and stops no other
+    with suppress(PluginError):
+        describe(start, selection.options, limits)
+
+
+def _refuse_oracle_label(selections: Sequence[Selection]) -> None:
+    if any(selection.label.casefold() == ORACLE for selection in selections):
+        raise ConfigurationError(
+            f"'{ORACLE}' is the referee's own row, the ceiling of the scores: give the tracker another label,"
+            " as in --tracker LABEL=NAME"
+        )
+
+
+def _refuse_unknown_reference(reference: str | None, selections: Sequence[Selection]) -> None:
+    labels = [selection.label for selection in selections]
+    if reference is not None and reference not in labels:
+        raise ConfigurationError(f"--reference {reference}: no such label; {did_you_mean(reference, labels)}")
+
+
+def _refuse_equal_names(splits: tuple[EvaluationSplit, ...]) -> None:
+    seen: dict[str, Path] = {}
+    for split in splits:
+        if split.name == ALL_RECORDINGS:
+            raise ConfigurationError(
+                f"{split.path}: '{ALL_RECORDINGS}' is the name of all recordings together: rename the file"
+            )
+        if split.name in seen:
+            raise ConfigurationError(
+                f"{seen[split.name]} and {split.path} would both be called '{split.name}' in the results: name each"
+                " recording and stretch once, and rename one of two files with the same name"
+            )
+        seen[split.name] = split.path
+
+
+def _refuse_overlaps(splits: tuple[EvaluationSplit, ...]) -> None:
+    """Refuse stretches that overlap: a repeated frame would look like more evidence."""
+    for one, other in combinations(splits, 2):
+        times = one.test.recorded, other.test.recorded
+        if times[0].source_sha256 == times[1].source_sha256 and times[0].overlaps(times[1]):
+            shared_ns = min(time.end_ns for time in times) - max(time.start_ns for time in times)
+            raise ConfigurationError(
+                f"{one.test.name} and {other.test.name} are of one source and have {shared_ns / 1e9:.10g} s in common:"
+                " leave one out, or name stretches that do not overlap"
+            )
+
+
+def _others_of_recording(splits: Sequence[EvaluationSplit]) -> Iterator[tuple[EvaluationSplit, ...]]:
+    """For each split the others of its recording."""
+    of_path: dict[Path, list[EvaluationSplit]] = defaultdict(list)
+    for split in splits:
+        of_path[split.path].append(split)
+    return (tuple(other for other in of_path[split.path] if other is not split) for split in splits)
+
+
+def _refuse_thresholds_of_another_site(trial: Trial) -> None:
+    """The map, the calibration and the thresholds of one site do not hold at another one."""
+    site, validation = trial.split.test.site, trial.split.validation
+    if trial.weights is None or trial.weights.card.general or validation is None or validation.site == site:
+        return
+    raise ConfigurationError(
+        f"{trial.label}: its weights are of the site '{site}', and its thresholds would be chosen on {validation.name}"
+        f" of the site '{validation.site}': name a --validation stretch of the site '{site}', or compare general"
+        f" weights (--tracker {trial.selection.name}:card=general)"
+    )
+
+
+def _weights_of(selection: Selection, site: str, override: Path | None) -> LearnedWeights | None:
+    """The weights of a row. Raises WeightsError if the row's own folder has none."""
+    if selection.weights is None:
+        return find_weights(selection.name, site, override, selection.card)
+    return weights_in(selection.weights, selection.name, site, selection.card)

@@ -1,0 +1,174 @@
+"""`--sandbox`: the results of a hostile tracker inside it, and for each attack that it succeeds without one."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.hosting import sandbox
+from gridtrack.evaluation.hosting.limits import Limits
+from gridtrack.evaluation.hosting.outcome import TrialEnded
+from gridtrack.evaluation.hosting.sandbox import check_sandbox, code_folders
+from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
+from gridtrack.trackers.contract import StreamSpec
+from gridtrack.trackers.selection import Launch, launch
+
+from scenes.room import trial_of
+
+MEMORY_MB = 400
+STREAM = StreamSpec(GridSpec(20, 0.2), 0.125)
+Attack = Callable[..., Any]
+
+
+def _unavailable() -> str:
+    try:
+        check_sandbox()
+    except ConfigurationError as error:
+        return str(error)
+    return ""
+
+
+pytestmark = pytest.mark.skipif(bool(_unavailable()), reason=_unavailable())
+
+
+@pytest.fixture
+def attack(burglar, tmp_path) -> Attack:
+    """`attack(*attacks)` starts the burglar with attacks and their targets, and returns the result of each."""
+    default = tmp_path / "run" / "burglar@room" / "stderr.log"
+
+    def attack(
+        *attacks: tuple[str, object], confined: bool = True, recordings: tuple[Path, ...] = (), log: Path = default
+    ) -> list[Any]:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        options = {"attacks": [(name, str(target)) for name, target in attacks]}
+        limits = Limits(memory_mb=MEMORY_MB, sandbox=confined)
+        with TrackerProcess(launch("burglar"), STREAM, options, limits, log, recordings):
+            pass
+        found: list[Any] = json.loads(log.read_text().partition("found: ")[2])
+        return found
+
+    return attack
+
+
+@pytest.mark.parametrize("confined", [False, True], ids=["open", "sandbox"])
+def test_no_file_server_process_or_variable_of_the_user_is_reached(attack, tmp_path, monkeypatch, confined):
+    secret = tmp_path / "recording.mcap"
+    secret.write_bytes(b"recorded")
+    monkeypatch.setenv("TOKEN", "secret")
+    with socket.create_server(("127.0.0.1", 0)) as server, subprocess.Popen(["sleep", "3600"]) as other:
+        read, _, called, seen, memory_read, killed, variables, namespace = attack(
+            ("reads", secret),
+            ("rewrites", secret),  # inside it writes to its own memory, where there is a folder of this name
+            ("calls", server.getsockname()[1]),
+            ("looks", ""),
+            ("reads_memory", other.pid),
+            ("kills", other.pid),
+            ("variables", ""),
+            ("makes_a_namespace", ""),
+            confined=confined,
+        )
+        assert (other.poll() is None) is confined
+        other.kill()
+    assert read == ("" if confined else b"recorded".hex())
+    assert secret.read_bytes() == (b"recorded" if confined else b"burglar")
+    assert any("sleep 3600" in line for line in seen) is not confined
+    assert [called, memory_read, killed, namespace] == [not confined] * 4
+    assert ("TOKEN" in variables) is not confined
+    if confined:
+        assert (variables["HOME"], variables["TMPDIR"]) == ("/tmp", "/tmp")
+
+
+def test_recordings_and_runs_in_its_own_folder_are_hidden(attack, tmp_path):
+    own = tmp_path / "site"  # PYTHONPATH names it
+    bag, scans = own / "bag", own / "scans.mcap"
+    bag.mkdir(exist_ok=True)
+    files = scans, bag / "metadata.yaml", own / "notes.txt"
+    for path in files:
+        path.write_bytes(b"recorded")
+    reads = [("reads", path) for path in files]
+    assert attack(*reads) == [b"recorded".hex()] * 3
+    assert attack(*reads, recordings=(scans, bag)) == ["", "", b"recorded".hex()]
+
+
+@pytest.mark.parametrize("place", ["burglar@room", ".engine/tmp1/3.1/files"], ids=["local", "cluster"])
+def test_the_forecasts_of_the_other_trials_of_its_run_are_hidden(attack, tmp_path, place):
+    """Their samples show the future of the frames that it receives."""
+    run = tmp_path / "site" / "run"
+    samples = run / "persistence@room" / "forecasts.mcap"
+    samples.parent.mkdir(parents=True)
+    samples.write_bytes(b"recorded")
+    log = run / place / "stderr.log"
+    assert attack(("reads", samples), confined=False, log=log) == [b"recorded".hex()]
+    assert attack(("reads", samples), log=log) == [""]
+
+
+def test_it_writes_to_its_own_memory_only_and_ends_only_itself(attack):
+    """bwrap's own process in the sandbox is the first one of its namespace, which no signal from inside reaches."""
+    folders, killed = attack(("writes", ""), ("kills_all", ""))
+    assert {"/tmp", "/dev/shm"} <= set(folders)
+    elsewhere = [path for path in folders if not path.startswith(("/tmp", "/dev/shm"))]
+    assert [path for path in elsewhere if Path(path).name != "__pycache__"] == []
+    assert killed is False
+
+
+@pytest.mark.parametrize("folder", ["/tmp", "/dev/shm"])
+def test_files_in_its_memory_count_as_memory(attack, folder):
+    with pytest.raises(TrialEnded, match=f"more than {MEMORY_MB} MB of resident memory"):
+        attack(("fills", folder))
+    assert not Path(folder, "burglar").exists()
+
+
+def test_scores_are_those_without_a_sandbox(compare, tmp_path):
+    scores = []
+    for confined in (False, True):
+        limits, out = Limits(sandbox=confined), tmp_path / f"run {confined}"
+        summary = compare("persistence", "static-map", limits=limits, out=out)
+        scores.append([trial_of(summary, label).strata for label in ("persistence", "static-map")])
+    assert scores[0] == scores[1]
+
+
+def test_a_program_in_its_own_folder_runs_and_the_signal_that_ended_it_is_named(tmp_path):
+    """A command of `trackers.toml`: it sees its folder, and its answer comes through."""
+    own, log = tmp_path / "own", tmp_path / "run" / "x@y" / "stderr.log"
+    log.parent.mkdir(parents=True)
+    own.mkdir()
+    program = own / "program"
+    program.write_text("#!/bin/sh\nls / >&2; cat notes >&2; exit 7\n")
+    program.chmod(0o755)
+    (own / "notes").write_text("its own notes\n")
+    with pytest.raises(TrialEnded, match=r"exited with code 7 \(its own notes\)"):
+        TrackerProcess(Launch("program", (str(program),), own), STREAM, {}, Limits(sandbox=True), log).__enter__()
+    assert "home" not in log.read_text().split()
+    program.write_text("#!/bin/sh\nkill -SEGV $$\n")
+    with pytest.raises(TrialEnded, match="killed by SIGSEGV"):
+        TrackerProcess(Launch("program", (str(program),), own), STREAM, {}, Limits(sandbox=True), log).__enter__()
+
+
+def test_the_code_of_another_environment_is_seen(tmp_path):
+    environment, project = tmp_path / "env", tmp_path / "my tracker"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(environment)], check=True)
+    info = next(environment.glob("lib/python*/site-packages")) / "my_tracker-1.0.dist-info"
+    info.mkdir()
+    origin = {"url": project.as_uri(), "dir_info": {"editable": True}}
+    (info / "direct_url.json").write_text(json.dumps(origin))
+    folders = code_folders(str(environment / "bin" / "python"), tmp_path / "cwd", {})
+    assert {environment, project, tmp_path / "cwd"} <= set(folders)
+    (info / "direct_url.json").write_text("[" * 10_000)
+    assert project not in code_folders(str(environment / "bin" / "python"), None, {})
+
+
+def test_without_bubblewrap_one_line_says_what_to_install(monkeypatch):
+    monkeypatch.setenv("PATH", os.fspath(Path(sys.executable).parent))
+    monkeypatch.setattr(sandbox, "_problem", sandbox._problem.__wrapped__)  # which remembers its answer
+    with pytest.raises(ConfigurationError, match="--sandbox: bubblewrap is not installed: install"):
+        check_sandbox()

@@ -1,0 +1,132 @@
+"""Deadlines and degraded scans through a whole run: the results in summary.json."""
+
+from __future__ import annotations
+
+import pytest
+
+from gridtrack.evaluation.referee.deadline import Costs
+from gridtrack.evaluation.runs import deadline_pass
+from gridtrack.evaluation.runs.passes import AtStrength, Robustness
+from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
+from gridtrack.evaluation.runs.summarise import _mismatched_degradations
+from gridtrack.evaluation.runs.trial_record import TRIAL_SCHEMA, TrialRecord
+from gridtrack.recordings.degradation import Degradation
+
+from scenes.room import curve, trial_of
+
+pytestmark = pytest.mark.usefixtures("staged", "trackers_here")
+
+
+def f1_of(result):
+    return {name: curve(result, name, "f1.f1") for name in result.strata}
+
+
+@pytest.fixture
+def costing(monkeypatch):
+    """`costing(update_ms, predict_ms)` sets the measured cost of every frame."""
+
+    def costing(update_ms, predict_ms):
+        monkeypatch.setattr(deadline_pass, "_measure", lambda *_: (Costs((update_ms,), (predict_ms,)), 12))
+
+    return costing
+
+
+def test_a_tracker_without_delay_scores_as_without_a_clock(compare, costing):
+    costing(0.0, 0.0)
+    assert trial_of(compare("persistence"), "persistence").deadline is None
+    result = trial_of(compare("persistence", deadline=True, resume=True), "persistence")
+    assert [at.rate for at in result.deadline.rates] == [0.5, 1.0, 2.0, 4.0]
+    assert [at.rate_hz for at in result.deadline.rates] == [5.0, 10.0, 20.0, 40.0]
+    for at in result.deadline.rates:
+        assert (at.missed, at.frames, at.age_frames.p99) == (0, 110, 0.0)
+        assert at.f1 == f1_of(result)
+
+
+def test_a_busy_tracker_misses_frames_and_scores_less(compare, costing):
+    costing(100.0, 50.0)
+    result = trial_of(compare("persistence", deadline=True), "persistence")
+    half, own, double, _ = result.deadline.rates
+    assert [at.missed for at in (half, own, double)] == [0, 55, 73]
+    assert own.age_frames.p50 in {2.0, 3.0}
+    assert result.deadline.highest_rate_hz == pytest.approx(1000 / 150)
+    # persistence's forecast of the step 0 is a copy: two or three frames late it is one of two or three frames ago
+    assert own.f1["dynamic"][0] < half.f1["dynamic"][0] < curve(result, "dynamic", "f1.f1")[0] == 1.0
+    assert own.f1["static"][0] > 0.9
+
+
+@pytest.mark.usefixtures("bad_trackers")
+def test_frames_kept_over_a_reset_are_useless_in_another_condition(compare):
+    honest, hostile = "staged", "remembers-the-future"  # both forecast the last frame, if nothing is kept
+    summary = compare(honest, hostile, deadline=True, degrade=Degradation(beam_dropout=0.5))
+    one, other = (trial_of(summary, label) for label in (honest, hostile))
+    assert other.robustness.kinds["beam_dropout"][1:] == one.robustness.kinds["beam_dropout"][1:]
+    for rate in other.deadline.rates:
+        assert rate.f1["dynamic"][-1] < 0.9
+
+
+def test_a_tracker_that_fails_in_the_deadline_pass_keeps_its_score_with_a_notice(compare, record, tmp_path):
+    # without a validation stretch the second stream that it is given is that of the deadline pass
+    path, starts = record("plain", stretches={}), tmp_path / "starts"
+    summary = compare(f"staged:crash_at=60,starts={starts}", "blank", recordings=(str(path),), deadline=True)
+    ended, other = (trial_of(summary, label, "plain") for label in ("staged", "blank"))
+    assert (ended.outcome, ended.deadline) == ("ok", None)
+    assert other.deadline is not None
+    assert any(
+        "staged@plain: no measurement of deadlines" in notice and "crashed" in notice for notice in summary.notices
+    )
+
+
+def test_an_interrupt_while_input_is_degraded_keeps_every_score(compare, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(RobustnessRun, "run", interrupted)
+    summary = compare("blank", "persistence", degrade=Degradation(range_noise=0.1))
+    assert summary.interrupted is True
+    assert {trial_of(summary, label).outcome for label in ("blank", "persistence")} == {"ok"}
+
+
+def test_degraded_input_is_the_same_for_all_and_is_scored_against_the_undegraded_frames(compare):
+    summary = compare("persistence", "blank", degrade=Degradation(frame_drop=1.0, beam_dropout=0.5))
+    result, blank = (trial_of(summary, label) for label in ("persistence", "blank"))
+    curves = result.robustness.kinds
+    assert list(curves) == ["beam_dropout", "frame_drop"]
+    for name, full in (("beam_dropout", 0.5), ("frame_drop", 1.0)):
+        assert [point.strength for point in curves[name]] == [0.0, 0.25, 0.5, 1.0]
+        assert [point.value for point in curves[name]] == [0.0, 0.25 * full, 0.5 * full, full]
+        assert curves[name][0].f1 == f1_of(result)
+        at_step_0 = [point.f1["visible"][0] for point in curves[name]]
+        # copying a frame of which a part was lost is no copy of the whole
+        assert at_step_0[0] == 1.0 > at_step_0[1] > at_step_0[2] > at_step_0[3]
+        digests = [[point.delivered for point in one.robustness.kinds[name]] for one in (result, blank)]
+        assert digests[0] == digests[1]
+        assert len(set(digests[0])) == 4
+    # at 1 every frame is lost: what persistence has not seen it does not call occupied
+    assert curves["frame_drop"][-1].f1["visible"] == (0.0,) * 11
+    assert summary.recordings["room"].parity is True
+
+
+def test_mismatched_degraded_frames_are_detected():
+    def record(label, digest, value=0.1):
+        points = tuple(AtStrength(strength=s, value=s * value, delivered=digest, f1={}) for s in (0.3, 1.0))
+        robustness = Robustness(degradation=Degradation(range_noise=value), kinds={"range_noise": points})
+        return TrialRecord(
+            schema=TRIAL_SCHEMA, label=label, recording="room", outcome="ok", steps=1, robustness=robustness
+        )
+
+    same = [("centres", record(label, "aa")) for label in ("one", "two")]
+    assert _mismatched_degradations(same) == []
+    assert _mismatched_degradations([*same, ("centres", record("odd", "bb"))]) == ["odd"]
+    others = [("raw", record("raw", "cc")), ("centres", record("stronger", "dd", 0.2))]
+    assert _mismatched_degradations([*same, *others]) == []
+
+
+def test_a_resumed_run_degrades_again_only_for_other_strengths(compare, monkeypatch):
+    compare("blank", degrade=Degradation(range_noise=0.1))
+    passes = []
+    original = RobustnessRun.run
+    monkeypatch.setattr(RobustnessRun, "run", lambda *a: (passes.append(1), original(*a))[1])
+    compare("blank", degrade=Degradation(range_noise=0.1), resume=True)
+    assert passes == []
+    summary = compare("blank", degrade=Degradation(range_noise=0.2), resume=True)
+    assert trial_of(summary, "blank").robustness.kinds["range_noise"][-1].value == 0.2

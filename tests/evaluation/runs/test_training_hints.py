@@ -1,0 +1,154 @@
+"""The commands that messages print train as printed, on frames that are not scored."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from dataclasses import replace
+
+import pytest
+from typer.testing import CliRunner
+
+from gridtrack.cli import app
+from gridtrack.common.errors import ConfigurationError, RecordingError
+from gridtrack.evaluation.runs.jobs import SharedInputs, TrialJob
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.trial import unstarted
+from gridtrack.evaluation.runs.trial_record import read_trial_record
+from gridtrack.trackers.training.weights import read_card
+
+pytestmark = pytest.mark.usefixtures("home", "trackers_here")
+
+
+def gridtrack(*words):
+    return CliRunner().invoke(app, words, catch_exceptions=False)
+
+
+def compare(recording, folder, *options):
+    """The reason of static-map's trial on `recording`, empty where it is complete. General weights are not used."""
+    command = ("compare", str(recording), "--tracker", "static-map:card=site", "--horizon", "0.5s", "--jobs", "1")
+    gridtrack(*command, *options, "--out", str(folder))
+    (trial,) = folder.glob("static-map@*")
+    return read_trial_record(trial).reason
+
+
+def run_command_in(text):
+    """Run the command line in backquotes."""
+    (command,) = re.findall(r"`gridtrack ([^`]*)`", text)
+    assert gridtrack(*shlex.split(command)).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("stretches", "compared"),
+    [
+        (None, ""),  # stretches of its own
+        (None, "@0s-12s"),  # which has frames of the stretch `train`
+        ({}, "@0s-8s"),
+        ({}, "@9s-20s"),
+        ({"validation": (0.0, 5.0)}, "@12s-20s"),
+    ],
+)
+def test_the_hint_of_an_untrained_tracker_trains_it_for_the_same_comparison(record, tmp_path, stretches, compared):
+    path = record("my room", stretches=stretches)
+    reason = compare(f"{path}{compared}", tmp_path / "run")
+    assert reason.endswith("`, then compare again with --resume")
+    run_command_in(reason)
+    assert compare(f"{path}{compared}", tmp_path / "run", "--resume") == ""
+
+
+@pytest.mark.parametrize(
+    ("stretches", "compared", "options"),
+    [
+        (None, ("@0s-4s", "@4s-8s", "@17s-20s"), ()),  # the first is the stretch `train`
+        (None, ("@4s-7s", "@9s-12s"), ()),  # the first has frames of the stretch `validation`
+        ({}, ("@0s-4s", "@4s-8s", "@17s-20s"), ()),
+        ({}, ("@0s-30s",), ("--segment", "10s")),
+    ],
+)
+def test_the_hint_of_one_trial_keeps_out_of_the_stretches_of_the_others(record, tmp_path, stretches, compared, options):
+    path = record(seconds=45 if options else 20, stretches=stretches)
+    command = ("compare", *(f"{path}{part}" for part in compared), "--tracker", "static-map:card=site", *options)
+    command += ("--horizon", "0.5s", "--jobs", "1", "--out", str(tmp_path / "run"))
+    gridtrack(*command)
+    reasons = [read_trial_record(trial).reason for trial in (tmp_path / "run").glob("static-map@*")]
+    assert len(reasons) >= 2
+    (reason,) = set(reasons)
+    run_command_in(reason)
+    assert gridtrack(*command, "--resume").exit_code == 0
+
+
+def test_the_hint_of_a_trial_on_another_machine_is_that_of_the_whole_run(record, settings, tmp_path):
+    """A worker knows one recording and stretch of the run: it would name the stretch that another one is scored on."""
+    path = record(stretches={})
+    both = settings("static-map:card=site", recordings=(f"{path}@0s-4s", f"{path}@14s-20s"), horizon_s=0.5)
+    trial = resolve(both).trials[0]
+    alone = replace(trial, others=())
+    assert alone.how_to_train != trial.how_to_train
+    work = TrialJob(trial, tmp_path / "trial", SharedInputs(both, print, tmp_path, 1))
+    (tmp_path / "trial").mkdir()
+    there = unstarted(alone).model_copy(update={"outcome": "untrained", "reason": alone.how_to_train})
+    assert work.accepted(there).reason == trial.how_to_train
+    assert read_trial_record(tmp_path / "trial").reason == trial.how_to_train
+    ok = there.model_copy(update={"outcome": "ok", "reason": ""})
+    assert work.accepted(ok) == ok
+
+
+def test_stretches_of_its_own_that_another_trial_tests_are_not_named(record, tmp_path):
+    """All of the recording is compared: what is left after a training is the end of it."""
+    path = record(stretches={"train": (0.0, 4.0), "validation": (4.0, 9.0)})
+    gridtrack(
+        *("compare", f"{path}@0s-10s", f"{path}@10s-20s", "--tracker", "static-map:card=site", "--horizon", "0.5s"),
+        *("--jobs", "1", "--out", str(tmp_path / "run")),
+    )
+    (reason,) = {read_trial_record(trial).reason for trial in (tmp_path / "run").glob("static-map@*")}
+    assert f"train static-map {path}@0s-11.9s --validation {path}@11.9s-15.9s`" in reason
+    assert f"then compare the rest, {path}@15.9s-, into another folder" in reason
+
+
+def test_where_all_of_a_recording_is_compared_the_hint_leaves_a_rest_to_compare_on(record, tmp_path):
+    path = record(stretches={})
+    reason = compare(path, tmp_path / "run")
+    run_command_in(reason)
+    (rest,) = re.findall(r"then compare the rest, (\S+), into another folder", reason)
+    assert compare(rest, tmp_path / "other") == ""
+
+
+def test_a_recording_without_frames_to_spare_has_no_command(record, tmp_path):
+    path = record(seconds=9, stretches={})
+    assert "train it on a longer recording of this site" in compare(path, tmp_path / "run")
+
+
+def test_a_training_without_validation_prints_a_command_with_one(record, tmp_path):
+    path = record(stretches={})
+    with pytest.raises(ConfigurationError, match=r"no validation stretch; name one with --validation, or run") as error:
+        gridtrack("train", "static-map", str(path), "--out", str(tmp_path / "weights"))
+    run_command_in(str(error.value))
+    assert (tmp_path / "weights" / "static-map" / "room.toml").exists()
+
+
+def test_the_command_for_a_folder_trains_on_all_recordings_in_it(record, tmp_path):
+    folder = record("a", stretches={}).parent
+    record("b", wall_m=2.5, stretches={})
+    with pytest.raises(ConfigurationError, match=r"no validation stretch; name one with --validation, or run") as error:
+        gridtrack("train", "static-map", f"{folder}@2s-", "--general", "--out", str(tmp_path / "weights"))
+    run_command_in(str(error.value))
+    card = read_card(tmp_path / "weights" / "static-map" / "general.toml")
+    assert [data.recording for data in card.train] == ["a.mcap@2s-12.7s", "b.mcap@2s-"]
+    assert [data.recording for data in card.validation] == ["a.mcap@12.7s-19.9s"]
+
+
+@pytest.mark.parametrize("stretch", ["@0s-200s", "@unknown"])
+def test_a_range_in_a_message_is_one_of_the_recording(record, tmp_path, stretch):
+    path = record(stretches={})
+    with pytest.raises(RecordingError) as error:
+        compare(f"{path}{stretch}", tmp_path / "run")
+    (suggested,) = re.findall(r"(?:\(|seconds: )(/\S+@\S+)\)", str(error.value))
+    compare(suggested, tmp_path / "run")
+
+
+def test_no_stretch_is_suggested_where_the_sensor_always_moves(record, tmp_path, staged):
+    moving = record("moving", seconds=20, speed=0.5)
+    gridtrack("compare", str(moving), "--tracker", "staged", "--out", str(tmp_path / "moving"), "--horizon", "0.5s")
+    reason = read_trial_record(tmp_path / "moving" / "staged@moving").reason
+    assert "at rest nowhere for 10 s" in reason
+    assert "@" not in reason.partition("the sensor moves")[2]

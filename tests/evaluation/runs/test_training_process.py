@@ -1,0 +1,186 @@
+"""The training process: what `fit` can reach, its lines of progress, its errors and its end."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+
+from gridtrack.common.errors import ConfigurationError, PluginError, WeightsError
+from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.stretch_files import StoredStretch, store_stretch
+from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.recordings.stream import frame_digest, open_stream
+from gridtrack.trackers.training.weights import read_card
+from tests.conftest import PLUGINS
+
+FITS = '''
+import os, time
+from gridtrack.common.errors import WeightsError
+from gridtrack.trackers.baselines import StaticMapOptions, StaticMapTracker
+
+
+class Options(StaticMapOptions):
+    how: str = "raises"
+
+
+class Fits(StaticMapTracker):
+    """Its training fails as the option says."""
+
+    Options = Options
+
+    @classmethod
+    def fit(cls, task):
+        how = task.options.how
+        if how == "raises":
+            raise ValueError("no\\nminimum")
+        if how == "refuses":
+            raise WeightsError("too few frames")
+        if how == "dies":
+            os.abort()
+        if how == "writes-and-sleeps":
+            super().fit(task)
+        try:
+            task.report(f"{os.getpid()}")  # the test interrupts as soon as it has read this line
+            time.sleep(60)
+        except KeyboardInterrupt:
+            task.report("saved")
+            raise
+'''
+
+
+@pytest.fixture
+def fits(install):
+    install("fits", {"fits": "fits_tracker:Fits"}, {"fits_tracker.py": FITS})
+
+
+@pytest.fixture
+def nosy(install):
+    install("nosy", {"nosy": "nosy_trackers:Nosy"}, {"nosy_trackers.py": (PLUGINS / "nosy_trackers.py").read_text()})
+
+
+@pytest.mark.usefixtures("nosy")
+def test_fit_reaches_the_frames_of_its_stretches_and_nothing_else_of_a_recording(record, tmp_path):
+    path, found = record("hidden-name"), tmp_path / "found.json"
+    lines: list[str] = []
+    options = {"found": str(found), "secret": "eman-neddih"}
+    card = train_tracker(
+        Recipe(tracker="nosy", options=options, recordings=(str(path),), out=tmp_path / "weights"), lines.append
+    )
+    assert json.loads(found.read_text()) == {
+        "members": [],
+        "attributes": [],
+        "objects": [],
+        "stack": [],
+        "frames": [40, 50],
+        "command": [],
+        "traces": [],
+    }
+    assert "looked around" in lines  # a slow machine reports its progress before
+    assert str(path) in read_card(card).command
+
+
+def test_a_stored_stretch_has_the_frames_and_labels_of_the_stream(record, tmp_path):
+    stream = open_stream(f"{record()}@validation")
+    stored = StoredStretch(store_stretch(stream, tmp_path / "stretch"))
+    for name in ("name", "sha256", "grid", "period_s", "site", "classes"):
+        assert getattr(stored, name) == getattr(stream, name)
+    assert len(stored) == len(stream)
+    for _ in range(2):
+        assert [frame_digest(frame) for frame in stored] == [frame_digest(frame) for frame in stream]
+    assert [item.cells.tolist() for item in stored.labelled()] == [item.cells.tolist() for item in stream.labelled()]
+
+
+@pytest.mark.parametrize(
+    ("how", "error", "message"),
+    [
+        ("raises", PluginError, r"'fits': its training failed: ValueError: no minimum \(fits_tracker.py, line \d+\)"),
+        ("refuses", WeightsError, "^too few frames$"),
+        ("dies", PluginError, "'fits': its training failed: killed by SIGABRT"),
+    ],
+)
+@pytest.mark.usefixtures("fits")
+def test_a_training_that_fails_is_one_line(how, error, message, train):
+    with pytest.raises(error, match=message) as raised:
+        train("weights", "fits", options={"how": how})
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("differs", "other", "here", "there"),
+    [
+        ("site", {"site": "elsewhere"}, "'room'", "'elsewhere'"),
+        ("grid", {"grid": "20x0.4@-1,-4"}, "40x0.2@-1,-4", "20x0.4@-1,-4"),
+        ("period", {"rate_hz": 5}, "0.1 s", "0.2 s"),
+    ],
+)
+@pytest.mark.parametrize("validates", [False, True])
+@pytest.mark.usefixtures("fits", "trackers_here")
+def test_stretches_of_another_place_are_refused_before_the_training(
+    differs, other, here, there, validates, record, train
+):
+    """Here every training fails, so a line of another reason says that it began."""
+    room, named = record(), f"{record('other', stretches={}, **other)}@10s-14s"
+    train_on, validation = [f"{room}@0s-4s"], [f"{room}@5s-9s"]
+    (validation if validates else train_on).append(named)
+    with pytest.raises(
+        WeightsError,
+        match=rf"^other\.mcap@10s-14s has the {differs} {re.escape(there)}, but room\.mcap@0s-4s {re.escape(here)}:"
+        r" train and validate on recordings of one grid, period and site, or for any place with --general$",
+    ):
+        train("weights", "fits", *train_on, validation=tuple(validation))
+    with pytest.raises(PluginError, match="its training failed: ValueError"):
+        train("weights", "fits", *train_on, validation=tuple(validation), general=True)
+
+
+@pytest.mark.usefixtures("trackers_here")
+def test_an_unknown_option_is_refused_before_the_recording_is_read(train):
+    with pytest.raises(ConfigurationError, match=r"tracker 'static-map'.*wrong"):
+        train("weights", "static-map", "none.mcap", options={"wrong": 1})
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.usefixtures("fits")
+def test_ctrl_c_reaches_fit_and_no_process_survives_the_command(end, record, tmp_path):
+    process, child = begun("sleeps", record(), tmp_path)
+    os.kill(process.pid, end)
+    rest, errors = process.communicate(timeout=20)
+    assert ("saved" in rest) == (end == signal.SIGINT)
+    if end == signal.SIGINT:
+        assert process.returncode == 130
+        assert errors == "gridtrack: interrupted before there was a result; the same command continues it\n"
+    deadline = time.monotonic() + 10
+    while psutil.pid_exists(child) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not psutil.pid_exists(child)
+
+
+@pytest.mark.usefixtures("fits")
+def test_ctrl_c_reports_the_weights_that_are_kept(record, tmp_path):
+    recording, card = record(), tmp_path / "fits" / "room.toml"
+    kept = {
+        "writes-and-sleeps": "has the weights, but not what is learned after them, such as classes",
+        "sleeps": "keeps the weights of an earlier training",
+    }
+    for how, text in kept.items():
+        process, _ = begun(how, recording, tmp_path)
+        os.kill(process.pid, signal.SIGINT)
+        errors = process.communicate(timeout=20)[1]
+        assert errors == f"gridtrack: interrupted; {card} {text}; the same command continues it\n"
+        assert "how=writes-and-sleeps" in read_card(card).command
+
+
+def begun(how, recording, out):
+    """The process of a training whose `fit` has begun, and the number of the process of `fit`."""
+    command = [sys.executable, "-m", "gridtrack.cli", "train", f"fits:how={how}", str(recording), "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    lines = iter(process.stdout.readline, "")
+    return process, int(next(line for line in lines if line.strip().isdecimal()))  # not a line of progress

@@ -1,0 +1,429 @@
+"""Studies of many comparisons: pooled over unlike periods, paired by drive, complete, and compared with an aim."""
+
+from __future__ import annotations
+
+import importlib
+import shlex
+import shutil
+import zlib
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.runs.finished import FinishedTrial
+from gridtrack.evaluation.runs.run_record import RecordingDescription
+from gridtrack.evaluation.runs.summarise import summarise
+
+from docs.test_commands import problem_of
+from scenes import drive, truth_scene
+from scenes.synthetic_run import description, write_trial
+from studies import moving, real_results, variants
+from studies.real_results import sections_of as sections_of_real
+from studies.site_minutes import rows_of, section_of, share_closed
+from studies.support.place_command import draw_skill, skill_curves
+from studies.support.real_recordings import REAL
+from studies.support.results_file import NONE, ResultTable, measured_table, read_sections
+from studies.support.unseen_places import PlaceScores, general_rows, not_measured
+from studies.worlds_results import (
+    DRIVES,
+    ODOMETRY,
+    STANDS,
+    aim_met,
+    aim_table,
+    drift_text,
+    laser_of,
+    pair_tables,
+    poses_section,
+    sections_of,
+)
+
+ROOT = Path(__file__).parents[2]
+PERIODS_S = (0.1, 0.105263, 0.0625)
+SKILLS = {"oracle": 1.0, "persistence": 0.5, "kalman": 0.8}
+
+
+def trials_of(
+    folder: Path,
+    names: Sequence[str],
+    skills: Mapping[str, float],
+    *,
+    scored: int = 2,
+    periods_s: Sequence[float] = PERIODS_S,
+    longest_s: float = 1.0,
+    delivered: str = "",
+    start_s: int = 10,
+) -> tuple[dict[str, RecordingDescription], list[FinishedTrial]]:
+    """A comparison on recordings of these periods in turns, two forecasts on each; counts are random.
+
+    Recordings of the same name have the same counts, except for the skill.
+    """
+    period_s = {name: periods_s[k % len(periods_s)] for k, name in enumerate(names)}
+    steps = {name: round(longest_s / of_name) for name, of_name in period_s.items()}
+    trials = [
+        write_trial(
+            folder,
+            label,
+            name,
+            skill,
+            seed=zlib.crc32(name.encode()),
+            frames=2,
+            scored=scored,
+            strata=STRATA_WITH_TRUTH,
+            steps=steps[name],
+            tracker=label.partition(" ")[0],
+            delivered=delivered,
+            start_s=start_s,
+        )
+        for name in names
+        for label, skill in skills.items()
+    ]
+    described = {
+        name: description(2, source_sha256=name.ljust(64, "0"), period_s=period_s[name], steps=steps[name])
+        for name in names
+    }
+    return described, trials
+
+
+def scores_of(folder: Path, names: Sequence[str], skills: Mapping[str, float], **how: Any) -> PlaceScores:
+    """The scores of a drawn comparison; `how` as of `trials_of`."""
+    return PlaceScores(*trials_of(folder, names, skills, **how))
+
+
+@pytest.fixture(scope="module")
+def worlds(tmp_path_factory: pytest.TempPathFactory) -> PlaceScores:
+    names = [f"{part}-{k}" for k in range(10) for part in ("indoors", "outdoors")]
+    return scores_of(tmp_path_factory.mktemp("worlds"), names, SKILLS)
+
+
+def test_twenty_worlds_have_intervals_and_ten_of_them_none(worlds: PlaceScores) -> None:
+    tables = sections_of(worlds)["scores"].tables
+    assert [row[0] for row in tables["dynamic"].rows] == list(SKILLS)
+    assert tables["dynamic"].columns == ("F1, dynamic", "0.5 s", "1 s")
+    assert all("[" in text for row in tables["dynamic"].rows for text in row[1:])
+    apart = tables["indoors and outdoors"]
+    assert apart.columns[1:3] == ("indoors, in motion", "indoors, dynamic")
+    assert not any("[" in text for row in apart.rows for text in row)
+
+
+def test_the_aim_is_judged_if_it_was_measured_and_named_if_it_was_not(worlds: PlaceScores) -> None:
+    verdicts = {row[0]: row[-1] for row in aim_table(worlds).rows}
+    assert verdicts == {
+        "dilated-convgru less persistence, 0.5 s": "not measured",
+        "dilated-convgru less persistence, 1 s": "not measured",
+        "kalman less persistence, 0.5 s": "met",
+        "kalman less persistence, 1 s": "met",
+    }
+    assert sections_of(worlds)["scores"].values["not measured"].startswith("`static-map`, `blank`, `factor-graph`")
+
+
+@pytest.mark.parametrize(
+    ("difference", "low", "verdict"),
+    [(0.1, 0.01, "met"), (0.099, 0.05, "not met"), (0.2, -0.01, "not met"), (0.2, None, "no interval")],
+)
+def test_the_aim_asks_for_the_difference_and_for_a_significant_one(
+    difference: float, low: float | None, verdict: str
+) -> None:
+    assert aim_met(difference, low) == verdict
+
+
+def test_the_chart_has_a_curve_of_each_row_at_both_horizons(worlds: PlaceScores, tmp_path: Path) -> None:
+    skill = sections_of(worlds)["scores"].tables["fractions skill"]
+    curves = skill_curves(skill)
+    assert {label: list(of) for label, of in curves.items()} == {label: ["0.5", "1"] for label in SKILLS}
+    assert all(list(points) == [1, 3, 5, 9] for of in curves.values() for points in of.values())
+    draw_skill(skill, tmp_path / "scales.svg")
+    drawn = (tmp_path / "scales.svg").read_text()
+    assert "model-free pipeline" in drawn
+    assert "networks" not in drawn
+    draw_skill(skill.model_copy(update={"rows": skill.rows[1:2]}), tmp_path / "alone.svg")
+    assert "persistence" in (tmp_path / "alone.svg").read_text()
+
+
+@pytest.fixture(scope="module")
+def contenders(tmp_path_factory: pytest.TempPathFactory) -> PlaceScores:
+    names = [f"indoors-{1000 + k}" for k in range(20)]
+    skills = {"persistence": 0.5, "kalman": 0.8, "dogma": 0.498, "dilated-convgru": 0.798, "dilated-convgru 2": 0.5}
+    return scores_of(tmp_path_factory.mktemp("contenders"), names, skills)
+
+
+def test_a_difference_that_may_be_chance_is_marked(contenders: PlaceScores) -> None:
+    marked = {row[0]: ["°" in text for text in row[1:]] for row in contenders.difference_table("dynamic").rows}
+    assert marked == {
+        "kalman less persistence": [False, False],
+        "dogma less persistence": [True, True],
+        "dilated-convgru less persistence": [False, False],
+    }
+
+
+def test_each_pair_of_contenders_has_its_difference_and_is_marked_if_it_may_be_chance(contenders: PlaceScores) -> None:
+    tables = pair_tables(contenders)
+    f1 = {row[0]: row[1] for row in tables["F1"].rows}
+    assert {pair: (text[0], "°" in text) for pair, text in f1.items()} == {
+        "kalman less dogma": ("+", False),
+        "kalman less dilated-convgru": ("+", True),
+        "dogma less dilated-convgru": ("-", False),
+    }
+    log_loss = tables["log loss"].rows[0][1].partition(" ")[0]
+    assert len(log_loss.partition(".")[2]) == 4
+
+
+def test_further_trainings_have_no_rows_of_their_own(contenders: PlaceScores) -> None:
+    assert contenders.labels == ["persistence", "kalman", "dogma", "dilated-convgru"]
+
+
+def test_worlds_with_refined_poses_replace_those_with_the_poses_of_the_wheels(tmp_path: Path) -> None:
+    lasers = {f"world-{10 + k}": (STANDS, DRIVES, ODOMETRY)[k // 7] for k in range(21)}
+    drivers = [name for name, laser in lasers.items() if laser == ODOMETRY]
+    recorded = scores_of(tmp_path / "recorded", list(lasers), {"persistence": 0.5, "kalman": 0.55})
+    refined = scores_of(tmp_path / "refined", drivers, {"persistence": 0.5, "kalman": 0.95})
+    tables = poses_section(recorded, refined, lasers, drift=measured_table(("",), [])).tables
+    assert tables["by laser"].columns[1::2] == tuple(
+        f"{kind}, 0.5 s" for kind in ("stands (7)", "drives (7)", "drives, odometry (7)", "drives, refined")
+    )
+    verdicts = {
+        name: [row[-1] for row in table.rows][-1]
+        for name, table in (("recorded", aim_table(recorded)), ("refined", tables["aim"]))
+    }
+    assert verdicts == {"recorded": "not met", "refined": "met"}
+
+
+def test_the_laser_of_a_world_stands_or_drives_with_exact_poses_or_with_those_of_its_wheels(tmp_path: Path) -> None:
+    recordings = {
+        STANDS: truth_scene.write_recording(tmp_path / "standing.mcap", 2),
+        DRIVES: drive.write_recording(tmp_path / "driving.mcap", 2, with_truth=False),
+        ODOMETRY: drive.write_recording(tmp_path / "wheels.mcap", 2),
+    }
+    assert {kind: laser_of(path) for kind, path in recordings.items()} == {kind: kind for kind in recordings}
+    assert drift_text(recordings[DRIVES]) == NONE  # in two seconds no wall is seen twice a second apart
+
+
+def test_recordings_of_one_period_have_the_steps_nearest_to_the_horizons(tmp_path: Path) -> None:
+    scores = scores_of(tmp_path, ["walker-1", "walker-3"], {"persistence": 0.5}, periods_s=(0.133333,))
+    assert scores.horizons == {0.5: 4, 1.0: 8}
+    assert scores.table("F1", [("1 s", "dynamic", "f1", 1.0)]).rows[0][0] == "persistence"
+    assert set(scores.occupied("dynamic", 1.0)) == {"walker-1", "walker-3"}
+
+
+def test_a_comparison_that_ended_early_is_refused(tmp_path: Path) -> None:
+    described, trials = trials_of(tmp_path, ["indoors-1", "indoors-2"], {"persistence": 0.5}, scored=1)
+    summarise(described, trials, [], interrupted=False).write(tmp_path)
+    with pytest.raises(SystemExit, match="not complete"):
+        PlaceScores.read(tmp_path)
+
+
+def test_rows_are_those_without_weights_and_those_with_general_ones(tmp_path: Path) -> None:
+    cards = [
+        "weights/kalman/general.toml",
+        "weights/dogma/hall.toml",
+        "trainings/seed-2/kalman/general.toml",
+        "trainings/seed-2/dogma/general.toml",
+    ]
+    for card in cards:
+        (tmp_path / card).parent.mkdir(parents=True)
+        (tmp_path / card).touch()
+    rows = general_rows(tmp_path / "weights", tmp_path / "trainings")
+    assert list(rows) == ["persistence", "blank", "kalman", "kalman 2"]
+    assert rows["kalman"] == f"kalman=kalman:weights={tmp_path / 'weights'},card=general"
+    assert rows["kalman 2"].startswith(f"kalman 2=kalman:weights={tmp_path / 'trainings' / 'seed-2'},")
+    assert "`dogma`" in not_measured(rows)
+
+
+def test_the_real_recordings_are_described_one_by_one_and_missing_ones_are_named(tmp_path: Path) -> None:
+    scores = scores_of(tmp_path, ["corridor", "aces"], {"persistence": 0.5})
+    section = sections_of_real(scores)["scores"]
+    assert [row[:2] for row in section.tables["recordings"].rows] == [("corridor", "stands"), ("aces", "moves")]
+    assert [row[0] for row in section.tables["by recording"].rows] == ["corridor, persistence", "aces, persistence"]
+    missing = section.values["recordings not measured"].split(", ")
+    assert missing == [one.name for one in REAL if one.name not in ("corridor", "aces")]
+    assert section.values["intervals"].startswith("too short for an interval")
+
+
+def test_minutes_of_a_site_stand_between_general_and_site_weights(tmp_path: Path) -> None:
+    rows = rows_of("kalman", (1, 65), Path("general"), tmp_path)
+    assert list(rows) == ["kalman-general", "kalman-1-min", "kalman-65-min", "kalman-site"]
+    assert rows["kalman-1-min"] == f"kalman-1-min=kalman:weights={tmp_path / 'minutes-1'},card=site"
+
+
+def test_a_tracker_has_its_rows_and_the_share_of_the_gap_that_minutes_close(tmp_path: Path) -> None:
+    names = [f"test-{10 + k}" for k in range(3)]
+    skills = {"persistence": 0.3, "dogma-general": 0.5, "dogma-1-min": 0.7, "dogma-site": 0.9}
+    scores = scores_of(tmp_path, names, skills)
+    tables = section_of(scores, scores, "dogma", (1,)).tables
+    assert [row[0] for row in tables["F1"].rows] == list(skills)
+    assert tables["gap"].columns == ("of the gap, %", "1 min")
+    assert [row[0] for row in tables["gap"].rows] == ["0.5 s", "1 s"]
+    assert all(0 < float(row[1]) < 100 for row in tables["gap"].rows)
+
+
+@pytest.mark.parametrize(
+    ("start", "now", "end", "share"),
+    [(0.5, 0.6, 0.7, "50"), (0.5, 0.75, 0.7, "125"), (0.7, 0.6, 0.7, ""), (0.5, None, 0.7, "")],
+)
+def test_the_share_of_a_gap_is_given_if_there_is_a_gap(start: float, now: float | None, end: float, share: str) -> None:
+    assert share_closed(start, now, end) == share
+
+
+def drives(
+    folder: Path, kind: str, skill: float, floor: float = 0.3, *, cars: int, robots: int = 0, start_s: int = 10
+) -> moving.Comparison:
+    """A comparison of kalman with persistence and the oracle on drives, with one kind of poses."""
+    carriers = ["car"] * cars + ["robot"] * robots
+    names = [f"{carrier}-{200 + k}-{kind}" for k, carrier in enumerate(carriers)]
+    skills = {"kalman": skill, "persistence": floor, "oracle": 1.0}
+    how = {"periods_s": (0.125,), "longest_s": 2.5, "delivered": kind, "start_s": start_s}
+    return moving.Comparison(kind, scores_of(folder / f"{kind}-{skill}", names, skills, **how))
+
+
+@pytest.fixture(scope="module")
+def perfect(tmp_path_factory: pytest.TempPathFactory) -> moving.Comparison:
+    """Twenty drives with perfect poses."""
+    return drives(tmp_path_factory.mktemp("drives"), "perfect", 0.6, cars=20)
+
+
+def ends_of(text: str) -> list[float]:
+    """`+0.100 [+.050, +.150]` as value, low and high."""
+    return [float(one.strip("[],")) for one in text.split()]
+
+
+def test_the_loss_without_ego_motion_is_paired_over_twenty_drives(perfect: moving.Comparison, tmp_path: Path) -> None:
+    section = moving.difference_section([perfect, drives(tmp_path, "ignored", 0.3, cars=20)], ["kalman"])
+    value, low, high = ends_of(section.values["kalman, perfect less ignored, dynamic, 1 s"])
+    assert 0.1 < low < value < high < 0.4
+    assert set(section.tables) == {"in motion", "dynamic", "visible", "hidden"}
+
+
+def test_a_loss_that_persistence_has_too_is_one_of_the_view(perfect: moving.Comparison, tmp_path: Path) -> None:
+    text = {}
+    for kind, floor in (("both-lose", 0.5), ("kalman-loses", 0.3)):
+        standing = drives(tmp_path, kind, 0.8, floor, cars=20)
+        section = moving.view_section([perfect, standing], ["persistence", "kalman"])
+        assert [row[0] for row in section.tables["dynamic"].rows] == ["kalman"]
+        text[kind] = section.values["kalman, dynamic, 1 s"]
+    value, low, high = ends_of(text["kalman-loses"])
+    assert -0.4 < low < value < high < -0.05
+    value, low, high = ends_of(text["both-lose"])
+    assert low < 0 < high
+    assert abs(value) < 0.1
+
+
+def test_scores_have_a_row_for_each_kind_and_tracker_after_the_oracle(tmp_path: Path) -> None:
+    both = [drives(tmp_path, kind, 0.8, cars=2, robots=2) for kind in ("perfect", "beside")]
+    rows = moving.score_tables(both, ["kalman"])["dynamic"].rows
+    assert [row[0] for row in rows] == ["oracle, perfect", "oracle, beside", "kalman, perfect", "kalman, beside"]
+    assert all(len(row) == 4 for row in rows)
+    by_carrier = moving.carrier_table(both, ["kalman"])
+    assert by_carrier.columns[1:3] == ("car, dynamic", "car, hidden")
+    assert [(row[0], len(row)) for row in by_carrier.rows] == [("kalman, perfect", 5), ("kalman, beside", 5)]
+
+
+def test_drives_that_were_scored_at_other_times_are_not_paired(tmp_path: Path) -> None:
+    first, later = (drives(tmp_path, f"from-{start_s}", 0.8, cars=2, start_s=start_s) for start_s in (10, 11))
+    with pytest.raises(SystemExit, match="scored at different times"):
+        first.less(later, "kalman")
+
+
+def test_trackers_differ_significantly_if_the_drives_show_it(perfect: moving.Comparison, tmp_path: Path) -> None:
+    for found, significant in ((perfect, True), (drives(tmp_path, "equal", 0.4, 0.4, cars=20), False)):
+        table = moving.pair_section(found).tables["pairs"]
+        (row,) = table.rows
+        assert (table.columns[1:], row[0]) == (("in motion", "dynamic", "visible"), "kalman less persistence")
+        assert ["°" not in text for text in row[1:]] == [significant] * 3
+
+
+def test_poses_are_measured_by_the_true_ones_over_two_and_a_half_seconds_and_at_the_end(tmp_path: Path) -> None:
+    for noise, least in ((0.0, 0.0), (0.2, 0.05)):
+        apart, end_m = moving.errors_of(drive.write_recording(tmp_path / "d.mcap", 4, pose_noise=(noise, 0.0)))
+        assert apart.shape == (40 - moving.APART, 2)
+        assert np.median(apart[:, 0]) >= least
+        assert end_m == pytest.approx(0.0, abs=1e-6) if not noise else end_m > 0.0
+
+
+RUNS = {
+    "worlds_results": "--world indoors-hall-1010 --world outdoors-plaza-1004 --tracker persistence --tracker kalman"
+    " --out TMP/run --results TMP/worlds.json",
+    "real_results": "DATA --recording corridor --recording aces --tracker persistence --tracker kalman --out TMP/run"
+    " --results TMP/real.json",
+    "site_minutes": "--tracker kalman --minutes 1 --trainings TMP/weights --out TMP/run --results TMP/minutes.json",
+    "site_start": "--tracker kalman --out TMP/run --results TMP/site_start.json",
+    "moving": "--drive car-202 --drive car-204 --drive robot-201 --drive robot-203 --tracker persistence"
+    " --tracker kalman --out TMP/run --results TMP/drives.json",
+}
+"""Arguments of the studies that compare trackers. TMP is a folder of the test."""
+
+
+def check_words(*words: str | Path) -> None:
+    """In place of the command line: checks the words."""
+    assert problem_of(shlex.join(["gridtrack", *map(str, words)])) == ""
+
+
+def gridtrack(*words: str | Path) -> None:
+    """In place of the command line: checks the words, and draws the results of the first four recordings."""
+    check_words(*words)
+    command, *rest = map(str, words)
+    out = Path(rest[rest.index("--out") + 1])
+    if command == "train":
+        shutil.copytree(ROOT / "data" / "weights" / "kalman", out / "kalman")
+        return
+    recordings = rest[: next(k for k, word in enumerate(rest) if word.startswith("--"))]
+    names = [Path(recording).name.partition(".")[0] for recording in recordings[:4]]
+    chosen = [after for word, after in pairwise(rest) if word == "--tracker"]
+    labels = [text.partition("=")[0] if "=" in text.partition(":")[0] else text.partition(":")[0] for text in chosen]
+    skills = {label: 0.5 + 0.05 * k for k, label in enumerate(labels)} | {"oracle": 1.0}
+    described, trials = trials_of(out, names, skills, periods_s=(0.125,), longest_s=2.5)
+    summarise(described, trials, [], interrupted=False).write(out)
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_study_compares_with_valid_commands_and_writes_its_results(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr("studies.support.comparison.gridtrack", gridtrack)
+    monkeypatch.setattr("studies.worlds_results.laser_of", lambda _: STANDS)
+    monkeypatch.setattr(real_results, "imported", lambda chosen, *_: [Path(f"{one.name}.mcap") for one in chosen])
+    monkeypatch.setattr(moving, "recording_of", lambda kind, drive, *_: Path(f"{drive}.mcap"))
+    monkeypatch.setattr(moving, "joined_recording", lambda kind, *_: Path("validation.mcap"))
+    monkeypatch.setattr(moving, "errors_of", lambda _: (np.ones((2, 2)), 1.0))
+    words = [word.replace("TMP", str(tmp_path)) for word in RUNS[name].split()]
+    importlib.import_module(f"studies.{name}").main(words)
+    sections = read_sections(Path(words[-1]))
+    assert any(table.rows for section in sections.values() for table in section.tables.values())
+    assert capsys.readouterr().out
+
+
+class EveryNumber:
+    """A summary that has each number."""
+
+    def __init__(self, path: Path) -> None:
+        pass
+
+    def value(self, row: str, column: str) -> str:
+        return f"{row}, {column}"
+
+    def table(self, corner: str, rows: Sequence[str], columns: Sequence[str], options: Sequence[str]) -> ResultTable:
+        return measured_table((corner, *columns), [[row, *columns] for row in rows])
+
+
+@pytest.mark.parametrize(
+    ("which", "result", "row"),
+    [("ablations", "ABLATIONS", "no-gates less whole"), ("returns", "RETURNS", "cold less kalman")],
+)
+def test_variants_are_compared_with_the_whole_at_the_junction(
+    which: str, result: str, row: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr("studies.support.comparison.gridtrack", check_words)
+    card = ROOT / "data" / "weights" / "dilated-convgru" / "junction.toml"
+    monkeypatch.setattr(variants, "trained", lambda: {"whole": card, "no-gates": card})
+    monkeypatch.setattr(variants, "RunScores", EveryNumber)
+    for name in ("ABLATIONS", "RETURNS", "OF_ABLATIONS", "OF_RETURNS"):
+        monkeypatch.setattr(variants, name, tmp_path / name)
+    variants.main([which])
+    (section,) = read_sections(tmp_path / result).values()
+    assert [one[0] for one in section.tables["differences"].rows] == [row]
+    assert section.values[f"{row}: f1 dynamic 1 s"] == f"{row}, f1 dynamic 1 s"
