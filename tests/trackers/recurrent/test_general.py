@@ -16,6 +16,7 @@ from gridtrack.common.config import validated  # noqa: E402
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
 from gridtrack.trackers.contract import StretchScore, stream_of  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.recurrent.fit import settings_from_general, validation_scores  # noqa: E402
 from gridtrack.trackers.recurrent.network import resolution_of, set_resolution  # noqa: E402
 from gridtrack.trackers.training.excerpts import VALIDATED_S, excerpts_of_places  # noqa: E402
@@ -67,37 +68,22 @@ def test_general_weights_run_on_any_grid_and_period_and_their_card_has_the_range
         constant(trained(tracker, card, source), source, 3)
 
 
-def network_of(tracker, size=12):
-    return (
-        convgru(size, static_gates=(), resolution_input=True)
-        if tracker is DilatedConvGRUTracker
-        else rnn(size, resolution_input=True)
-    )
-
-
-@pytest.mark.parametrize("size", [64, 130])
-@pytest.mark.parametrize("tracker", TRACKERS)
-def test_inference_on_any_grid_equals_the_differentiable_network_there(tracker, size):
-    network, source = network_of(tracker), Walk(size, 0.05, 0.2)
-    inference = tracker.inference_for(network, stream_of(source), tracker.Options())
-    state, expected = inference.initial(1), network.initial(1)
-    draw = torch.Generator().manual_seed(1)
-    for t in range(4):
-        x = (torch.rand((1, 2, size, size), generator=draw) > 0.7).float()
-        x = None if t > 2 else x.contiguous(memory_format=torch.channels_last)
-        state, expected = inference.step(x, state), network.step(x, expected)
-    logits = inference.occupancy(inference.features(state))
-    torch.testing.assert_close(logits, network.occupancy(network.features(expected)), rtol=0, atol=1e-4)
-
-
-@pytest.mark.parametrize("tracker", TRACKERS)
-def test_the_network_reads_cell_size_and_period(tracker):
-    network, answers = network_of(tracker), []
+@pytest.mark.parametrize("network", [convgru(static_gates=(), resolution_input=True), rnn(resolution_input=True)])
+def test_the_network_reads_cell_size_and_period(network):
+    answers = []
     for cell_m, period_s in ((0.1, 0.1), (0.1, 0.2), (0.2, 0.1)):
         set_resolution(network, resolution_of(cell_m, period_s))
         answers.append(network.occupancy(network.features(network.step(None, network.initial(1)))))
     assert not torch.equal(answers[0], answers[1])
     assert not torch.equal(answers[0], answers[2])
+
+
+def test_inference_takes_on_the_size_and_the_resolution_of_its_stream():
+    """Two steps of 0.1 s a frame."""
+    network, options = rnn(resolution_input=True), DeepTrackingRNNTracker.Options(step_s=0.1)
+    DeepTrackingRNNTracker.inference_for(network, stream_of(Walk(20, 0.05, 0.2)), options)
+    assert network.size == 20
+    assert torch.equal(network.shifts["recur"].resolution, resolution_of(0.05, 0.1))
 
 
 def test_a_validation_recording_in_which_nothing_moves_has_no_part_in_the_score():

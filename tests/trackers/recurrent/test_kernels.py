@@ -16,25 +16,36 @@ from gridtrack.trackers.recurrent.kernels import convgru as convgru_kernels  # n
 from gridtrack.trackers.recurrent.kernels import rnn as rnn_kernels  # noqa: E402
 from gridtrack.trackers.recurrent.kernels.convolutions import WinogradConvolution  # noqa: E402
 from gridtrack.trackers.recurrent.kernels.gates import StaticMemory, differentiable_gates, fused_gates  # noqa: E402
-from gridtrack.trackers.recurrent.network import as_cells  # noqa: E402
+from gridtrack.trackers.recurrent.network import as_cells, resolution_of, set_resolution  # noqa: E402
 from gridtrack.trackers.recurrent.settings import GATES  # noqa: E402
 from tests.trackers.recurrent.sources import convgru, rnn  # noqa: E402
 
 CHANNELS = 4
-SOME_MAPS = {"static_gates": ("candidate",)}
+GENERAL = {"resolution_input": True}
 NETWORKS = {
     "convgru": (convgru_kernels, convgru, {}),
-    "some maps": (convgru_kernels, convgru, SOME_MAPS),
-    "no maps": (convgru_kernels, convgru, {"static_gates": ()}),
+    "some maps": (convgru_kernels, convgru, {"static_gates": ("candidate",)}),
+    "general": (convgru_kernels, convgru, {"static_gates": (), **GENERAL}),
     "dense": (convgru_kernels, convgru, {"dilated": False, "layers": 2}),
     "rnn": (rnn_kernels, rnn, {}),
+    "general rnn": (rnn_kernels, rnn, GENERAL),
 }
+
+
+def built(build, settings):
+    """A network for grids of 21 cells a side; if it is general, it is made for others, and has a resolution."""
+    if "resolution_input" not in settings:
+        return build(21, **settings)
+    network = build(12, **settings)
+    network.size = 21
+    set_resolution(network, resolution_of(0.05, 0.2))
+    return network
 
 
 def variants(table):
     """The networks, and each variant of theirs in INFERENCE or TRAINING."""
     return [
-        pytest.param(lambda build=build, settings=settings: build(21, **settings), key, variant, id=f"{name}-{key}")
+        pytest.param(lambda build=build, settings=settings: built(build, settings), key, variant, id=f"{name}-{key}")
         for name, (kernels, build, settings) in NETWORKS.items()
         for key, variant in getattr(kernels, table).items()
     ]

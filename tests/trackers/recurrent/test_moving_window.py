@@ -70,22 +70,6 @@ def test_a_window_that_moves_has_the_state_of_one_that_held_every_frame_from_the
         np.testing.assert_allclose(found[compared[last]], expected[compared[last]], rtol=0, atol=2e-5)
 
 
-@pytest.mark.parametrize("build", [lambda n: convgru(n, **NO_MAP), rnn], ids=["convgru", "rnn"])
-def test_after_a_jump_beyond_the_window_every_cell_is_unseen(build):
-    size = 61
-    jumped, unseen = tracker_of(build(size)), tracker_of(build(size))
-    nothing = np.zeros((2, size, size))
-    for planes in random_world(4, size):
-        jumped.update(frame(planes))
-        unseen.update(frame(nothing))
-    jumped.update(frame(nothing, column=size))
-    unseen.update(frame(nothing))
-    centre = (slice(24, 37), slice(24, 37))
-    np.testing.assert_allclose(
-        jumped.predict(0).occupancy[0][centre], unseen.predict(0).occupancy[0][centre], rtol=0, atol=2e-3
-    )
-
-
 @pytest.mark.parametrize("settings", [{}, {"static_gates": ("candidate",)}, {"cell": "plain"}])
 @pytest.mark.parametrize("place", [None, SE2(-3.0, 2.0)])
 def test_the_maps_of_a_network_stay_at_their_place_in_the_world(settings, place):
