@@ -1,4 +1,4 @@
-"""A score of another package, asked for with `--score NAME`, is in table, page, exports and gate; else it is not loaded."""
+"""A score of another package: with `--score NAME` it is in table, page, exports and gate; else it is not loaded."""
 
 from __future__ import annotations
 
