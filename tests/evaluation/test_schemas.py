@@ -6,7 +6,7 @@ import pytest
 
 from gridtrack.evaluation.schemas import MODELS, schema_of, schema_texts
 
-SCHEMAS = Path(__file__).parents[3] / "docs" / "schemas"
+SCHEMAS = Path(__file__).parents[2] / "docs" / "schemas"
 
 
 def test_the_committed_schemas_are_those_of_the_models():
