@@ -151,7 +151,7 @@ class SlurmCluster:
         return [SlurmTask(job.job_id, folder, job.paths.stderr) for job, folder in zip(jobs, folders, strict=True)]
 
     def ended(self, tasks: Sequence[SlurmTask]) -> Mapping[SlurmTask, TaskEnd]:
-        """The tasks among `tasks` that have ended, by the states of their jobs, which are requested every SLURM_POLL_S."""
+        """The tasks that have ended, by the states of their jobs, which are requested every SLURM_POLL_S."""
         now = time.monotonic()
         if now < self._asked_s + SLURM_POLL_S:
             return {}
