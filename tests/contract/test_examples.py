@@ -10,6 +10,7 @@ import subprocess
 import sys
 import sysconfig
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -178,12 +179,12 @@ def test_the_program_in_cpp_satisfies_the_contract(program: Launch) -> None:
     assert [r for r in check_tracker(program, STREAM) if not r.kept] == []
 
 
-def test_the_program_in_cpp_is_compared(program: Launch, tmp_path: Path) -> None:
+def test_the_program_in_cpp_is_compared(program: Launch, tmp_path: Path, gridtrack: Any) -> None:
     toml = tmp_path / "trackers.toml"
     toml.write_text(f"[fading-cpp]\ncommand = {json.dumps(str(program.cwd / program.argv[0]))}\n")
     trackers = ("--trackers-toml", str(toml), "--tracker", "fading-cpp")
-    arguments = ("-m", "gridtrack.cli", "compare", f"{DEMO}@114s-118s", *trackers, *QUICK)
-    assert outcomes(run_python(Path(sys.executable), *arguments, cwd=tmp_path)) == {"fading-cpp": "ok"}
+    done = gridtrack("compare", f"{DEMO}@114s-118s", *trackers, *QUICK, "--out", tmp_path / "run")
+    assert outcomes(done.out) == {"fading-cpp": "ok"}
 
 
 def test_the_program_in_cpp_refuses_options(program: Launch) -> None:

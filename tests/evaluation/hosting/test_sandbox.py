@@ -65,20 +65,24 @@ def test_no_file_server_process_or_variable_of_the_user_is_reached(attack, tmp_p
     secret = tmp_path / "recording.mcap"
     secret.write_bytes(b"recorded")
     monkeypatch.setenv("TOKEN", "secret")
-    with socket.create_server(("127.0.0.1", 0)) as server, subprocess.Popen(["sleep", "3600"]) as other:
-        read, _, called, seen, memory_read, killed, variables, namespace = attack(
-            ("reads", secret),
-            ("rewrites", secret),  # inside it writes to its own memory, where there is a folder of this name
-            ("calls", server.getsockname()[1]),
-            ("looks", ""),
-            ("reads_memory", other.pid),
-            ("kills", other.pid),
-            ("variables", ""),
-            ("makes_a_namespace", ""),
-            confined=confined,
-        )
+    other = subprocess.Popen(["sleep", "3600"])
+    try:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            read, _, called, seen, memory_read, killed, variables, namespace = attack(
+                ("reads", secret),
+                ("rewrites", secret),  # inside it writes to its own memory, where there is a folder of this name
+                ("calls", server.getsockname()[1]),
+                ("looks", ""),
+                ("reads_memory", other.pid),
+                ("kills", other.pid),
+                ("variables", ""),
+                ("makes_a_namespace", ""),
+                confined=confined,
+            )
         assert (other.poll() is None) is confined
+    finally:
         other.kill()
+        other.wait()
     assert read == ("" if confined else b"recorded".hex())
     assert secret.read_bytes() == (b"recorded" if confined else b"burglar")
     assert any("sleep 3600" in line for line in seen) is not confined
