@@ -47,7 +47,6 @@ NOT_OF_A_COMPARISON = "points= and weights= are for rows of a comparison"
         (("compare", DEMO, "--tracker", "static-map:prior_frames=1e999"), "'prior_frames'"),
         (("compare", DEMO, "--score", "mine"), "no score 'mine' is installed"),
         (("compare", DEMO, "--format", "mine"), "no recording format 'mine'; known: carmen"),
-        (("train", "static-map", DEMO, "--out", f"{DEMO}/weights"), "Not a directory"),
         (("train", "static-map:points=raw", DEMO), NOT_OF_A_COMPARISON),
         (("regress", "run", "--baseline", "b.json", "--update", "--json"), "--json: --update judges nothing"),
         (("regress", "run", "--baseline", "b.json", "--update", "--junit", "a"), "--junit: --update judges nothing"),
