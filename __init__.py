@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from gridtrack.recordings import open_recording, packaged_recording
     from gridtrack.recordings.stream import open_stream
     from gridtrack.reports.python_api import Run, compare
-    from gridtrack.trackers.contract import Forecast, StreamSpec, TrackedObject, Tracker
+    from gridtrack.trackers.contract import FitTask, Forecast, Objective, StreamSpec, TrackedObject, Tracker
 
     __version__: str
 
@@ -48,6 +48,7 @@ _HOMES = {
     "GridFrame": "common.grid",
     "GridSpec": "common.grid",
     "GridtrackError": "common.errors",
+    "Objective": "trackers.contract",
     "Run": "reports.python_api",
     "Settings": "common.config",
     "StreamSpec": "trackers.contract",

@@ -8,7 +8,6 @@ only. A variant that is not 1.15 times as fast as the fastest of the others is t
 
 from __future__ import annotations
 
-import argparse
 import functools
 import tempfile
 import time
@@ -22,9 +21,10 @@ from torch import Tensor, nn
 
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
+from gridtrack.trackers.recurrent.kernels import convgru, rnn
 from gridtrack.trackers.recurrent.network import Recurrence, State, as_tensor, channels_last
 
-from studies.support.results_file import ResultSection, ResultTable, measured_table, write_section
+from studies.support.results_file import ResultSection, ResultTable, measured_table, study_parser, write_section
 
 SIZE, STEPS = 100, 20
 TOLERANCE = {"float32": 1e-4, "bfloat16": 0.05}
@@ -171,9 +171,9 @@ def compared(found: dict[str, Any], rounds: int) -> dict[str, dict[str, float]]:
     medians_ms: dict[str, dict[str, float]] = {name: {} for name in found}
     for case, (steps, call) in CASES.items():
         calls = {name: lambda name=name, call=call: call(found[name], states[name]) for name in found}
-        for name, ms in processor_times_ms(calls, max(3, rounds // steps)).items():
-            medians_ms[name][case] = float(np.median(ms))
-            print(f"  {case:22} {name:24} median {medians_ms[name][case]:7.2f} ms, least {ms.min():7.2f} ms")
+        for name, times_ms in processor_times_ms(calls, max(3, rounds // steps)).items():
+            medians_ms[name][case] = float(np.median(times_ms))
+            print(f"  {case:22} {name:24} median {medians_ms[name][case]:7.2f} ms, least {times_ms.min():7.2f} ms")
     for precision in TOLERANCE:
         ms = {name: each[FORECAST] for name, each in medians_ms.items() if name.endswith(precision)}
         if (ours := ms.pop(f"ours, {precision}", None)) is not None:
@@ -190,13 +190,14 @@ def table_of(name: str, medians_ms: dict[str, dict[str, float]]) -> ResultTable:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = study_parser(__doc__)
     parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--peers", action="store_true", help="time torch.compile and ONNX Runtime too")
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/recurrent.json")
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    tables, values = {}, {}
+    tables: dict[str, ResultTable] = {}
+    values: dict[str, str] = {}
     for name, kind, kernels in (
         ("dilated-convgru", DilatedConvGRUTracker, convgru),
         ("deep-tracking-rnn", DeepTrackingRNNTracker, rnn),

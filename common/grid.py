@@ -106,7 +106,7 @@ class GridFrame:
     >>> from gridtrack.recordings.stream import open_stream
     >>> frame = next(iter(open_stream(packaged_recording("leg_tracker"))))
     >>> frame.visible.shape, int(frame.occupied.sum()), frame.points.shape
-    ((100, 100), 0, (0, 2))
+    ((100, 100), 60, (60, 2))
     """
 
     stamp_ns: int

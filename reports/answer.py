@@ -9,7 +9,7 @@ from typing import Literal
 
 from gridtrack.evaluation.runs.summary import TrackerSummary, TrialSummary
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
-from gridtrack.reports.differences import SIGNIFICANT
+from gridtrack.reports.differences import SIGNIFICANT_VERDICTS
 from gridtrack.reports.measurements import keeps_up_of
 from gridtrack.reports.notices import failures_of
 from gridtrack.reports.run import ReportedRun
@@ -27,7 +27,7 @@ UNTIMED = "not measured: gridtrack compare --latency measures it"
 KEEPING_UP = ("no", "updates only", "yes")
 """From the worst: a tracker has the worst of its recordings."""
 
-Standing = Literal["different", "alike", ""]
+RowStanding = Literal["different", "alike", ""]
 """The result of the tests of a row against those at the top: significantly different, not so, or not tested."""
 
 
@@ -112,13 +112,15 @@ class _MainResult:
         floor = f"{_names(self._floor)} has {self._column.title_with_article} of {self._text(self._floor)}"
         return f"No tracker beats the floor on {self._place}: {floor}, {best} {self._text(self._top)}"
 
-    def _standings_of(self, others: Sequence[TableRow]) -> dict[str, Standing]:
+    def _standings_of(self, others: Sequence[TableRow]) -> dict[str, RowStanding]:
         """By the key of each row its standing against all rows at the top, in the tests of the decisive score."""
         verdicts = self._verdicts()
-        found: dict[str, Standing] = {}
+        found: dict[str, RowStanding] = {}
         for row in others:
             own = [verdict for one in self._top if (verdict := verdicts.get(frozenset((one.key, row.key))))]
-            found[row.key] = "" if not own else "different" if all(one in SIGNIFICANT for one in own) else "alike"
+            found[row.key] = (
+                "" if not own else "different" if all(one in SIGNIFICANT_VERDICTS for one in own) else "alike"
+            )
         return found
 
     def _verdicts(self) -> dict[frozenset[str], str]:
@@ -133,7 +135,7 @@ class _MainResult:
             for test in family.pairs
         }
 
-    def _of_floor(self) -> Standing:
+    def _of_floor(self) -> RowStanding:
         """The standing of the best rows of the floor together: one that does not differ decides."""
         found = {self._standings[row.key] for row in self._floor}
         return "alike" if "alike" in found else "different" if "different" in found else ""

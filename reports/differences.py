@@ -22,7 +22,7 @@ from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow, name_in, name_of
 
-SIGNIFICANT = ("better", "worse")
+SIGNIFICANT_VERDICTS = ("better", "worse")
 """Verdicts on rows that differ significantly."""
 
 
@@ -148,7 +148,7 @@ def groups_of(family: PairFamily) -> tuple[tuple[str, ...], ...]:
     as letters). A row that differs from all others is in none.
     """
     labels = list(dict.fromkeys(label for test in family.pairs for label in (test.tracker, test.other)))
-    alike = {frozenset((test.tracker, test.other)) for test in family.pairs if test.verdict not in SIGNIFICANT}
+    alike = {frozenset((test.tracker, test.other)) for test in family.pairs if test.verdict not in SIGNIFICANT_VERDICTS}
     pairs = ((one, other) for i, one in enumerate(labels) for other in labels[i + 1 :])
     left, groups = [pair for pair in pairs if frozenset(pair) in alike], []
     while left:

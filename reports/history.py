@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PANEL_INCHES, LEAST_INCHES, ENTRY_INCHES = 1.7, 6.0, 0.3
+HISTORY_PANEL_INCHES, LEAST_INCHES, ENTRY_INCHES = 1.7, 6.0, 0.3
 """Height of a panel, width of the smallest figure, and the width of an entry."""
 DRAWN_STRATA = ("dynamic", "in-motion", "visible", "occluded")
 """Strata with a panel of F1 in the middle step band; any other score has one once it was worse."""
@@ -61,7 +61,7 @@ def history_svg(entries: Sequence[HistoryEntry]) -> str:
     with matplotlib.rc_context(SETTINGS), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a name in a script that the font lacks is drawn as boxes
         width = max(LEAST_INCHES, ENTRY_INCHES * len(entries))
-        figure = Figure((width, PANEL_INCHES * len(panels) + 1.0), layout="constrained")
+        figure = Figure((width, HISTORY_PANEL_INCHES * len(panels) + 1.0), layout="constrained")
         axes = figure.subplots(max(len(panels), 1), sharex=True, squeeze=False)[:, 0]
         for axis, (title, lines) in zip(axes, panels, strict=False):
             axis.set_title(title, fontsize=8, fontweight="bold", loc="left", parse_math=False)

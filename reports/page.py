@@ -25,7 +25,7 @@ from gridtrack.reports.pictures import scale_png
 from gridtrack.reports.player import players_of
 from gridtrack.reports.priors import priors_of
 from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, chosen_runs, read_runs
-from gridtrack.reports.run_description import changes_of, facts_of, provenance_of, title_of
+from gridtrack.reports.run_description import changes_of, provenance_of, run_facts, title_of
 from gridtrack.reports.score_figures import score_figures
 from gridtrack.reports.scripts import data_in_page, joined_script, json_in_page, policy_of
 from gridtrack.reports.strata_tables import StrataTable, strata_tables
@@ -82,7 +82,7 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
             title=title_of(runs),
             answers=[answer_of(run) for run in runs],
             changes=changes_of(runs) if len(runs) > 1 else (),
-            runs=[(run, facts_of(run, {table.recording for table in tables}), provenance_of(run)) for run in runs],
+            runs=[(run, run_facts(run, {table.recording for table in tables}), provenance_of(run)) for run in runs],
             notices=[Notice(text, serious=True) for text in (*damaged, *unreadable, *unread)]
             + ([Notice(LEFT_OUT.format(left_out, sum(not table.pooled for table in every)))] if left_out else [])
             + notices_of(runs, every),

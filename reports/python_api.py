@@ -51,7 +51,7 @@ class Run:
         """Every score, a row for each recording, tracker, stratum and step, pooled ones as "all recordings".
 
         Columns: `recording`, `tracker` (its label), `outcome`, `stratum`, `step`, `horizon_s`, and each score of
-        docs/scores.md by its name in summary.json, with the ends of its 95 % interval (`f1`, `f1_low`, `f1_high`, ...).
+        docs/scores.md by its name in summary.json, with the ends of its 95 % interval (`f1`, `f1 low`, `f1 high`, ...).
         Null if a score is undefined, or has no interval.
         """
         return score_frame(self.summary)
@@ -61,7 +61,7 @@ class Run:
         """Paired differences from the reference at the headline horizons, a row for each test, with its verdict.
 
         Columns: `recording`, `tracker`, `reference`, `units`, and the results of the test: `stratum`, `horizon_s`,
-        `f1`, `f1_low`, `f1_high`, `f1_p`, `p_holm`, `verdict`, and the same of other scores.
+        `f1`, `f1 low`, `f1 high`, `f1 p`, `p_holm`, `verdict`, and the same of other scores.
         """
         return difference_frame(self.summary)
 

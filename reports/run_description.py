@@ -44,7 +44,7 @@ def title_of(runs: Sequence[ReportedRun]) -> str:
     return f"{trackers} on {recordings[0] if len(recordings) == 1 else f'{len(recordings)} recordings'}"
 
 
-def facts_of(run: ReportedRun, recordings: Collection[str]) -> tuple[Fact, ...]:
+def run_facts(run: ReportedRun, recordings: Collection[str]) -> tuple[Fact, ...]:
     """The run's own of `recordings`, its command, machine and versions, as far as its folder holds them."""
     facts = [Fact(f"recording {name}", _recording(run, name)) for name in run.recordings if name in recordings]
     record = run.record

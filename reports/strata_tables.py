@@ -38,6 +38,11 @@ class StrataTable:
     """Whether the ranked rows are in another order at another threshold."""
 
     @property
+    def has_p(self) -> bool:
+        """Whether any difference has a p-value."""
+        return any(less is not None and less.p for _, cells in self.rows for _, less in cells)
+
+    @property
     def groups(self) -> tuple[tuple[str, int], ...]:
         """The headings of the groups of columns, and the number of columns in each."""
         return grouped(self.columns)
@@ -49,23 +54,24 @@ def strata_tables(table: HeadlineTable, run: ReportedRun | None) -> Iterator[Str
         yield hidden
     for score in dict.fromkeys(column.score.name for column in _own_columns(table)):
         columns = [column for column in _own_columns(table) if column.score.name == score]
-        if made := _made(table, run, columns[0].score.title, columns[0].score.about, columns):
+        if made := _made(table, run, columns[0].score.title, columns[0].score.about.replace("`", ""), columns):
             yield made
 
 
 def _hidden_columns(table: HeadlineTable) -> Iterator[TableColumn]:
-    """Every output by which trackers are compared, on hidden cells at the detail horizon."""
+    """The tested scores on hidden cells at the detail horizon, at every tested threshold."""
     step, heading = table.decisive.step, table.decisive.heading
-    for score in table.scores:
-        for output in score.outputs:
-            if output.tested and score.compared_with == "occupancy":
+    for score in (one for one in table.scores if one.compared_with == "occupancy"):
+        for output in score.outputs if score.thresholded else (score.lead,):
+            if output.tested:
                 yield TableColumn(f"{OCCLUDED}, {heading}", output.heading, OCCLUDED, score, output, step)
 
 
 def _own_columns(table: HeadlineTable) -> Iterator[TableColumn]:
-    """The leading output of each score that is not defined on the cells of the main table, in each of its strata.
+    """The scores that are not defined on the cells of the main table, in each of their strata.
 
-    Of scores of classes also now, where the class of what is visible is a question of its own.
+    Of a score its lead, and beside a loss an output of which higher is better. Scores of classes also now: the class of
+    a visible cell is a question of its own.
     """
     trials = [row.trial for row in table.rows]
     for score in table.scores:
@@ -73,10 +79,12 @@ def _own_columns(table: HeadlineTable) -> Iterator[TableColumn]:
         if MAIN_STRATUM in strata or set(strata) <= {OCCLUDED}:
             continue
         steps = (0, table.decisive.step) if score.compared_with == "classes" else (table.decisive.step,)
-        for stratum in strata:
+        beside = [one for one in score.outputs if one.direction > 0 > score.lead.direction]
+        for output in (score.lead, *beside):
             for step in steps:
                 when = horizon_text(table.horizons_s[step]) if step else "now"
-                yield TableColumn(score.lead.heading, f"{stratum}, {when}", stratum, score, score.lead, step)
+                for stratum in strata:
+                    yield TableColumn(f"{output.heading}, {when}", stratum, stratum, score, output, step)
 
 
 def _made(

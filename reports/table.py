@@ -10,7 +10,7 @@ from typing import Literal
 from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.runs.finished import HEADLINE_HORIZONS_S, HEADLINE_STRATA
 from gridtrack.evaluation.runs.summary import (
-    UNKNOWN,
+    NO_ESTIMATE,
     OutputDescription,
     PointEstimate,
     ScoreDescription,
@@ -82,7 +82,7 @@ class TableColumn:
 class TableCell:
     """One score with its confidence interval, and whether it is the best of its column among complete trials."""
 
-    estimate: PointEstimate = UNKNOWN
+    estimate: PointEstimate = NO_ESTIMATE
     decimals: int = 3
     best: bool = False
 

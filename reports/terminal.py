@@ -14,7 +14,7 @@ from rich.table import Table
 from gridtrack.common.errors import printable, printable_lines
 from gridtrack.evaluation.runs.finished import HEADLINE_STRATA
 from gridtrack.reports.answer import answer_of
-from gridtrack.reports.differences import SIGNIFICANT, DifferenceTable, difference_table
+from gridtrack.reports.differences import SIGNIFICANT_VERDICTS, DifferenceTable, difference_table
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import HeadlineTable, headline_tables, main_tables
@@ -89,7 +89,7 @@ def _decisive_differences(differences: DifferenceTable, table: HeadlineTable) ->
     found = {}
     for row in (one for one in differences.rows if one.leads):
         cell = row.cells[nearest] if row.cells else None
-        mark = "" if cell is None or cell.verdict in SIGNIFICANT else CHANCE
+        mark = "" if cell is None or cell.verdict in SIGNIFICANT_VERDICTS else CHANCE
         found[row.tracker] = "not compared" if cell is None else f"{cell.value}{mark} {cell.interval}"
     return found
 

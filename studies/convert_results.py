@@ -7,13 +7,15 @@ last result of 0.2.
 
 from __future__ import annotations
 
-import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from gridtrack.evaluation.runs.summary import RunSummary, ScoreDescription
 from gridtrack.evaluation.scores.registry import built_in
+
+from studies.support.results_file import study_parser
 
 OUTPUTS = {
     "f1": ("f1", "f1"),
@@ -57,11 +59,11 @@ ENDS = ("low", "high", "p")
 Json = dict[str, Any]
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Replace the files that the command line names."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = study_parser(__doc__)
     parser.add_argument("files", type=Path, nargs="+")
-    for path in parser.parse_args().files:
+    for path in parser.parse_args(arguments).files:
         old = json.loads(path.read_text("utf-8"))
         if old["schema"] == 2:
             new = RunSummary.model_validate(converted(old))

@@ -39,6 +39,7 @@ from studies.support.results_file import ResultTable, measured_table, study_pars
 
 COMMAND = "python -m studies.coverage"
 Floats = NDArray[np.float64]
+Counts = NDArray[np.int64]
 
 MEMORIES = {
     "2 s": {2.0: 1.0},
@@ -67,9 +68,9 @@ IN_COMMON = (0.64, 1.0)
 """The share of the variance of each deviation that the rows of a tracker have in common."""
 
 
-def f1_of(tp: Floats, fp: Floats, occupied: Floats) -> Ratio:
+def f1_of(tp: Counts, fp: Counts, occupied: Counts) -> Ratio:
     """F1 of counts of cells (...)."""
-    return Ratio(2.0 * tp, 1.0 * (tp + fp + occupied), counted=True)
+    return Ratio((2 * tp).astype(np.float64), (tp + fp + occupied).astype(np.float64), counted=True)
 
 
 def pooled(f1: Ratio) -> Floats:
@@ -104,7 +105,8 @@ def blocks_hold(frames: int, memory_s: Mapping[float, float], draws: int, rng: n
         f1 = one_recording(frames, memory_s, rng)
         block_s = shortest_block_s(autocorrelation_time(residuals(f1.part[:, None], f1.whole[:, None])), None)
         (units,) = UnitRule(("one",), block_s).units_of([np.arange(frames) * 1_000_000_000])
-        by_unit = Ratio(np.bincount(units, f1.part), np.bincount(units, f1.whole), counted=True)
+        part, whole = (np.bincount(units, side).astype(np.float64) for side in (f1.part, f1.whole))
+        by_unit = Ratio(part, whole, counted=True)
         drawn = interval(ratio_replicates(by_unit), "odds")
         if not np.isnan(drawn.low):
             found.append(bool(drawn.low <= truth <= drawn.high))

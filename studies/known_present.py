@@ -24,8 +24,8 @@ from gridtrack.evaluation.referee.referee import Delivery, TrackerLike, scored_f
 from gridtrack.evaluation.referee.splits import EvaluationSplit, Sampling, plan_splits
 from gridtrack.evaluation.runs.oracle import Oracle, expected_grid
 from gridtrack.evaluation.scores.cells import Tally, count_cells
+from gridtrack.evaluation.scores.f1 import f1_of
 from gridtrack.evaluation.scores.thresholds import best_thresholds
-from gridtrack.evaluation.scoring import metrics
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.baselines import PersistenceTracker
@@ -137,7 +137,7 @@ def f1_tables(splits: Iterable[EvaluationSplit]) -> dict[str, ResultTable]:
         for name, forecaster in FORECASTERS.items():
             total[name] += confusion_of(forecaster, split)
         print(f"{split.name}: done", flush=True)
-    f1 = {name: metrics.f1_score(counts) for name, counts in total.items()}
+    f1 = {name: f1_of(counts) for name, counts in total.items()}
     return {
         stratum: measured_table(
             (f"F1, {stratum}", *(f"{horizon_s:g} s" for horizon_s in HORIZONS_S)),

@@ -1,15 +1,14 @@
-"""Label budget: the log loss of a scan's classes by the number of labelled scans and by how they are drawn.
+"""Label budget: log loss of the classes of a scan, by the number of labelled scans and how they are drawn.
 
-`python -m studies.label_budget` (hours on one core); rows that are in the file `--out` are not measured again. Of the
-junction's training recording 50, 100, 200, 400 and 800 scans are labelled, spread over it or in a row, with three
-seeds. The network is the shipped one and is not trained. The settings of the shipped classifiers are kept (chosen once,
-with 800 scans), the best state of each training is chosen on the validation recording, and the referee's own counts are
-taken on test recordings, a forecast every 2 s.
+`python -m studies.label_budget` (hours on one core). From the junction's training recording 50, 100, 200, 400 and 800
+scans are labelled, spread over it or consecutive, with three seeds. The network ships and is not trained. The
+classifiers have the shipped settings, which were chosen with 800 scans; the state of a training is chosen on the
+validation recording. Scores are the referee's counts on test recordings, with a forecast every 2 s. Rows that the file
+`--out` has are not measured again.
 """
 
 from __future__ import annotations
 
-import argparse
 import statistics
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -24,27 +23,25 @@ from torch import Tensor
 
 from gridtrack.common.config import validated
 from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
-from gridtrack.evaluation.referee.referee import Delivery, Schedule
 from gridtrack.evaluation.referee.targets import Target
-from gridtrack.evaluation.scores.class_log_loss import VISIBILITIES, Matching, count_classes, match_classes
+from gridtrack.evaluation.scores.class_log_loss import Matching, match_classes
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.contract import FitTask
 from gridtrack.trackers.one_shot import OneShotSettings
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
-from gridtrack.trackers.recurrent.settings import DilatedConvGRUOptions
+from gridtrack.trackers.recurrent.settings import DilatedConvGRUOptions, EvidenceOption
 from gridtrack.trackers.recurrent.transfer import fit_decoder, fit_seen_cells, latent_cells
 from gridtrack.trackers.training.cell_classifier import planes_of, scan_classifier
 from gridtrack.trackers.training.cell_training import best_classifier
 from gridtrack.trackers.training.labelled_scans import VALIDATE_ON, LabelSettings, draw_labelled
 from gridtrack.trackers.training.weights import read_card
 
-from studies.support.label_table import BUDGETS, COLUMNS, DRAWINGS, append_row, budget_table, read_rows
-from studies.support.shipped import JUNCTION, STEPS, WEIGHTS, junction_tests, shipped_tracker
+from studies.class_losses import AHEAD, add_losses, deliver, no_losses
+from studies.label_curve import BUDGETS, DASHES, append_row, read_rows, summary
+from studies.support.results_file import study_parser
+from studies.support.shipped import JUNCTION, WEIGHTS, junction_tests, shipped_tracker
 
 SEEDS = (1, 2, 3)
-AHEAD, EVERY = 8, 16
-"""The later step that is scored (1 s), and frames from one scored forecast to the next (2 s)."""
 
 Classify = Callable[["Reading"], NDArray[np.float32]]
 """The class probabilities (2, K, M, M) of a reading."""
@@ -52,7 +49,7 @@ Classify = Callable[["Reading"], NDArray[np.float32]]
 
 @dataclass(frozen=True)
 class Reading:
-    """A scored frame, the decoder's input (2, C, M, M) float16 now and AHEAD, and the targets of both."""
+    """A scored frame, the input of the decoder (2, C, M, M) float16 now and AHEAD, and the targets of both."""
 
     frame: GridFrame
     state: Tensor
@@ -69,7 +66,7 @@ class Budget:
 
 
 def shipped_options() -> tuple[OneShotSettings, DilatedConvGRUOptions]:
-    """The settings of the classifiers that ship, so that they are not searched again."""
+    """The settings of the shipped classifiers."""
     shot, state = (read_card(WEIGHTS / name / "junction.toml").settings for name in ("one-shot", "dilated-convgru"))
     return validated(OneShotSettings, shot, "card"), validated(DilatedConvGRUOptions, state, "card")
 
@@ -81,21 +78,20 @@ def latent_tracker(source: GridStream) -> DilatedConvGRUTracker:
     return tracker
 
 
-def readings(name: str, options: DilatedConvGRUOptions) -> Iterator[Reading]:
-    """Of one test recording, at the frames that a comparison `--every 2s` scores."""
-    stream = open_stream(JUNCTION / f"{name}.tracks")
-    schedule, tracker = Schedule(len(stream), STEPS, EVERY), latent_tracker(stream)
-    no_kinds = Regions(stream.grid, KindsOfWindow(np.zeros(stream.grid.shape, np.uint8)))
-    frames: list[Target] = []
-    pending: list[tuple[int, Tensor]] = []
-    tracker.reset(0)
-    for index, moment in enumerate(Delivery(stream, lambda: None, no_kinds)):
-        frames.append(moment.target)
-        tracker.update(moment.frame)
-        if schedule.due(index):
-            pending.append((index, states(tracker, options)))
-    for index, state in pending:
-        yield Reading(frames[index].frame, state, [frames[index], frames[index + AHEAD]])
+def readings(recording: Path, options: DilatedConvGRUOptions) -> Iterator[Reading]:
+    """The scored frames of a test recording."""
+    stream = open_stream(recording)
+    tracker = latent_tracker(stream)
+    inputs = []
+
+    def update(frame: GridFrame, due: bool) -> None:
+        tracker.update(frame)
+        if due:
+            inputs.append((frame, states(tracker, options)))
+
+    targets = deliver(stream, update)
+    for (frame, state), of_forecast in zip(inputs, targets, strict=True):
+        yield Reading(frame, state, of_forecast)
 
 
 @torch.no_grad()
@@ -109,16 +105,11 @@ def states(tracker: DilatedConvGRUTracker, options: DilatedConvGRUOptions) -> Te
 
 
 def losses(classify: Classify, test: Sequence[Reading], matching: Matching) -> dict[str, float]:
-    """Mean log loss of a scan in each of COLUMNS, nats: the referee's counts."""
-    per_scan: dict[str, list[float]] = {column: [] for column in COLUMNS}
+    """Mean log loss per scan by column, nats."""
+    found = no_losses()
     for reading in test:
-        confusion, log_loss = count_classes(classify(reading), reading.targets, matching)
-        cells, loss = confusion.sum(axis=(-2, -1)), log_loss.sum(axis=(-2, -1))
-        for column, (step, kind) in COLUMNS.items():
-            entry = step, VISIBILITIES.index(kind)
-            if cells[entry]:
-                per_scan[column].append(float(loss[entry] / cells[entry]))
-    return {column: statistics.fmean(values) for column, values in per_scan.items()}
+        add_losses(found, classify(reading), reading.targets, matching)
+    return {column: statistics.fmean(values) for column, values in found.items()}
 
 
 def no_objective(*_: Any) -> NoReturn:
@@ -127,7 +118,7 @@ def no_objective(*_: Any) -> NoReturn:
 
 
 def trained(whole: GridStream, budget: Budget) -> tuple[tuple[str, ...], dict[str, Classify]]:
-    """The classes learned from the labelled scans of a budget, and the classifiers of each method."""
+    """The classes in the labelled scans of a budget, and a classifier for each method."""
     shot, options = shipped_options()
     drawing = validated(LabelSettings, {"labelled_scans": budget.scans, "label_drawing": budget.drawing}, "study")
     labelled, tracker, held_out_on = draw_labelled([whole], drawing, budget.seed), latent_tracker(whole), validation()
@@ -150,19 +141,16 @@ def trained(whole: GridStream, budget: Budget) -> tuple[tuple[str, ...], dict[st
         probabilities = torch.softmax(scan(planes_of(reading.frame)[None].float()), dim=1).numpy()
         return np.repeat(probabilities, 2, axis=0)
 
-    @torch.no_grad()
-    def of_state(reading: Reading) -> NDArray[np.float32]:
-        semantics: NDArray[np.float32] = torch.softmax(decoder.classifier(reading.state.float()), dim=1).numpy()
-        seen.apply_to(semantics[0], reading.frame, "state")
-        return semantics
+    def decoded(evidence: EvidenceOption) -> Classify:
+        @torch.no_grad()
+        def classify(reading: Reading) -> NDArray[np.float32]:
+            semantics: NDArray[np.float32] = torch.softmax(decoder.classifier(reading.state.float()), dim=1).numpy()
+            seen.apply_to(semantics[0], reading.frame, evidence)
+            return semantics
 
-    @torch.no_grad()
-    def of_both(reading: Reading) -> NDArray[np.float32]:
-        semantics: NDArray[np.float32] = torch.softmax(decoder.classifier(reading.state.float()), dim=1).numpy()
-        seen.apply_to(semantics[0], reading.frame, "scan")
-        return semantics
+        return classify
 
-    return classes, {"one-shot": of_scan, "latent": of_state, "latent and scan": of_both}
+    return classes, {"one-shot": of_scan, "latent": decoded("state"), "latent and scan": decoded("scan")}
 
 
 def validation() -> GridStream:
@@ -170,29 +158,28 @@ def validation() -> GridStream:
     return open_stream(JUNCTION / "validation.tracks")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--out", type=Path, default=Path("runs/label_budget.csv"))
-    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS, help="seeds of the draws to measure now")
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = study_parser(__doc__)
+    parser.add_argument("--out", type=Path, default=Path("runs/label_budget.csv"), help="default: %(default)s")
+    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS, help="of the draws")
     parser.add_argument("--budgets", type=int, nargs="+", default=BUDGETS, help="numbers of labelled scans")
-    parser.add_argument("--recordings", type=int, default=20, help="test recordings to score on, out of twenty")
-    arguments = parser.parse_args()
+    parser.add_argument("--recordings", type=int, default=20, help="number of test recordings, of twenty")
+    given = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    done = {(row["drawing"], int(row["draw"]), int(row["scans"])) for row in read_rows(arguments.out)}
-    wanted = [Budget(*one) for one in product(DRAWINGS, arguments.seeds, arguments.budgets) if one not in done]
+    done = {(row["drawing"], int(row["draw"]), int(row["scans"])) for row in read_rows(given.out)}
+    wanted = [Budget(*one) for one in product(DASHES, given.seeds, given.budgets) if one not in done]
     if wanted:
-        names = [path.stem for path in junction_tests()]
-        options = shipped_options()[1]
-        some = names[:: -(-len(names) // arguments.recordings)]
-        test = [reading for name in some for reading in readings(name, options)]
+        every, options = junction_tests(), shipped_options()[1]
+        some = every[:: -(-len(every) // given.recordings)]
+        test = [reading for path in some for reading in readings(path, options)]
         whole = open_stream(JUNCTION / "train.tracks")
     for budget in wanted:
         classes, methods = trained(whole, budget)
         matching = match_classes(classes, whole.classes)
         for method, classify in methods.items():
             row = {"method": method, "drawing": budget.drawing, "scans": budget.scans, "draw": budget.seed}
-            append_row(arguments.out, row | {"classes": len(classes)} | losses(classify, test, matching))
-    print(budget_table(arguments.out).markdown())
+            append_row(given.out, row | {"classes": len(classes)} | losses(classify, test, matching))
+    print(summary(read_rows(given.out)).text())
 
 
 if __name__ == "__main__":

@@ -91,7 +91,8 @@ def compared(drive: Drive, recording: str, rows: Sequence[str], folder: Path) ->
     found = {}
     for label, entry in run.summary.trackers.items():
         (trial,) = entry.recordings.values()
-        f1 = [trial.strata[stratum].f1[-1] if stratum in trial.strata else None for stratum in STRATA]
+        (described,) = run.summary.recordings.values()
+        f1 = [trial.at(stratum, "f1", "f1", len(described.horizons_s) - 1).value for stratum in STRATA]
         found[label] = ["" if value is None else f"{value:.2f}" for value in f1]
     return found
 

@@ -9,9 +9,8 @@ where a trial is missing or differs.
 
 from __future__ import annotations
 
-import argparse
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,9 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.runs.sums import SUMS_FILE, Layout, TrialSums
 from gridtrack.evaluation.scores.beam_error import BINS
 from gridtrack.evaluation.scores.cells import CALIBRATION_BINS, FIRST_OF_CALIBRATION_BIN, PROBABILITY_BINS
-from gridtrack.evaluation.scores.fss import SCALES
+from gridtrack.evaluation.scores.neighbourhoods import SCALES
+
+from studies.support.results_file import study_parser
 
 Sums = dict[str, NDArray[np.float64]]
 """By score the sums (F, S, K, P)."""
@@ -29,16 +30,16 @@ ADDITIONS = 1e-12
 """Relative difference of a sum in another order."""
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Print one line for each trial; exit with 1 where any differs."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = study_parser(__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("other", type=Path)
-    arguments = parser.parse_args()
-    trials = sorted(_trials(arguments.run) | _trials(arguments.other))
+    given = parser.parse_args(arguments)
+    trials = sorted(_trials(given.run) | _trials(given.other))
     differing = 0
     for trial in trials:
-        found = list(differences(arguments.run / trial, arguments.other / trial))
+        found = list(differences(given.run / trial, given.other / trial))
         print(f"{trial}: {'; '.join(found) or 'equal'}")
         differing += bool(found)
     print(f"{len(trials)} trials: {f'{differing} differ' if differing or not trials else 'all sums are equal'}")

@@ -51,7 +51,7 @@ REPLACED = {
     "young": "the velocity of tracks visible for at most one second",
 }
 """The parts that the truth replaces, and their names in the table."""
-TRACKERS: dict[str, type[ModelFreeTracker]] = {kind.name: kind for kind in (KalmanTracker, FactorGraphTracker)}
+TRACKERS: dict[str, type[ModelFreeTracker]] = {"kalman": KalmanTracker, "factor-graph": FactorGraphTracker}
 
 
 class TrueFrame(NamedTuple):
@@ -238,7 +238,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         gains |= {f"gain, {name}: {c}": f"{v - w:.3f}" for c, v, w in zip(columns, values, without, strict=True)}
     table = measured_table([f"{registered_name(kind)}, with the truth of", *columns], rows)
     print(table.markdown())
-    write_table(given.out, "stage costs", table, f"python -m studies.stage_costs {kind.name}", gains)
+    write_table(given.out, "stage costs", table, f"python -m studies.stage_costs {registered_name(kind)}", gains)
 
 
 if __name__ == "__main__":

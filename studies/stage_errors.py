@@ -199,14 +199,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for stretch in given.stretches:
         stream = open_stream(f"{JUNCTION / 'validation.tracks'}@{stretch}")
         kind = TRACKERS[given.tracker]
-        tracker = with_shipped_weights(kind, kind.name, stream)
+        tracker = with_shipped_weights(kind, given.tracker, stream)
         measure_stretch(tracker, list(stream.observations()), found, forecasts)
     parts = {steps: [np.concatenate(part) for part in zip(*forecasts[steps], strict=True)] for steps in AHEAD}
     classes = tracker.stream.classes
     rows = [class_row(name, label, found, parts) for label, name in enumerate(classes)]
     table = measured_table([registered_name(kind), *COLUMNS], [row for row in rows if row])
     print(table.markdown())
-    write_table(given.out, "stages", table, f"python -m studies.stage_errors {kind.name}")
+    write_table(given.out, "stages", table, f"python -m studies.stage_errors {given.tracker}")
 
 
 def class_row(name: str, label: int, found: Found, parts: dict[int, list[NDArray[Any]]]) -> list[str]:

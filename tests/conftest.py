@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -101,6 +102,31 @@ def serious_findings() -> Callable[[Any], list[tuple[str, str]]]:
         return [(one["id"], one["nodes"][0]["html"]) for one in violations if one["impact"] in ("serious", "critical")]
 
     return found
+
+
+class Done(NamedTuple):
+    """A command that has ended: its exit code and its output."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def gridtrack(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Done]:
+    """`gridtrack(*words)` runs the command in this process, as from a terminal."""
+    from gridtrack.cli import main
+
+    def gridtrack(*words: object) -> Done:
+        monkeypatch.setattr(sys, "argv", ["gridtrack", *map(str, words)])
+        capsys.readouterr()
+        try:
+            main()
+        except SystemExit as end:
+            return Done(int(end.code or 0), *capsys.readouterr())
+        return Done(0, *capsys.readouterr())
+
+    return gridtrack
 
 
 @pytest.fixture

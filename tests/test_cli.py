@@ -45,7 +45,7 @@ NOT_OF_A_COMPARISON = "points= and weights= are for rows of a comparison"
         (("compare", DEMO, "--tracker", "kalmann"), "there is no tracker 'kalmann'; did you mean 'kalman'?"),
         (("compare", DEMO, "--tracker", "static-map:prior_frame=1"), "did you mean 'prior_frames'?"),
         (("compare", DEMO, "--tracker", "static-map:prior_frames=1e999"), "'prior_frames'"),
-        (("compare", DEMO, "--score", "mine"), "no score 'mine' is installed"),
+        (("compare", DEMO, "--score", "mine"), "--score: no score 'mine' is installed"),
         (("compare", DEMO, "--format", "mine"), "no recording format 'mine'; known: carmen"),
         (("train", "static-map:points=raw", DEMO), NOT_OF_A_COMPARISON),
         (("regress", "run", "--baseline", "b.json", "--update", "--json"), "--json: --update judges nothing"),

@@ -18,8 +18,8 @@ import pytest
 from docs.definitions import PACKAGES, definitions
 
 ROOT = Path(__file__).parents[1]
-CONVENTIONAL = ("app", "main")
-"""Names that may be defined in several modules: the typer application and the entry point of a command."""
+CONVENTIONAL = ("app", "main", "INFERENCE", "TRAINING")
+"""Names that several modules may define: the application and entry point of a command, the kernels of a network."""
 HEAVY = (
     "torch", "lightning", "gtsam", "kiss_icp", "ray", "submitit", "sklearn", "optuna", "filterpy", "numba", "rosbags",
     "scipy", "polars", "pyarrow", "numpy", "pydantic", "rerun",

@@ -55,7 +55,7 @@ def test_scores_are_a_row_for_each_tracker_stratum_and_step(compared):
     trial = compared.summary.trackers["persistence"].recordings["leg_tracker@114s-124s"]
     assert row["f1"].to_list() == [trial.at("dynamic", "f1", "f1", 10).value]
     assert row["step"].to_list() == [10]
-    assert row["f1_low"].to_list() == [None]
+    assert row["f1 low"].to_list() == [None]
 
 
 def test_differences_are_a_row_for_each_headline_test(compared):

@@ -15,6 +15,8 @@ from gridtrack.trackers.training.weights import read_card
 
 from scenes.command_line import gridtrack
 
+pytestmark = pytest.mark.usefixtures("trackers_here")
+
 DEMO = str(packaged_recording("leg_tracker"))
 
 

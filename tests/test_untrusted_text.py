@@ -56,7 +56,7 @@ def test_topics_are_counted_up_to_a_limit_but_for_those_with_scans() -> None:
 
 
 def test_a_reason_in_a_file_of_results_is_bounded_when_it_is_read(tmp_path: Path) -> None:
-    fields = {"schema": 2, "label": "a", "recording": "b", "outcome": "crashed", "steps": 1}
+    fields = {"schema": 3, "label": "a", "recording": "b", "outcome": "crashed", "steps": 1}
     content = json.dumps({**fields, "reason": HOSTILE[:-1] * 100_000})
     (tmp_path / OUTCOME_FILE).write_text(content)
     record = read_trial_record(tmp_path)

@@ -45,7 +45,7 @@ YOUNG_S = 60.0
 """Age until which a job claims further tasks: long beside its start, short beside the wait for a node."""
 CLAIM = "claim"
 """The symbolic link in a task's folder; its target is `JOB_ID EARLIER`."""
-POLL_S = 5.0
+SLURM_POLL_S = 5.0
 """Time between two requests for the states of the jobs: Slurm answers all its users with one process."""
 SILENCE_S = 600.0
 """Time without an answer after which Slurm counts as lost: it may restart while its jobs continue."""
@@ -151,9 +151,9 @@ class SlurmCluster:
         return [SlurmTask(job.job_id, folder, job.paths.stderr) for job, folder in zip(jobs, folders, strict=True)]
 
     def ended(self, tasks: Sequence[SlurmTask]) -> Mapping[SlurmTask, TaskEnd]:
-        """The tasks among `tasks` that have ended, by the states of their jobs, which are requested every POLL_S."""
+        """The tasks that have ended, by the states of their jobs, which are requested every SLURM_POLL_S."""
         now = time.monotonic()
-        if now < self._asked_s + POLL_S:
+        if now < self._asked_s + SLURM_POLL_S:
             return {}
         self._asked_s = now
         try:

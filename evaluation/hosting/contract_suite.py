@@ -290,7 +290,7 @@ def is_repeatable(subject: TrackerUnderTest) -> str:
     """Forecast the same scene in two fresh processes."""
     first = subject.fresh_forecasts()
     subject.restart()
-    _require_equal(first, subject.forecasts(subject.scene()), "the same stream with the same seed in two processes")
+    require_equal(first, subject.forecasts(subject.scene()), "the same stream with the same seed in two processes")
     return "two processes have the same forecasts"
 
 
@@ -301,9 +301,9 @@ def predict_keeps_the_state(subject: TrackerUnderTest) -> str:
     often = subject.forecasts(frames, at=[count for count in range(1, STREAM_FRAMES + 1) for _ in range(2)])
     for (count, one), (again, other) in pairwise(often):
         if count == again:
-            _require_equal([(count, one)], [(count, other)], "predicted twice in a row")
+            require_equal([(count, one)], [(count, other)], "predicted twice in a row")
     subject.restart()
-    _require_equal(subject.forecasts(frames, at=[STREAM_FRAMES]), often[-1:], "with and without predictions in between")
+    require_equal(subject.forecasts(frames, at=[STREAM_FRAMES]), often[-1:], "with and without predictions in between")
     return "predicted twice after every frame, or only once at the end"
 
 
@@ -312,9 +312,7 @@ def reset_clears_the_state(subject: TrackerUnderTest) -> str:
     fresh = subject.fresh_forecasts()
     subject.restart()
     subject.forecasts(subject.scene(seed=4), at=[STREAM_FRAMES])
-    _require_equal(
-        fresh, subject.forecasts(subject.scene()), "in a fresh process, and after another stream and a reset"
-    )
+    require_equal(fresh, subject.forecasts(subject.scene()), "in a fresh process, and after another stream and a reset")
     return "the same forecasts as in a fresh process"
 
 
@@ -324,7 +322,7 @@ def is_causal(subject: TrackerUnderTest) -> str:
     subject.restart()
     first = subject.forecasts(subject.scene(turn_seed=2), at=before_turn)
     second = subject.forecasts(subject.scene(turn_seed=3), at=before_turn)
-    _require_equal(first, second, f"two streams that differ only after frame {TURN_FRAME}, one after the other")
+    require_equal(first, second, f"two streams that differ only after frame {TURN_FRAME}, one after the other")
     return f"two streams that differ after frame {TURN_FRAME} have the same forecasts up to that frame"
 
 
@@ -423,7 +421,7 @@ def _works_on(subject: TrackerUnderTest, stream: StreamSpec, what: str) -> str:
     return f"{what}: works"
 
 
-def _require_equal(one: Forecasts, other: Forecasts, what: str) -> None:
+def require_equal(one: Forecasts, other: Forecasts, what: str) -> None:
     """Raise ContractViolationError where two series of forecasts differ."""
     for (count, a), (_, b) in zip(one, other, strict=True):
         difference = _difference(a, b)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-Clock = Literal["tracker", "host"]
-"""`tracker`: the time that it reports, without the transport of messages; `host`: the round trip of each call."""
+from gridtrack.evaluation.referee.deadline import Clock
+
 CLOCK_FACTOR, TRANSPORT_MS = 2.0, 5.0
 """A reported time counts if the round trip takes at most CLOCK_FACTOR times as long, and TRANSPORT_MS more."""
 

@@ -10,16 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Shift, rolled, shift_between
-from gridtrack.evaluation.hosting.timing import Clock
 from gridtrack.evaluation.referee.referee import Schedule, TrackerLike
 from gridtrack.trackers.contract import Forecast
 
+Clock = Literal["tracker", "host"]
+"""`tracker`: the time that it reports, without the transport of messages; `host`: the round trip of each call."""
 RATES = (0.5, 1.0, 2.0, 4.0)
 """Simulated rates of the stream, as multiples of its own rate."""
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from gridtrack.evaluation.regression.judging import TypicalUnit, VerdictRow, judged_on, judged_row
-from gridtrack.evaluation.regression.measurement import Baseline, Measurement, TrialSums, Unmeasured
+from gridtrack.evaluation.regression.measurement import Baseline, MeasuredTrial, Measurement, Unmeasured
 from gridtrack.evaluation.regression.pairing import require_paired
 from gridtrack.evaluation.regression.recoveries import RecoveryRow, compare_recoveries
 from gridtrack.evaluation.regression.rerun import Trials
@@ -103,7 +103,7 @@ def _with_second(run: Measurement, again: Sequence[Measurement]) -> Measurement:
     return run.model_copy(update={"trackers": trackers})
 
 
-def _second_trial(first: TrialSums, second: TrialSums) -> TrialSums:
+def _second_trial(first: MeasuredTrial, second: MeasuredTrial) -> MeasuredTrial:
     if first.weights_sha256 != second.weights_sha256:
         raise Unmeasured(["weights changed since the run: compare again"])
     update = {"units": second.units, "recoveries": second.recoveries, "speed": second.speed or first.speed}

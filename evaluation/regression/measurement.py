@@ -19,10 +19,10 @@ BANDS: dict[str, tuple[float, float]] = {"short": (0.0, 0.5), "middle": (0.5, 1.
 """Horizons of each step band in seconds, above the first and up to the second; step 0, the input frame, is in none."""
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
-Count = Annotated[int, Field(ge=0, le=2**53)]
+WholeNumber = Annotated[int, Field(ge=0, le=2**53)]
 Milliseconds = Annotated[float, Field(gt=0.0, le=1e9)]
-Number = Annotated[float, Field(ge=-1e300, le=1e300)]
-BandSums = dict[str, tuple[Number, ...]]
+FiniteSum = Annotated[float, Field(ge=-1e300, le=1e300)]
+BandSums = dict[str, tuple[FiniteSum, ...]]
 """By step band the sums of a score, in the order of its parts."""
 
 
@@ -69,12 +69,12 @@ class Speed(Settings):
     predict_ms: Milliseconds
 
 
-class TrialSums(Settings):
+class MeasuredTrial(Settings):
     """One tracker on one recording: its units in the order of time, and what was measured in addition to the scores."""
 
     weights_sha256: str = ""
     units: Annotated[tuple[UnitSums, ...], Field(min_length=1, max_length=100_000)]
-    recoveries: Count = 0
+    recoveries: WholeNumber = 0
     """How often the tracker continued after a failure inside it, by its own count."""
     speed: Speed | None = None
     deadline_rates: tuple[float, ...] = ()
@@ -93,7 +93,7 @@ class TrackerSums(Settings):
     program: tuple[str, ...] = ()
     """The program that ran, with its arguments, without its folder."""
     seed: int = 0
-    recordings: Annotated[dict[Name, TrialSums], Field(min_length=1)]
+    recordings: Annotated[dict[Name, MeasuredTrial], Field(min_length=1)]
 
 
 class Measurement(Settings):
@@ -130,7 +130,7 @@ class Measurement(Settings):
                 )
         return self
 
-    def trials(self) -> Iterator[tuple[str, str, TrialSums]]:
+    def trials(self) -> Iterator[tuple[str, str, MeasuredTrial]]:
         """Every trial with its label and recording."""
         for label, entry in self.trackers.items():
             for recording, trial in entry.recordings.items():

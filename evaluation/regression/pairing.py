@@ -9,10 +9,10 @@ from typing import Any
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.regression.measurement import (
     Baseline,
+    MeasuredTrial,
     Measurement,
     SplitKey,
     TrackerSums,
-    TrialSums,
     UnitSums,
     Unmeasured,
 )
@@ -172,7 +172,7 @@ def _other_measurements(baseline: Measurement, run: Measurement) -> Iterator[str
                 yield f"{label}@{name}: measured with {option} {what} in the run: {_as_then(baseline)}"
 
 
-def _unit_mismatch(then: TrialSums, now: TrialSums, cells: Mapping[str, int]) -> str:
+def _unit_mismatch(then: MeasuredTrial, now: MeasuredTrial, cells: Mapping[str, int]) -> str:
     """The reason why the units of two trials do not pair; empty where they do. `cells`: the place of CELLS by score."""
     if len(then.units) != len(now.units):
         return f"{len(then.units)} units in the baseline, {len(now.units)} in the run"

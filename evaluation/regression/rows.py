@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from gridtrack.evaluation.regression.measurement import BANDS, Baseline, Measurement
-from gridtrack.evaluation.scores.definition import Floats, Output, Ratio, ScoreDefinition, Sums, value_of
-from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, Estimate, Replicates, holm, replicates
+from gridtrack.evaluation.scores.definition import Floats, Measure, Output, Ratio, ScoreDefinition, Sums, value_of
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, IntervalEstimate, Replicates, holm, replicates
 from gridtrack.evaluation.statistics.trainings import one_more, spread_between
 
 
@@ -64,8 +64,8 @@ class PairedRow:
     def size(self, sums: Floats) -> Floats:
         """How much sums (..., N) count: the denominator of a ratio."""
         found = self.score.value(Sums(sums, self.parts))[self.output.name]
-        size: Floats = found.whole if isinstance(found, Ratio) else found.size  # type: ignore[union-attr]
-        return size
+        assert isinstance(found, Ratio | Measure), "an output with a margin is a ratio or a measure"
+        return found.whole if isinstance(found, Ratio) else found.size
 
     def fall(self, then: float, now: float) -> float:
         """How much worse `now` is than `then`, as margins are given: a share of `then` where the margin is one."""
@@ -85,7 +85,7 @@ class RowTest:
     too few units. `spread`: the standard deviation between trainings; None with one run in the baseline."""
 
     p: float | None = None
-    difference: Estimate | None = None
+    difference: IntervalEstimate | None = None
     spread: float | None = None
     critical: float = 0.0
     """The smallest fall, alike in all units, that would have been significant."""
@@ -139,7 +139,7 @@ def row_tests(rows: Sequence[PairedRow]) -> list[RowTest]:
     ]
 
 
-def _compared(row: PairedRow) -> tuple[Estimate, float | None]:
+def _compared(row: PairedRow) -> tuple[IntervalEstimate, float | None]:
     """The run less the baseline, and the standard deviation between the trainings of the baseline."""
     trainings = [row.replicates(sums) for sums in row.trainings]
     found = one_more(row.replicates(row.run), trainings)
@@ -147,13 +147,13 @@ def _compared(row: PairedRow) -> tuple[Estimate, float | None]:
     return found, spread
 
 
-def _one_sided(row: PairedRow, found: Estimate) -> float:
+def _one_sided(row: PairedRow, found: IntervalEstimate) -> float:
     """The p-value of a fall."""
     worse = row.output.direction * float(found.value) < 0
     return float(found.p) / 2 if worse else 1.0 - float(found.p) / 2
 
 
-def _critical(found: Estimate, family: int) -> float:
+def _critical(found: IntervalEstimate, family: int) -> float:
     """The smallest fall with a p-value that the correction for `family` rows leaves significant, from the interval."""
     reach = float(found.high - found.low) / 2
     return reach * _quantile_ratio(family) if np.isfinite(reach) else 0.0

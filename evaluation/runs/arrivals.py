@@ -16,16 +16,16 @@ from gridtrack.evaluation.referee.referee import WARM_UP
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.settings import CompareSettings, check_together
 from gridtrack.recordings import Recording, open_recording
-from gridtrack.recordings.file_reading import FileEnds, Growth
+from gridtrack.recordings.file_reading import DamageError, FileEnds, Growth
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile
 from gridtrack.recordings.observation import Observation
-from gridtrack.recordings.recording import DamageError, NoScansError
+from gridtrack.recordings.recording import NoScansError
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
 
 SPARE_FRAMES = 3
 """Frames beside the warm-up and one horizon: a frame is made when the scans of two later periods are read."""
-POLL_S = 0.05
+FILE_POLL_S = 0.05
 """Period at which the size of the file is checked."""
 BEHIND_S = 1.0
 """A frame is behind if a frame this much later has been read."""
@@ -166,7 +166,7 @@ class FileWatch:
             if time.monotonic() - self._grown_s > self._idle_s:
                 self.idle = True
                 return False
-            self._stopped.wait(POLL_S)
+            self._stopped.wait(FILE_POLL_S)
         return False
 
     def stop(self) -> None:

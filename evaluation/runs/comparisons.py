@@ -31,7 +31,7 @@ from gridtrack.evaluation.runs.summary import (
 from gridtrack.evaluation.scores.definition import Floats, Output, ScoreDefinition
 from gridtrack.evaluation.statistics.jackknife import (
     LEAST_UNITS,
-    Estimate,
+    IntervalEstimate,
     Replicates,
     difference,
     holm,
@@ -216,7 +216,7 @@ class Comparisons:
         own, why = self._each(rows.own, places, rows.names), rows.why_partial or self._why_unpaired(rows)
         if why or rows.own is rows.reference:
             nothing = np.full(len(places), np.nan)
-            return _Trained(places, own, Estimate(*(nothing.copy() for _ in range(4))), why)
+            return _Trained(places, own, IntervalEstimate(*(nothing.copy() for _ in range(4))), why)
         reference = self._each(rows.reference, places, rows.names)
         if own.each[0].units < LEAST_UNITS:
             why = self._run.unit_rule(rows.names).too_short(own.each[0].units)
@@ -256,12 +256,12 @@ class _Comparison:
     units: int = 0
     frames: int = 0
     why: str = ""
-    found: Mapping[tuple[str, str, str], Estimate] | None = None
+    found: Mapping[tuple[str, str, str], IntervalEstimate] | None = None
     places: tuple[Place, ...] = ()
     headline: tuple[ScoreDefinition, Output] | None = None
 
     @property
-    def tests(self) -> list[tuple[Place, Estimate]]:
+    def tests(self) -> list[tuple[Place, IntervalEstimate]]:
         """The differences of the headline score at each place."""
         if self.headline is None or self.found is None:
             return []
@@ -318,9 +318,9 @@ def _tested(found: Estimated, score: ScoreDefinition) -> Estimated:
 
 def _differences(
     own: Mapping[str, Estimated], reference: Mapping[str, Estimated], scores: Iterable[ScoreDefinition]
-) -> dict[tuple[str, str, str], Estimate]:
+) -> dict[tuple[str, str, str], IntervalEstimate]:
     """The differences (S,) of the tested outputs that both rows have, by stratum, score and output."""
-    found: dict[tuple[str, str, str], Estimate] = {}
+    found: dict[tuple[str, str, str], IntervalEstimate] = {}
     for score in scores:
         if score.name not in own or score.name not in reference:
             continue
@@ -333,14 +333,14 @@ def _differences(
     return found
 
 
-def _difference_in(own: Estimated, reference: Estimated, output: str, stratum: str) -> Estimate:
+def _difference_in(own: Estimated, reference: Estimated, output: str, stratum: str) -> IntervalEstimate:
     """The difference (S,) in one stratum; without intervals where there are too few units."""
     k, n = own.strata.index(stratum), reference.strata.index(stratum)
     if output in own.replicates and output in reference.replicates:
         return difference(_column(own.replicates[output], k), _column(reference.replicates[output], n))
     value = own.values[output][:, k] - reference.values[output][:, n]
     nothing = np.full_like(value, np.nan)
-    return Estimate(value, nothing, nothing, nothing)
+    return IntervalEstimate(value, nothing, nothing, nothing)
 
 
 def _column(found: Replicates, k: int) -> Replicates:
@@ -383,7 +383,7 @@ def _pair_tests(rows: Mapping[str, Replicates], output: Output) -> Iterator[Pair
             )
 
 
-def point_of(found: Estimate) -> PointEstimate:
+def point_of(found: IntervalEstimate) -> PointEstimate:
     """An estimate () as the summary holds it."""
     value, low, high = (rounded(float(one)) for one in (found.value, found.low, found.high))
     return PointEstimate(value=value, low=low, high=high, p=rounded_p(float(found.p)))
@@ -459,7 +459,7 @@ class _Trained:
 
     places: tuple[Place, ...]
     own: Trainings
-    difference: Estimate
+    difference: IntervalEstimate
     why: str
 
     def summarised(self, rows: TrainingRows, p_holm: Floats, output: Output) -> TrackerTrainings:

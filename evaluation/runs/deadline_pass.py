@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.hosting.timing import TWENTIETHS, Call, Clock, Timings
+from gridtrack.evaluation.hosting.timing import TWENTIETHS, Call, Timings
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
-from gridtrack.evaluation.referee.deadline import RATES, Costs, DeadlineTracker, Timeline, spare_steps, timeline
+from gridtrack.evaluation.referee.deadline import RATES, Clock, Costs, DeadlineTracker, Timeline, spare_steps, timeline
 from gridtrack.evaluation.referee.referee import WARM_UP, Delivery
 from gridtrack.evaluation.referee.splits import SplitRegions
 from gridtrack.evaluation.runs.passes import AtRate, CallTimes, Deadline, Quantiles

@@ -138,7 +138,7 @@ def _add(strata: dict[str, Estimates], score: str, output: str, one: Estimated, 
         strata.setdefault(stratum, {}).setdefault(score, {})[output] = estimate
 
 
-def estimate_of(found: jackknife.Estimate) -> Estimate:
+def estimate_of(found: jackknife.IntervalEstimate) -> Estimate:
     """A difference (S,) as the summary holds it."""
     return Estimate(
         value=rounded_curve(found.value),

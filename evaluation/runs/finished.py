@@ -18,6 +18,7 @@ from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.run_record import RecordingDescription
 from gridtrack.evaluation.runs.sums import ScoredFrames, TrialSums
 from gridtrack.evaluation.runs.trial_record import TrialRecord
+from gridtrack.evaluation.scores.definition import Ratio
 from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.statistics.units import (
     UnitRule,
@@ -239,6 +240,7 @@ class RunTrials:
         spacing_s = float(np.median(np.diff(stamps_ns))) / 1e9
         sums = self.sums(trial)
         found = F1.value(sums.by_frame(F1.name, steps, strata, sums.layouts[F1.name].parts))[F1.lead.name]
+        assert isinstance(found, Ratio)
         return spacing_s * autocorrelation_time(residuals(found.part, found.whole))
 
 

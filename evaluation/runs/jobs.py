@@ -13,13 +13,12 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 from pydantic import ValidationError
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError
-from gridtrack.common.grid import Points
 from gridtrack.evaluation.engines.engine import EngineError, Monitor
 from gridtrack.evaluation.engines.task import TaskFolder, run_task
 from gridtrack.evaluation.hosting.limits import Limits
@@ -38,7 +37,7 @@ from gridtrack.evaluation.runs.trial import REPLACED, TrialRun, error_with_locat
 from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, TrialRecord, hashes_of, read_trial_record
 from gridtrack.evaluation.scores.registry import scores
 from gridtrack.recordings.stretches import parse_stretch
-from gridtrack.trackers.selection import CardKind, Launch, Selection, launch
+from gridtrack.trackers.selection import Launch, Selection, launch
 
 JobKind = Literal["scores", "oracle", "prior", "robustness"]
 
@@ -265,33 +264,23 @@ def _reason(error: Exception) -> str:
 class RowOrder(Settings):
     """A row of the comparison on one recording: the tracker, its program, and its weights."""
 
-    label: str
-    name: str
-    options: dict[str, Any]
-    points: Points
-    card: CardKind
-    argv: tuple[str, ...] = ()
-    cwd: Path | None = None
-    """For a tracker of a `trackers.toml`; None for a registered one, which each machine starts as its own."""
-    weights: Path | None = None
-    weights_from: Path | None = None
+    selection: Selection
+    launch: Launch
+    """A registered tracker is started by each machine as its own."""
+    weights: Path | None
+    weights_from: Path | None
     """The folder that the weights were copied from, for messages."""
-    weights_sha256: str = ""
+    weights_sha256: str
     identity: TrialIdentity
     """The trial must have this identity on the machine."""
 
     @classmethod
     def of(cls, trial: Trial) -> RowOrder:
         """The row of a trial."""
-        selection, start, weights = trial.selection, trial.launch, trial.weights
+        weights = trial.weights
         return cls(
-            label=selection.label,
-            name=selection.name,
-            options=dict(selection.options),
-            points=selection.points,
-            card=selection.card,
-            argv=start.argv if start.external else (),
-            cwd=start.cwd,
+            selection=trial.selection,
+            launch=trial.launch,
             weights=weights and weights.path.absolute(),
             weights_from=weights and weights.original.absolute(),
             weights_sha256=weights.sha256 if weights else "",
@@ -300,12 +289,11 @@ class RowOrder(Settings):
 
     def trial(self, split: EvaluationSplit, seed: int, limits: Limits) -> Trial:
         """The trial on this machine. Raises a GridtrackError if it is a different one here."""
-        selection = Selection(self.label, self.name, self.options, self.points, None, self.card)
-        start = launch(self.name) if self.cwd is None else Launch(self.name, self.argv, self.cwd)
+        start = self.launch if self.launch.external else launch(self.selection.name)
         weights = read_weights(self.weights, self.weights_from or self.weights.parent) if self.weights else None
-        trial = Trial(selection, start, split, weights, seed, limits)
-        _require_equal(f"{self.label}: its weights", weights.sha256 if weights else "", self.weights_sha256)
-        _require_equal(f"{self.label}: its settings", trial.identity(), self.identity)
+        trial = Trial(self.selection, start, split, weights, seed, limits)
+        _require_equal(f"{trial.label}: its weights", weights.sha256 if weights else "", self.weights_sha256)
+        _require_equal(f"{trial.label}: its settings", trial.identity(), self.identity)
         return trial
 
 

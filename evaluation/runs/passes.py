@@ -7,7 +7,8 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from gridtrack.evaluation.hosting.timing import TWENTIETHS, Clock
+from gridtrack.evaluation.hosting.timing import TWENTIETHS
+from gridtrack.evaluation.referee.deadline import Clock
 from gridtrack.evaluation.runs.result_files import Curves, ResultModel
 from gridtrack.recordings.degradation import Degradation
 

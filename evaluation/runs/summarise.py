@@ -39,7 +39,7 @@ from gridtrack.evaluation.runs.summary import (
     TrialSummary,
 )
 from gridtrack.evaluation.runs.trial_record import TrialRecord
-from gridtrack.evaluation.scores.definition import Curves, ScoreDefinition
+from gridtrack.evaluation.scores.definition import CurvesByStratum, ScoreDefinition
 from gridtrack.evaluation.scores.registry import built_in, find_output
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 from gridtrack.evaluation.statistics.units import UnitRule
@@ -252,12 +252,12 @@ def _related_strata(
     return strata
 
 
-def _lead_of(scope: ScopeSummary | None, score: ScoreDefinition) -> Curves | None:
+def _lead_of(scope: ScopeSummary | None, score: ScoreDefinition) -> CurvesByStratum | None:
     """The leading output of a scope that may be the floor or the ceiling of others; None where it is none."""
     return _curves(scope, score) if scope is not None and scope.outcome == "ok" and not scope.leak else None
 
 
-def _curves(scope: ScopeSummary, score: ScoreDefinition) -> Curves:
+def _curves(scope: ScopeSummary, score: ScoreDefinition) -> CurvesByStratum:
     found = {
         name: scores[score.name][score.lead.name].value for name, scores in scope.strata.items() if score.name in scores
     }

@@ -115,7 +115,7 @@ class PointEstimate(ResultModel):
 
 Estimates = dict[str, dict[str, Estimate]]
 """By score and output."""
-UNKNOWN = PointEstimate()
+NO_ESTIMATE = PointEstimate()
 
 
 class ScopeSummary(ResultModel):
@@ -156,7 +156,7 @@ class ScopeSummary(ResultModel):
     def at(self, stratum: str, score: str, output: str, step: int) -> PointEstimate:
         """An estimate at one step; of None where it is not known."""
         found = self.estimate(stratum, score, output)
-        return UNKNOWN if found is None else found.at(step)
+        return NO_ESTIMATE if found is None else found.at(step)
 
     def curves(self) -> Iterator[tuple[str, Curve]]:
         """Every curve, with its stratum."""
@@ -250,7 +250,7 @@ class TrackerDifference(ResultModel):
     def at(self, stratum: str, score: str, output: str, step: int) -> PointEstimate:
         """A difference at one step; of None where it is not known."""
         found = self.strata.get(stratum, {}).get(score, {}).get(output)
-        return UNKNOWN if found is None else found.at(step)
+        return NO_ESTIMATE if found is None else found.at(step)
 
 
 class TrainingsScore(ResultModel):
@@ -264,7 +264,7 @@ class TrainingsScore(ResultModel):
     mean: Number = None
     spread: Number = None
     """Standard deviation between trainings; null with one."""
-    difference: PointEstimate = UNKNOWN
+    difference: PointEstimate = NO_ESTIMATE
     """Of the mean less that of the reference's trainings."""
     p_holm: Number = None
     """Corrected over all differences between trackers by their trainings (Holm 1979)."""

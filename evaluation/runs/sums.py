@@ -171,7 +171,8 @@ class TrialSums:
             shape
         )
         column = np.full(len(layout.parts), -1)
-        column[[layout.parts.index(part) for part in parts]] = np.arange(len(parts))
+        places = {part: at for at, part in enumerate(layout.parts)}
+        column[[places[part] for part in parts]] = np.arange(len(parts))
         total = np.zeros((number, shape[0] * shape[1], len(parts)))
         of_frame = dict(zip(self.frames.stamps_ns.tolist(), units.tolist(), strict=True))
         for rows in self._row_groups(score):

@@ -23,8 +23,10 @@ Floats = NDArray[np.float64]
 Scale = Literal["", "odds", "log", "linear"]
 """The scale on which an interval is symmetric: log odds of a share in [0, 1], logarithm of a positive value, the value
 itself; empty: no interval."""
-Relation = Callable[["Curves", Sequence["Curves"], "Curves | None"], dict[str, "Curves"]]
-Curves = Mapping[str, Floats]
+Relation = Callable[
+    ["CurvesByStratum", Sequence["CurvesByStratum"], "CurvesByStratum | None"], dict[str, "CurvesByStratum"]
+]
+CurvesByStratum = Mapping[str, Floats]
 """Values (S,) by stratum."""
 
 

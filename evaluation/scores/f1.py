@@ -11,7 +11,7 @@ from gridtrack.evaluation.referee.referee import ScoredForecast
 from gridtrack.evaluation.referee.strata import OCCLUDED
 from gridtrack.evaluation.scores.cells import cells_of
 from gridtrack.evaluation.scores.definition import (
-    Curves,
+    CurvesByStratum,
     Floats,
     Output,
     Ratio,
@@ -26,7 +26,7 @@ from gridtrack.evaluation.scores.thresholds import LabelFreeThresholds, half
 COUNTS = ("tp", "fp", "fn", "tn")
 THRESHOLDS = ("chosen", "half", "visible", "label-free")
 """The threshold of the step and stratum, 0.5, the threshold of all visible cells, and the threshold without labels."""
-LEAST_GAP = 0.01
+LEAST_F1_GAP = 0.01
 """No share is computed where the oracle's F1 is less than this above that of the best floor: it would be noise."""
 
 
@@ -70,9 +70,11 @@ def f1_of(confusion: NDArray[np.integer]) -> Floats:
     return divided(2 * tp, 2 * tp + fp + fn, defined=tp + fn > 0)
 
 
-def _relate(own: Curves, floors: Sequence[Curves], oracle: Curves | None) -> dict[str, Curves]:
+def _relate(
+    own: CurvesByStratum, floors: Sequence[CurvesByStratum], oracle: CurvesByStratum | None
+) -> dict[str, CurvesByStratum]:
     """The share of the way from the best floor to the oracle, and on hidden cells the gap to visible ones."""
-    found: dict[str, Curves] = {"oracle_share": share_of_oracle(own, floors, oracle, np.fmax, LEAST_GAP)}
+    found: dict[str, CurvesByStratum] = {"oracle_share": share_of_oracle(own, floors, oracle, np.fmax, LEAST_F1_GAP)}
     if OCCLUDED in own:
         found["truth_gap"] = {OCCLUDED: own["visible"] - own[OCCLUDED]}
     return found

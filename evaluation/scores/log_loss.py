@@ -8,10 +8,18 @@ import numpy as np
 
 from gridtrack.evaluation.referee.referee import ScoredForecast
 from gridtrack.evaluation.scores.cells import cells_of
-from gridtrack.evaluation.scores.definition import Curves, Floats, Output, Ratio, ScoreDefinition, Sums, TrialFacts
+from gridtrack.evaluation.scores.definition import (
+    CurvesByStratum,
+    Floats,
+    Output,
+    Ratio,
+    ScoreDefinition,
+    Sums,
+    TrialFacts,
+)
 from gridtrack.evaluation.scores.relations import share_of_oracle
 
-LEAST_GAP = 0.01
+LEAST_LOSS_GAP = 0.01
 """No share is computed where the oracle's log loss is less than this share of the best floor's below it."""
 
 
@@ -24,8 +32,10 @@ def _value(sums: Sums) -> Mapping[str, Ratio]:
     return {"mean": Ratio(sums["loss"], sums["cells"])}
 
 
-def _relate(own: Curves, floors: Sequence[Curves], oracle: Curves | None) -> dict[str, Curves]:
-    return {"oracle_share": share_of_oracle(own, floors, oracle, np.fmin, LEAST_GAP, relative=True)}
+def _relate(
+    own: CurvesByStratum, floors: Sequence[CurvesByStratum], oracle: CurvesByStratum | None
+) -> dict[str, CurvesByStratum]:
+    return {"oracle_share": share_of_oracle(own, floors, oracle, np.fmin, LEAST_LOSS_GAP, relative=True)}
 
 
 LOG_LOSS = ScoreDefinition(

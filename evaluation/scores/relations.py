@@ -7,18 +7,18 @@ from functools import reduce
 
 import numpy as np
 
-from gridtrack.evaluation.scores.definition import Curves, Floats
+from gridtrack.evaluation.scores.definition import CurvesByStratum, Floats
 
 
 def share_of_oracle(
-    own: Curves,
-    floors: Sequence[Curves],
-    oracle: Curves | None,
+    own: CurvesByStratum,
+    floors: Sequence[CurvesByStratum],
+    oracle: CurvesByStratum | None,
     best: Callable[[Floats, Floats], Floats],
     least_gap: float,
     *,
     relative: bool = False,
-) -> Curves:
+) -> CurvesByStratum:
     """(value - floor) / (oracle - floor) by stratum (S,), of the best floor at each step; NaN where it is not known.
 
     `best` is fmax or fmin. A share is not known without oracle or floors, and where the oracle is not better than the

@@ -35,7 +35,7 @@ share of that over all units."""
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class IntervalEstimate:
     """A value (...), the ends of its interval, and the p-value of no difference where it is one; NaN where unknown."""
 
     value: Floats
@@ -43,9 +43,9 @@ class Estimate:
     high: Floats
     p: Floats
 
-    def at(self, *index: int) -> Estimate:
+    def at(self, *index: int) -> IntervalEstimate:
         """The estimate at one index of each of the first axes."""
-        return Estimate(self.value[index], self.low[index], self.high[index], self.p[index])
+        return IntervalEstimate(self.value[index], self.low[index], self.high[index], self.p[index])
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ def ratio_replicates(ratio: Ratio) -> Replicates:
     return Replicates(value, without, whole, Ratio(ratio.part, whole, counted=ratio.counted))
 
 
-def interval(found: Replicates, scale: Scale, level: float = LEVEL) -> Estimate:
+def interval(found: Replicates, scale: Scale, level: float = LEVEL) -> IntervalEstimate:
     """The value with its confidence interval, which is symmetric on `scale`.
 
     The jackknife over units of the log odds, of the logarithm, or of the value, with Student's t: its degrees of
@@ -124,12 +124,12 @@ def interval(found: Replicates, scale: Scale, level: float = LEVEL) -> Estimate:
     """
     if not scale or found.units < LEAST_UNITS:
         nothing = np.full_like(found.value, np.nan)
-        return Estimate(found.value, nothing, nothing, nothing)
+        return IntervalEstimate(found.value, nothing, nothing, nothing)
     if scale == "linear":
         error = _standard_error(np.nan_to_num(found.without))
         return difference_of(found.value, error, degrees_of_freedom(found.size), level)
     low, high = (_interval_of_ratio if found.ratio else _interval_of_measure)(found, scale, level)
-    return Estimate(found.value, low, high, np.full_like(found.value, np.nan))
+    return IntervalEstimate(found.value, low, high, np.full_like(found.value, np.nan))
 
 
 def _interval_of_ratio(found: Replicates, scale: Scale, level: float) -> tuple[Floats, Floats]:
@@ -161,7 +161,7 @@ def _interval_of_measure(found: Replicates, scale: Scale, level: float) -> tuple
     return low, high
 
 
-def difference(own: Replicates, reference: Replicates, level: float = LEVEL) -> Estimate:
+def difference(own: Replicates, reference: Replicates, level: float = LEVEL) -> IntervalEstimate:
     """The value less that of the reference, paired: both are of the same units.
 
     The jackknife over units of the difference itself, with Student's t as in `interval`. Two trackers with the same
@@ -173,12 +173,12 @@ def difference(own: Replicates, reference: Replicates, level: float = LEVEL) -> 
         raise ValueError(f"{own.units} units cannot be paired with {reference.units}")
     if own.units < LEAST_UNITS:
         nothing = np.full_like(value, np.nan)
-        return Estimate(value, nothing, nothing, nothing)
+        return IntervalEstimate(value, nothing, nothing, nothing)
     error = _standard_error(np.nan_to_num(own.without - reference.without))
     return difference_of(value, error, degrees_of_freedom(own.size, reference.size), level)
 
 
-def difference_of(value: Floats, error: Floats, freedom: Floats, level: float = LEVEL) -> Estimate:
+def difference_of(value: Floats, error: Floats, freedom: Floats, level: float = LEVEL) -> IntervalEstimate:
     """Interval and p-value of the difference `value` (...) by its standard error and the degrees of freedom of this.
 
     A difference up to WITHIN_ROUNDING is none; above it, with an error below, it needs LEAST_AGREEING effective units.
@@ -188,7 +188,7 @@ def difference_of(value: Floats, error: Floats, freedom: Floats, level: float = 
     with np.errstate(divide="ignore", invalid="ignore"):
         p = np.where(none, 1.0, 2 * stdtr(freedom, -np.abs(value) / error))
     unknown = np.isnan(value) | (~none & (error <= WITHIN_ROUNDING) & (freedom < LEAST_AGREEING - 1))
-    return Estimate(value, *(np.where(unknown, np.nan, x) for x in (value - reach, value + reach, p)))
+    return IntervalEstimate(value, *(np.where(unknown, np.nan, x) for x in (value - reach, value + reach, p)))
 
 
 def verdict_of(difference: float, p: float) -> str:

@@ -23,7 +23,7 @@ from gridtrack.evaluation.scores.definition import Floats
 from gridtrack.evaluation.statistics.jackknife import (
     LEAST_UNITS,
     LEVEL,
-    Estimate,
+    IntervalEstimate,
     Replicates,
     degrees_of_freedom,
     difference,
@@ -121,7 +121,7 @@ class Trainings:
         return spread.deviation**2 / spread.trainings, spread.freedom
 
 
-def training_differences(own: Trainings, reference: Trainings, level: float = LEVEL) -> Estimate:
+def training_differences(own: Trainings, reference: Trainings, level: float = LEVEL) -> IntervalEstimate:
     """Mean score of `own` less that of `reference` (R,), with intervals over units and trainings; both of the same
     units.
 
@@ -131,15 +131,15 @@ def training_differences(own: Trainings, reference: Trainings, level: float = LE
     value, units = mine.value - theirs.value, mine.units
     if units < LEAST_UNITS or not (own.spread_known and reference.spread_known):
         nothing = np.full_like(value, np.nan)
-        return Estimate(value, nothing, nothing, nothing)
+        return IntervalEstimate(value, nothing, nothing, nothing)
     without = mine.without - theirs.without
     over_units = (units - 1) / units * ((without - without.mean(axis=0)) ** 2).sum(axis=0)
-    parts = [(over_units, degrees_of_freedom(mine.size, theirs.size)), own.variance(), reference.variance()]
-    variance, freedom = _satterthwaite(parts)
+    of_units = over_units, degrees_of_freedom(mine.size, theirs.size)
+    variance, freedom = _satterthwaite(of_units, own.variance(), reference.variance())
     return difference_of(value, np.sqrt(variance), freedom, level)
 
 
-def one_more(own: Replicates, trainings: Sequence[Replicates], level: float = LEVEL) -> Estimate:
+def one_more(own: Replicates, trainings: Sequence[Replicates], level: float = LEVEL) -> IntervalEstimate:
     """The score of one more training less the mean of `trainings` (...), of the same units.
 
     With several trainings the variance includes the spread between them; with one it is not known, and the difference
@@ -152,12 +152,12 @@ def one_more(own: Replicates, trainings: Sequence[Replicates], level: float = LE
     without = np.nan_to_num(own.without - mean.without)
     over_units = (units - 1) / units * ((without - without.mean(axis=0)) ** 2).sum(axis=0)
     spread = spread_between(trainings)
-    parts = [(over_units, degrees_of_freedom(own.size, mean.size)), (spread.error**2, spread.freedom)]
-    variance, freedom = _satterthwaite(parts)
+    of_units = over_units, degrees_of_freedom(own.size, mean.size)
+    variance, freedom = _satterthwaite(of_units, (spread.error**2, spread.freedom))
     return difference_of(own.value - mean.value, np.sqrt(variance), freedom, level)
 
 
-def _satterthwaite(parts: Sequence[tuple[Floats, Floats | float]]) -> tuple[Floats, Floats]:
+def _satterthwaite(*parts: tuple[Floats, Floats | float]) -> tuple[Floats, Floats]:
     """The sum (...) of variances, and its degrees of freedom (Satterthwaite 1946)."""
     variance = np.sum([part for part, _ in parts], axis=0)
     squared = np.sum([part**2 / freedom for part, freedom in parts], axis=0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -15,7 +16,7 @@ from gridtrack.evaluation.referee.samples import Sample
 from gridtrack.reports.pictures import SHADES, UNOBSERVED, palette
 
 COLOURS = ("#1d4ed8", "#c2410c", "#0f766e", "#7e22ce")
-SETTINGS = {
+SETTINGS: dict[Any, Any] = {
     "font.size": 9,
     "axes.titlesize": "medium",
     "axes.titlelocation": "left",

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from gridtrack.cli import main
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.recipe import Recipe
 from gridtrack.evaluation.runs.runner import run
@@ -66,22 +64,6 @@ def train(record: Record, tmp_path: Path) -> Callable[..., Path]:
         return train_tracker(Recipe(tracker=tracker, recordings=on, out=tmp_path / folder, **more), lambda text: None)
 
     return train
-
-
-@pytest.fixture
-def gridtrack(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
-    """`gridtrack(*arguments)` runs the command in this process: its exit code, and what it writes to stderr."""
-
-    def gridtrack(*arguments: object) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["gridtrack", *map(str, arguments)])
-        capsys.readouterr()
-        try:
-            main()
-        except SystemExit as end:
-            return int(end.code or 0), capsys.readouterr().err
-        return 0, capsys.readouterr().err
-
-    return gridtrack
 
 
 class RecordedProgress:

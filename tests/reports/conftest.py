@@ -123,7 +123,7 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
                 sums.add(one.stamp_ns, f"{t:032x}", score, counted)
             samples.add(one)
     record = TrialRecord(
-        schema=2,
+        schema=3,
         label=label,
         recording=RECORDING,
         outcome=outcome,

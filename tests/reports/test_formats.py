@@ -233,7 +233,7 @@ def test_two_runs_are_in_one_table(run_folder, tmp_path):
         (["--format", "csv", "--rows", "goood"], "--rows 'goood': no such row: did you mean 'good'?"),
         (["--format", "csv", "--columns", "f1"], "expected SCORE STRATUM HORIZON"),
         (["--format", "csv", "--columns", "f9 visible"], "no score 'f9'"),
-        (["--format", "csv", "--columns", "f1.recal visible"], "no output 'recal': did you mean 'recall'?"),
+        (["--format", "csv", "--columns", "f1.recoll visible"], "no output 'recoll': did you mean 'recall'?"),
         (["--format", "csv", "--columns", "f1 visibel"], "did you mean 'visible'?"),
         (["--format", "csv", "--columns", "f1 visible 60s"], "60 s is beyond the horizon of 2.5 s"),
         (["--rows", "good"], "the page shows every row"),

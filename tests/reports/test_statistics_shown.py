@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from gridtrack.evaluation.runs.summary import UNKNOWN, PairFamily, PairTest, read_summary
+from gridtrack.evaluation.runs.summary import NO_ESTIMATE, PairFamily, PairTest, read_summary
 from gridtrack.reports import terminal
 from gridtrack.reports.answer import answer_of
 from gridtrack.reports.chosen_scores import exported_tables
@@ -267,7 +267,7 @@ def family(labels, different):
         PairTest(
             tracker=one,
             other=other,
-            difference=UNKNOWN,
+            difference=NO_ESTIMATE,
             verdict="better" if (one, other) in different else "no difference shown",
         )
         for one, other in combinations(labels, 2)

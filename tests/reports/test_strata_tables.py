@@ -23,7 +23,7 @@ def describe(summary, name, title, outputs, **fields):
 def with_truth(summary):
     """The summary as one of a recording with truth and classes."""
     describe(summary, "class_recall", "Recall by class", {"recall": {"better": "higher"}})
-    loss = {"per_scan": {"better": "lower", "unit": "nats a scan", "tested": True}}
+    loss = {"per_scan": {"better": "lower", "unit": "nats a scan", "tested": True}, "accuracy": {"better": "higher"}}
     describe(summary, "class_log_loss", "Class log loss", loss, compared_with="classes")
     for label in summary["trackers"]:
         trial = trial_of(summary, label)
@@ -32,6 +32,7 @@ def with_truth(summary):
         put(trial, f"dynamic {BUS}", "class_recall.recall", 0.75)
         put(trial, "dynamic car", "class_recall.recall", None)
     put(trial_of(summary, "good"), "visible", "class_log_loss.per_scan", 0.625, 0.5, 0.75)
+    put(trial_of(summary, "good"), "visible", "class_log_loss.accuracy", 0.875)
     less = {"recordings": "crossing", "tracker": "good", "reference": "<i>one-shot</i>", "strata": {}}
     put(less, "visible", "class_log_loss.per_scan", -0.375, -0.5, [None] + [-0.25] * 20, 0.5)
     summary["differences"] = [less]
@@ -56,16 +57,20 @@ def shown(table, label):
 
 def test_a_class_that_occurs_has_a_column_with_every_tracker(truth_run):
     recall = tables_of(truth_run)["Recall by class"]
-    assert [column.heading for column in recall.columns] == [f"dynamic {BUS}, 1 s"]
+    assert [column.heading for column in recall.columns] == [f"dynamic {BUS}"]
     assert [row.label for row, _ in recall.rows][:2] == ["good", "fair"]
     assert shown(recall, "fair") == [("0.750", "", None)]
 
 
 def test_class_probabilities_have_an_interval_and_a_difference_from_their_reference_now_and_later(truth_run):
     loss = tables_of(truth_run)["Class log loss"]
-    assert [column.heading for column in loss.columns] == ["visible, now", "visible, 1 s"]
+    heading = "Class log loss"
+    groups = [f"{heading}, nats a scan, now", f"{heading}, nats a scan, 1 s", f"{heading}, now", f"{heading}, 1 s"]
+    assert loss.groups == tuple((group, 1) for group in groups)
+    assert {column.heading for column in loss.columns} == {"visible"}
     assert [row.label for row, _ in loss.rows] == ["good"], "the others give no classes"
-    now, later = shown(loss, "good")
+    now, later, accuracy, _ = shown(loss, "good")
+    assert accuracy == ("0.875", "", None)
     assert later == ("0.625", "[0.500, 0.750]", "-0.375 [-0.500, -0.250]")
     assert now == ("0.625", "[0.500, 0.750]", "-0.375 ")
     assert loss.reference == "<i>one-shot</i>"
@@ -82,6 +87,8 @@ def test_the_page_shows_them_with_every_name_escaped(truth_run):
     assert "&lt;b&gt;bus&lt;/b&gt;" in page
     assert "<b>bus" not in page
     assert "The order depends on the threshold" not in page
+    hidden = page.partition("<h2>Hidden cells by threshold</h2>")[2].partition("<h2>")[0]
+    assert "p-values are not corrected" not in hidden, "there are none"
 
 
 def test_a_run_without_truth_has_no_such_table(run_folder):

@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import pytest
 
@@ -43,18 +43,27 @@ def program_here(argv: tuple[str, ...], env: Mapping[str, str], **how: Any) -> A
     """In place of SupervisedProgram: a tracker or a training that runs here, or another program."""
     module = argv[-2] if len(argv) > 1 else ""
     if module == "gridtrack.trackers.serve":
-        return TrackerHere(argv[-1], how["log"])
+        return ProgramHere(Server(argv[-1]), how["log"])
     if module == "gridtrack.evaluation.runs.fit_process":
         return TrainingHere(argv[-1])
     return SupervisedProgram(argv, env, **how)
 
 
-class TrackerHere:
-    """A tracker that is served in this process."""
+class Answering(Protocol):
+    """Answers requests of up to `max_body` bytes of arrays."""
 
-    def __init__(self, name: str, log: Path) -> None:
+    max_body: int
+
+    def answer(self, request: Message) -> list[memoryview]:
+        """The encoded answer."""
+
+
+class ProgramHere:
+    """A program on the wire that answers in this process."""
+
+    def __init__(self, server: Answering, log: Path) -> None:
         log.write_bytes(b"")
-        self._server = Server(name)
+        self._server = server
         self._answer = b""
         self.killed = False
 

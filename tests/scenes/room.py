@@ -18,6 +18,7 @@ STRETCHES: dict[str, Any] = {"train": (0.0, 4.0), "validation": (4.0, 9.0), "tes
 
 STAGED = '''
 import os, time
+from typing import Literal
 import numpy as np
 from gridtrack.common.config import Settings
 from gridtrack.trackers.contract import Forecast, Tracker
@@ -26,15 +27,16 @@ from gridtrack.trackers.contract import Forecast, Tracker
 class Options(Settings):
     crash_at: int = 0
     crash_in: int = 2
-    dies: bool = False
+    how: Literal["raises", "dies", "hangs"] = "raises"
     sleep_s: float = 0.0
     starts: str = ""
 
 
 class Staged(Tracker):
-    """Forecasts the last frame; fails, or `dies`, at the update `crash_at` of the stretch `crash_in`; sleeps a while.
+    """Forecasts the last frame; fails at the update `crash_at` of the stretch `crash_in`.
 
-    Stretches are counted in one process; with a file `starts`, each earlier process counts as one.
+    Stretches are counted in one process; with a file `starts`, each earlier process counts as one: at an update that
+    only test stretches have, the first process fails and the next one does not.
     """
 
     Options = Options
@@ -53,8 +55,10 @@ class Staged(Tracker):
     def update(self, frame):
         self.updates, self.last = self.updates + 1, frame.occupied
         if self.stretch == self.options.crash_in and self.updates == self.options.crash_at:
-            if self.options.dies:
+            if self.options.how == "dies":
                 os.abort()
+            if self.options.how == "hangs":
+                time.sleep(3600)
             raise RuntimeError("staged")
         time.sleep(self.options.sleep_s)
 

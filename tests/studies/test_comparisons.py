@@ -22,12 +22,12 @@ from gridtrack.evaluation.runs.summarise import summarise
 from docs.test_commands import problem_of
 from scenes import drive, truth_scene
 from scenes.synthetic_run import description, write_trial
-from studies import moving, real_results
+from studies import moving, real_results, variants
 from studies.real_results import sections_of as sections_of_real
 from studies.site_minutes import rows_of, section_of, share_closed
 from studies.support.place_command import draw_skill, skill_curves
 from studies.support.real_recordings import REAL
-from studies.support.results_file import NONE, measured_table, read_sections
+from studies.support.results_file import NONE, ResultTable, measured_table, read_sections
 from studies.support.unseen_places import PlaceScores, general_rows, not_measured
 from studies.worlds_results import (
     DRIVES,
@@ -356,10 +356,15 @@ RUNS = {
 """Arguments of the studies that compare trackers. TMP is a folder of the test."""
 
 
+def check_words(*words: str | Path) -> None:
+    """In place of the command line: checks the words."""
+    assert problem_of(shlex.join(["gridtrack", *map(str, words)])) == ""
+
+
 def gridtrack(*words: str | Path) -> None:
     """In place of the command line: checks the words, and draws the results of the first four recordings."""
+    check_words(*words)
     command, *rest = map(str, words)
-    assert problem_of(shlex.join(["gridtrack", command, *rest])) == ""
     out = Path(rest[rest.index("--out") + 1])
     if command == "train":
         shutil.copytree(ROOT / "data" / "weights" / "kalman", out / "kalman")
@@ -389,3 +394,36 @@ def test_a_study_compares_with_valid_commands_and_writes_its_results(
     sections = read_sections(Path(words[-1]))
     assert any(table.rows for section in sections.values() for table in section.tables.values())
     assert capsys.readouterr().out
+
+
+class EveryNumber:
+    """A summary that has each number."""
+
+    def __init__(self, path: Path) -> None:
+        pass
+
+    def value(self, row: str, column: str) -> str:
+        return f"{row}, {column}"
+
+    def table(self, corner: str, rows: Sequence[str], columns: Sequence[str], options: Sequence[str]) -> ResultTable:
+        return measured_table((corner, *columns), [[row, *columns] for row in rows])
+
+
+@pytest.mark.parametrize(
+    ("which", "result", "row"),
+    [("ablations", "ABLATIONS", "no-gates less whole"), ("returns", "RETURNS", "cold less kalman")],
+)
+def test_variants_are_compared_with_the_whole_at_the_junction(
+    which: str, result: str, row: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr("studies.support.comparison.gridtrack", check_words)
+    card = ROOT / "data" / "weights" / "dilated-convgru" / "junction.toml"
+    monkeypatch.setattr(variants, "trained", lambda: {"whole": card, "no-gates": card})
+    monkeypatch.setattr(variants, "RunScores", EveryNumber)
+    for name in ("ABLATIONS", "RETURNS", "OF_ABLATIONS", "OF_RETURNS"):
+        monkeypatch.setattr(variants, name, tmp_path / name)
+    variants.main([which])
+    (section,) = read_sections(tmp_path / result).values()
+    assert [one[0] for one in section.tables["differences"].rows] == [row]
+    assert section.values[f"{row}: f1 dynamic 1 s"] == f"{row}, f1 dynamic 1 s"

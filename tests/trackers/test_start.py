@@ -55,9 +55,9 @@ print(sorted({{"torch", "optuna", "sklearn"}} & set(sys.modules)))
 
 
 def printed_by(program: str) -> list[str]:
-    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split(
-        "\n"
-    )
+    return subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
 
 
 def test_kernels_are_compiled_when_a_tracker_starts():

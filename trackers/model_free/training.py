@@ -196,7 +196,7 @@ def fit_classes(kind: type[ModelFreeTracker], labelled: LabelledScans, task: Fit
     if not held_out.cells.any():
         names_of = ", ".join(source.name for source in task.validation)
         raise ConfigurationError(f"{names_of}: no track there has a label: give a --validation with labels")
-    cell_prior = cell_prior_of(count_cells(labelled, classes), source.grid.cell_m)
+    cell_prior = cell_prior_of(count_labelled_cells(labelled, classes), source.grid.cell_m)
     model, loss = best_model(training, held_out, cell_prior, task)
 
     results = _results(labelled, training, classes, model, loss, task)
@@ -237,7 +237,7 @@ def track_samples(
     )
 
 
-def count_cells(labelled: LabelledScans, classes: Sequence[str]) -> NDArray[np.float64]:
+def count_labelled_cells(labelled: LabelledScans, classes: Sequence[str]) -> NDArray[np.float64]:
     """Number of labels of each class in each cell (K, M, M); the mean of all cells if the windows differ."""
     size = labelled.sources[0].grid.size
     count, windows = np.zeros((len(classes), size**2)), set()

@@ -15,7 +15,7 @@ from functools import partial
 from multiprocessing import Pipe, active_children
 from multiprocessing.connection import Connection
 from threading import Thread
-from typing import NamedTuple, Self, get_args
+from typing import Any, NamedTuple, Self, get_args
 
 import torch
 from torch import nn
@@ -62,7 +62,7 @@ class Devices(NamedTuple):
         return cls(kind, number)
 
     @property
-    def lightning(self) -> dict[str, object]:
+    def lightning(self) -> dict[str, Any]:
         """The options of Lightning's Trainer.
 
         A process of `ddp` would start with the command line, but that of a training reads its data from standard input;

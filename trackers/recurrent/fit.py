@@ -14,7 +14,6 @@ from itertools import product
 from typing import Any
 
 import torch
-from torch import nn
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import WeightsError
@@ -68,7 +67,7 @@ def fit_network(kind: type[RecurrentTracker], task: FitTask) -> None:
         begin_from(network, start)
     held_out = excerpts_of_places(task.validation, VALIDATED_S) if task.general else task.validation
 
-    def validate(trained: nn.Module) -> dict[str, float]:
+    def validate(trained: RecurrentNetwork) -> dict[str, float]:
         def score_on(source: FrameSource) -> StretchScore:
             stream, steps = stream_of(source), nearest_step(max(SELECTION_HORIZONS_S), source.period_s)
             inference = kind.inference_for(deepcopy(trained).cpu(), stream, options)

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from copy import deepcopy
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import lightning
 import torch
@@ -146,7 +146,7 @@ def _trainer(settings: TrainingSettings, devices: Devices, task: FitTask) -> lig
         **devices.lightning,
         use_distributed_sampler=False,  # EpochSampler is one
         max_epochs=math.ceil(settings.updates / settings.validate_every),
-        precision=settings.precision,
+        precision=cast("Any", settings.precision),  # Lightning's type has no name for it
         gradient_clip_val=settings.gradient_clip,
         callbacks=[best, last, timed],
         logger=[CSVLogger(task.log_dir, name="csv"), TensorBoardLogger(task.log_dir, name="tensorboard")],

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self
 
 import lightning
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 from torch.utils.data import DataLoader
 
@@ -22,7 +22,7 @@ from gridtrack.trackers.recurrent.network import Recurrence, RecurrentNetwork, c
 from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset
 from gridtrack.trackers.recurrent.settings import TrainingSettings
 
-Validate = Callable[[nn.Module], dict[str, float]]
+Validate = Callable[[Any], dict[str, float]]
 """Scores the network as a tracker on the validation stretches; the network with the highest `score` is kept."""
 
 

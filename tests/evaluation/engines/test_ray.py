@@ -58,7 +58,7 @@ def trackers_of(node):
 
 def test_an_interrupt_ends_the_tasks_and_keeps_their_scores(cluster, settings, tmp_path):
     words = ["compare", *settings().recordings, "--engine", "ray", "--address", cluster.address, "--horizon", "1s"]
-    words += ["--every", "0.5s", "--tracker", "persistence", "--tracker", "staged:sleep_s=0.2"]
+    words += ["--every", "0.5s", "--tracker", "persistence", "--tracker", "staged:crash_at=60,how=hangs"]
     words += ["--out", str(tmp_path / "run")]
     host = subprocess.Popen([sys.executable, "-m", "gridtrack.cli", *words])
     nodes = cluster.list_all_nodes()
@@ -78,7 +78,8 @@ def test_an_interrupt_ends_the_tasks_and_keeps_their_scores(cluster, settings, t
 
 def test_a_node_killed_in_mid_run_changes_no_count(cluster, settings, progress, tmp_path):
     """The trial that it ran starts again on the other node; the tracker that fails by itself never does."""
-    requested = settings("staged:sleep_s=0.05", "dies=staged:crash_at=60", engine="ray", address=cluster.address)
+    rows = f"staged:crash_at=60,how=hangs,starts={tmp_path / 'starts'}", "dies=staged:crash_at=60"
+    requested = settings(*rows, engine="ray", address=cluster.address)
     killed = []
 
     def kill_its_node(trial, delivered):

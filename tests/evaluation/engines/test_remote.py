@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from gridtrack.evaluation.scores.cells import PROBABILITY_BINS
 from gridtrack.evaluation.scores.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation
 
-from scenes.agreement import assert_agree, counted
+from scenes.agreement import assert_agree, counted, wait_until
 from scenes.process_cluster import ProcessCluster
 from scenes.room import trial_of
 
@@ -38,9 +39,20 @@ def cluster(monkeypatch):
     return cluster
 
 
-def interrupt_at(count):
-    """Interrupts this process, the host, when any trial has delivered `count` frames."""
-    return lambda trial, delivered: delivered == count and os.kill(os.getpid(), signal.SIGINT)
+HUNG = 50 + 60
+"""Frames that a trial of `staged` has delivered when it hangs."""
+
+
+@pytest.fixture
+def hangs(tmp_path):
+    """The tracker `staged`, whose first process hangs in the test stretch."""
+    return f"staged:crash_at=60,how=hangs,starts={tmp_path / 'starts'}"
+
+
+def interrupt_host(trial, delivered):
+    """Interrupts this process when a trial hangs."""
+    if delivered == HUNG:
+        os.kill(os.getpid(), signal.SIGINT)
 
 
 def test_two_engines_agree_to_the_last_count(compare, progress, tmp_path, train, cluster, monkeypatch):
@@ -76,13 +88,11 @@ def test_thresholds_that_a_process_has_chosen_are_found_by_the_next(tmp_path):
 
 @pytest.mark.parametrize(("number", "reason"), [(signal.SIGKILL, "signal 9"), (signal.SIGINT, "it was interrupted")])
 def test_a_job_whose_process_is_killed_or_interrupted_starts_again_with_a_note(
-    compare, progress, cluster, number, reason
+    compare, progress, cluster, hangs, number, reason
 ):
     """As if its machine is lost, or a scheduler needs it for another user."""
-    progress.on_frame = lambda trial, delivered: (
-        delivered == 21 and len(cluster.started) == 1 and cluster.started[0].send_signal(number)
-    )
-    assert trial_of(compare("staged:sleep_s=0.02"), "staged").outcome == "ok"
+    progress.on_frame = lambda trial, delivered: delivered == HUNG and cluster.started[0].send_signal(number)
+    assert trial_of(compare(hangs), "staged").outcome == "ok"
     lost = f"staged@room: lost by the engine ({reason}); starts again, 1 of 2"
     assert [note for note in progress.notes if "lost" in note] == [lost]
     assert progress.frames == {"staged@room": 160}
@@ -98,34 +108,33 @@ def test_a_job_that_is_lost_again_and_again_ends_as_failed(compare, cluster, mon
     assert outcome.reason == ("lost by the engine 3 times, the last time because signal 9: compare with --resume")
 
 
-def test_a_process_of_a_lost_machine_that_still_writes_changes_no_result(compare, progress, tmp_path, cluster):
+def test_a_process_of_a_lost_machine_that_still_runs_changes_no_result(compare, progress, tmp_path, cluster, hangs):
     """The machine is only cut off: its process continues, and notices that its task was abandoned."""
     ended, cut_off = cluster.ended, []
 
     def without_the_first(tasks):
         ends = dict(ended(tasks))
-        if not cut_off and progress.delivered.get("staged@room", 0) > 20:
+        if not cut_off and progress.delivered.get("staged@room") == HUNG:
             cut_off.append(tasks[0])
             ends[tasks[0]] = TaskEnd(lost=True, reason="no answer")
         return ends
 
     cluster.ended = without_the_first
-    compare("staged:sleep_s=0.02")
+    compare(hangs)
     assert cut_off[0].wait(60) == 0
     assert read_trial_record(tmp_path / "run" / "staged@room").outcome == "ok"
     assert not (tmp_path / "run" / ".engine").exists()
 
 
-def test_an_interrupt_keeps_the_scores_and_leaves_no_process(compare, progress, tmp_path, cluster):
-    trackers = ("persistence", "staged:sleep_s=0.05")
-    interrupted = []
+def test_an_interrupt_keeps_the_scores_and_leaves_no_process(compare, progress, tmp_path, cluster, hangs):
+    trackers = ("persistence", hangs)
+    done = (tmp_path / "run" / "persistence@room" / "outcome.json").exists
 
-    def interrupt(trial, delivered):
-        done = (tmp_path / "run" / "persistence@room" / "outcome.json").exists()
-        if done and progress.delivered.get("staged@room", 0) > 50 + 60 and not interrupted:
-            interrupted.append(os.kill(os.getpid(), signal.SIGINT))
+    def interrupt():
+        wait_until(lambda: done() and progress.delivered.get("staged@room") == HUNG)
+        os.kill(os.getpid(), signal.SIGINT)
 
-    progress.on_frame = interrupt
+    threading.Thread(target=interrupt).start()
     summary = compare(*trackers)
     assert summary.interrupted is True
     assert trial_of(summary, "persistence").outcome == "ok"
@@ -137,18 +146,18 @@ def test_an_interrupt_keeps_the_scores_and_leaves_no_process(compare, progress, 
     assert len(cluster.started) == 3
 
 
-def test_an_interrupt_ends_a_run_whose_jobs_have_nothing_to_reply(compare, progress, cluster, monkeypatch):
+def test_an_interrupt_ends_a_run_whose_jobs_have_nothing_to_reply(compare, progress, cluster, hangs, monkeypatch):
     """As jobs that still wait for a machine."""
     cancel = cluster.cancel
     monkeypatch.setattr(cluster, "cancel", lambda tasks, *, force: cancel(tasks, force=True))
-    progress.on_frame = interrupt_at(60)
-    summary = compare("staged:sleep_s=0.05")
+    progress.on_frame = interrupt_host
+    summary = compare(hangs)
     trial = trial_of(summary, "staged")
     assert (summary.interrupted, trial.outcome, trial.frames_scored) == (True, "interrupted", 0)
 
 
 def test_a_cluster_that_does_not_cancel_is_a_note_and_the_scores_are_kept(
-    compare, progress, tmp_path, cluster, monkeypatch
+    compare, progress, tmp_path, cluster, hangs, monkeypatch
 ):
     cancel = cluster.cancel
 
@@ -158,8 +167,8 @@ def test_a_cluster_that_does_not_cancel_is_a_note_and_the_scores_are_kept(
 
     monkeypatch.setattr(cluster, "cancel", silent)
     monkeypatch.setattr(cluster, "close", lambda: silent([], force=True))
-    progress.on_frame = interrupt_at(120)
-    trial = trial_of(compare("staged:sleep_s=0.05"), "staged")
+    progress.on_frame = interrupt_host
+    trial = trial_of(compare(hangs), "staged")
     assert (trial.outcome, trial.frames_scored > 0) == ("interrupted", True)
     assert [note for note in progress.notes if "no answer" in note] == ["no answer: some may still run"]
     assert not (tmp_path / "run" / ".engine").exists()

@@ -106,7 +106,8 @@ def test_a_trial_that_is_taken_away_in_mid_run_changes_no_count(settings, progre
             take_away(*ended[0])
 
     progress.on_frame = end_its_job
-    run(resolve(settings("staged:sleep_s=0.05", "dies=staged:crash_at=60", engine="slurm")), (), progress)
+    rows = f"staged:crash_at=60,how=hangs,starts={tmp_path / 'starts'}", "dies=staged:crash_at=60"
+    run(resolve(settings(*rows, engine="slurm")), (), progress)
     assert ended
     (lost,) = [note for note in progress.notes if "lost by the engine" in note]
     assert lost.startswith(f"staged@room: lost by the engine ({reason}")
@@ -141,7 +142,7 @@ def test_an_interrupt_leaves_no_job_and_keeps_the_scores(settings, tmp_path):
     words = ["compare", *settings().recordings, "--horizon", "1s", "--every", "0.5s", "--out", str(tmp_path / "run")]
     words += ["--engine", "slurm", "--slurm", "partition=low,timeout_min=5,mem_gb=0.5", "--tracker", "persistence"]
     for label in ("a", "b", "c"):
-        words += ["--tracker", f"{label}=staged:sleep_s=0.2"]
+        words += ["--tracker", f"{label}=staged:crash_at=60,how=hangs"]
     host = subprocess.Popen([sys.executable, "-m", "gridtrack.cli", *words])
     wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
     tasks = (tmp_path / "run" / ".engine").glob

@@ -347,11 +347,12 @@ def test_a_file_in_which_too_little_comes_is_one_line(settings, record):
 def test_the_command_follows_a_finished_file_to_its_end(gridtrack, record, tmp_path):
     path = record(stretches={})
     command = ("compare", "--follow", path, "--tracker", "persistence", "--horizon", "1s", "--out", tmp_path / "out")
-    code, errors = gridtrack(*command)
-    assert code == 0, errors
-    assert "F1 dynamic at 1 s: persistence" in errors
+    done = gridtrack(*command)
+    assert done.code == 0, done.err
+    assert "F1 dynamic at 1 s: persistence" in done.err
     assert "the first 200 frames, written before the comparison began, have no deadline" in (
         (tmp_path / "out" / "report" / "index.html").read_text()
     )
-    refused = "gridtrack: --deadline is for finished recordings: leave it out with --follow\n"
-    assert gridtrack(*command, "--deadline") == (2, refused)
+    refused = gridtrack(*command, "--deadline")
+    message = "gridtrack: --deadline is for finished recordings: leave it out with --follow\n"
+    assert (refused.code, refused.err) == (2, message)

@@ -51,7 +51,7 @@ def alive(processes):
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
 def test_a_run_that_is_ended_keeps_its_scores_and_leaves_no_process(start, begun, tmp_path, end):
-    host = start("persistence", "staged:sleep_s=0.03", "blank")
+    host = start("persistence", "staged:crash_at=60,how=hangs", "blank")
     wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
     begun("staged@room")
     family = children(host)
@@ -66,10 +66,10 @@ def test_a_run_that_is_ended_keeps_its_scores_and_leaves_no_process(start, begun
     assert trial_of(summary, "staged").frames_scored < 16
 
 
-def test_an_interrupt_ends_a_call_that_hangs(start, tmp_path):
-    host = start("staged:sleep_s=3600")
+def test_an_interrupt_ends_a_run_wherever_it_is(start, tmp_path):
+    host = start("staged:crash_at=1,crash_in=1,how=hangs")
     wait_until((tmp_path / "run" / "staged@room" / "stderr.log").exists)
-    time.sleep(0.3)  # wherever it then is, in its start or in the call that hangs
+    time.sleep(0.3)  # in its start, or in the call that hangs
     host.send_signal(signal.SIGINT)
     assert host.wait(60) == 130
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["interrupted"] is True
@@ -78,7 +78,7 @@ def test_an_interrupt_ends_a_call_that_hangs(start, tmp_path):
 def test_a_folder_is_locked_until_its_run_has_ended_and_a_killed_run_is_resumed(
     start, begun, compare, progress, tmp_path, trackers_here
 ):
-    trackers = ("persistence", "staged:sleep_s=0.05")
+    trackers = ("persistence", f"staged:crash_at=60,how=hangs,starts={tmp_path / 'starts'}")
     host = start(*trackers)
     wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
     begun("staged@room")
@@ -96,7 +96,7 @@ def test_a_folder_is_locked_until_its_run_has_ended_and_a_killed_run_is_resumed(
 
 
 def test_a_tracker_that_is_killed_or_dies_ends_alone(start, begun, tmp_path):
-    host = start("staged:sleep_s=0.02", "persistence", "dies=staged:crash_at=60,dies=true")
+    host = start("staged:crash_at=60,how=hangs", "persistence", "dies=staged:crash_at=60,how=dies")
     begun("staged@room")
     victims = [p for p in alive(children(host)) if p.cmdline()[-2:] == ["gridtrack.trackers.serve", "staged"]]
     os.kill(victims[-1].pid, signal.SIGKILL)

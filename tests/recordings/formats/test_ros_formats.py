@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import struct
 import sys
@@ -13,13 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 
-from gridtrack.common.errors import GridtrackError, RecordingError
+from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import MAX_RANGE_M, Scan
 from gridtrack.recordings import CloudSlice, import_recording, open_recording
 
@@ -210,21 +207,6 @@ def test_a_damaged_database_is_an_error_with_strict(tmp_path: Path, scans: list[
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(RecordingError, match="damaged"):
         list(open_recording(path, strict=True).scans())
-
-
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.data())
-def test_random_damage_of_a_bag_raises_only_our_errors(tmp_path: Path, scans: list[Scan], data: st.DataObject) -> None:
-    whole = tmp_path / "whole.bag"
-    if not whole.exists():
-        ROS1.write(whole, messages_of(ROS1, scans), chunk_bytes=4096)
-    content = bytearray(whole.read_bytes())
-    for _ in range(data.draw(st.integers(1, 3))):
-        content[data.draw(st.integers(4096, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path = tmp_path / "damaged.bag"
-    path.write_bytes(content[: data.draw(st.integers(5000, len(content)))])
-    with contextlib.suppress(GridtrackError):
-        list(open_recording(path).scans())
 
 
 def test_a_height_slice_has_the_nearest_point_of_each_bearing(tmp_path: Path) -> None:

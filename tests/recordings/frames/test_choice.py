@@ -251,96 +251,127 @@ def test_motion_that_is_not_recorded_cannot_be_refined(bag: Bag, tmp_path: Path)
 # ---- mounts and the pose topic
 
 
-def test_an_unknown_mount_is_an_error_until_it_is_given(bag: Bag, tmp_path: Path) -> None:
-    odometry = made.odometry(ROS)
-    two = bag(*FRONT, *REAR, *odometry)
-    unknown = r"several sensors .*--mount front_scan=0,0,0deg --mount rear_scan=0,0,0deg"
-    with pytest.raises(RecordingError, match=unknown):
-        open_stream(two)
-    mounts = [parse_mount("front_laser=0.3,0.1,30deg"), parse_mount("rear_scan=-0.3,0,180deg,mirrored")]
-    recording = open_recording(two, mounts=mounts)
-    assert made.walls_stay(recording.scans(), 2 * made.SCANS)
-    assert "odom -> base_link -> rear_scan (mirrored); from /odom, --mount" in recording.info.poses
-    one = bag(*FRONT, *odometry, name="one.bag")
-    with pytest.raises(RecordingError, match=r"/odom has the poses of 'base_link', .*--mount front_scan=0,0,0deg"):
-        import_recording(one, tmp_path / "one.mcap")
-    imported = import_recording(one, tmp_path / "one.mcap", mounts=[parse_mount("front_scan=0.3,0.1,30deg")])
-    assert made.walls_stay(imported.scans())
-    assert "--mount front_scan=0.3,0.1,30deg" in imported.info.command
-
-
-def test_a_mount_is_on_the_frame_with_recorded_poses(bag: Bag) -> None:
-    path = bag(*FRONT, STATIC, *made.odometry(ROS, child="base_footprint"))
-    with pytest.raises(RecordingError, match=r"of 'base_footprint', and the mount of sensor 'front_scan'"):
-        open_stream(path)
-    recording = open_recording(path, mounts=[parse_mount("front_scan=0.3,0.1,30deg")])
-    assert made.walls_stay(recording.scans())
-    assert recording.info.poses.startswith("odom -> base_footprint -> front_scan; from /odom, --mount")
-
-
-def test_scans_without_a_frame_need_a_mount_by_the_name_of_the_sensor(bag: Bag) -> None:
+def without_frame() -> list[made.Message]:
+    """The scans with an empty frame."""
     scans = list(made.scans_of(ROS, made.DURATION_MS, made.FRONT))
     for *_, message in scans:
         message.header.frame_id = ""
-    path = bag(*scans, *made.odometry(ROS))
-    with pytest.raises(RecordingError, match="--mount front_scan=0,0,0deg"):
+    return scans
+
+
+BASE_FOOTPRINT = [*FRONT, STATIC, *made.odometry(ROS, child="base_footprint")]
+AMBIGUOUS = [*FRONT, *made.poses(ROS, "/ego", "/other")]
+
+
+@pytest.mark.parametrize(
+    ("messages", "message", "options", "poses"),
+    [
+        pytest.param(
+            [*FRONT, *REAR, *made.odometry(ROS)],
+            r"several sensors .*--mount front_scan=0,0,0deg --mount rear_scan=0,0,0deg",
+            {"mounts": ["front_laser=0.3,0.1,30deg", "rear_scan=-0.3,0,180deg,mirrored"]},
+            "odom -> base_link -> rear_scan (mirrored); from /odom, --mount",
+            id="two sensors on the robot with odometry",
+        ),
+        pytest.param(
+            [*FRONT, *made.odometry(ROS)],
+            r"/odom has the poses of 'base_link', and the mount of sensor 'front_scan' .*--mount front_scan=0,0,0deg",
+            {"mounts": ["front_scan=0.3,0.1,30deg"]},
+            "odom -> base_link -> front_scan; from /odom, --mount",
+            id="one sensor on the robot with odometry",
+        ),
+        pytest.param(
+            BASE_FOOTPRINT,
+            r"of 'base_footprint', and the mount of sensor 'front_scan'",
+            {"mounts": ["front_scan=0.3,0.1,30deg"]},
+            "odom -> base_footprint -> front_scan; from /odom, --mount",
+            id="a mount is on the frame with recorded poses",
+        ),
+        pytest.param(
+            [*without_frame(), *made.odometry(ROS)],
+            "--mount front_scan=0,0,0deg",
+            {"mounts": ["front_scan=0.3,0.1,30deg"]},
+            "odom -> base_link -> front_scan",
+            id="scans without a frame",
+        ),
+        pytest.param(
+            [*FRONT, *made.moving(ROS, "map", "car")],
+            r"transforms on /tf \(map -> car\) do not lead to frame 'front_laser' of sensor 'front_scan'.*"
+            r"--mount front_scan=car:0,0,0deg`",
+            {"mounts": ["front_laser=car:0.3,0.1,30deg"]},
+            "map -> car -> front_laser",
+            id="transforms that do not lead to the sensor",
+        ),
+        pytest.param(
+            AMBIGUOUS,
+            r"not recorded which of /ego, /other has the poses of the robot with sensor 'front_scan'.*"
+            r"--pose-topic /ego --mount front_scan=0,0,0deg`",
+            {"pose_topic": "/ego", "mounts": ["front_scan=0.3,0.1,30deg"]},
+            "world -> base_link -> front_scan; from /ego, --mount",
+            id="ambiguous poses",
+        ),
+    ],
+)
+def test_an_unknown_mount_or_pose_topic_is_an_error_until_it_is_given(
+    bag: Bag, tmp_path: Path, messages: list[made.Message], message: str, options: dict, poses: str
+) -> None:
+    path = bag(*messages)
+    with pytest.raises(RecordingError, match=message) as error:
         open_stream(path)
-    assert made.walls_stay(open_recording(path, mounts=[parse_mount("front_scan=0.3,0.1,30deg")]).scans())
+    assert "\n" not in str(error.value)
+    assert "its poses are not known" in str(open_recording(path).overview())
+    given = options | {"mounts": [parse_mount(text) for text in options["mounts"]]}
+    imported = import_recording(path, tmp_path / "posed.mcap", **given)
+    assert poses in imported.info.poses
+    assert made.walls_stay(imported.scans(), len(imported.survey.sensors) * made.SCANS)
+    assert all(f"--mount {text}" in imported.info.command for text in options["mounts"])
+    still = open_recording(path, pose_topic="none", topic="/front_scan")
+    assert still.overview().warnings == ()
+    assert not still.survey.moves
 
 
-def test_transforms_that_do_not_lead_to_the_sensor_are_an_error_with_the_frame_for_its_mount(bag: Bag) -> None:
-    path = bag(*FRONT, *made.moving(ROS, "map", "car"))
-    with pytest.raises(RecordingError) as error:
-        open_stream(path)
-    assert "transforms on /tf (map -> car) do not lead to frame 'front_laser' of sensor 'front_scan'" in str(
-        error.value
-    )
-    assert "--mount front_scan=car:0,0,0deg`" in str(error.value)
-    assert made.walls_stay(open_recording(path, mounts=[parse_mount("front_laser=car:0.3,0.1,30deg")]).scans())
+@pytest.mark.parametrize(
+    ("messages", "options", "error", "message"),
+    [
+        pytest.param(
+            [*FRONT, *made.moving(ROS, "odom", "base"), *made.poses(ROS, "/ego")],
+            {},
+            RecordingError,
+            r"transforms on /tf \(odom -> base\) do not lead to frame '\w+' of sensor 'front_scan'; it is not recorded"
+            r" whether /ego has the poses of the robot with sensor 'front_scan': name the topic",
+            id="ambiguous poses, with the reason why the transforms are not used",
+        ),
+        *(
+            pytest.param(
+                [*FRONT, STATIC, ROS.odometry(0, SE2())],
+                {"pose_topic": topic},
+                RecordingError,
+                f"no topic '{topic}' with poses; .*/odom",
+                id=f"{topic} has no poses",
+            )
+            for topic in ("/odmo", "/front_scan")
+        ),
+        pytest.param(
+            REAR,
+            {"mounts": [parse_mount("rare_scan=0,0,0")]},
+            ConfigurationError,
+            r"--mount rare_scan=.*no sensor 'rare_scan'; did you mean 'rear_",
+            id="a mount of an unknown sensor",
+        ),
+    ],
+)
+def test_other_pose_errors_are_one_line(bag: Bag, messages, options: dict, error: type[Exception], message) -> None:
+    with pytest.raises(error, match=message) as raised:
+        open_recording(bag(*messages), **options).check_poses()
+    assert "\n" not in str(raised.value)
 
 
-def test_a_format_without_frames_has_no_pose_topic_and_no_mounts(bag: Bag, tmp_path: Path) -> None:
+def test_a_format_without_frames_has_no_pose_topic_and_no_mounts(tmp_path: Path) -> None:
     (tmp_path / "a.clf").write_text("")
     with pytest.raises(RecordingError, match=r"--pose-topic is for recordings whose poses are on topics of their own"):
         open_recording(tmp_path / "a.clf", pose_topic="/odom")
     with pytest.raises(RecordingError, match=r"--mount is for recordings whose scans name their frame"):
         open_recording(tmp_path / "a.clf", mounts=[parse_mount("scan=0,0,0")])
-    recording = open_recording(bag(*REAR), mounts=[parse_mount("rare_scan=0,0,0")])
-    with pytest.raises(ConfigurationError, match=r"--mount rare_scan=.*no sensor 'rare_scan'; did you mean 'rear_"):
-        list(recording.scans())
-
-
-@pytest.mark.parametrize("topic", ["/odmo", "/front_scan"])
-def test_a_topic_without_poses_is_refused(bag: Bag, topic: str) -> None:
-    path = bag(*FRONT, STATIC, ROS.odometry(0, SE2()))
-    with pytest.raises(RecordingError, match=f"no topic '{topic}' with poses; .*/odom"):
-        list(open_recording(path, pose_topic=topic).scans())
-
-
-def test_ambiguous_poses_are_an_error_unless_the_topic_is_named(bag: Bag) -> None:
-    path = bag(*FRONT, *made.poses(ROS, "/ego", "/other"))
-    with pytest.raises(RecordingError) as error:
-        open_stream(path)
-    message = str(error.value)
-    assert "not recorded which of /ego, /other has the poses of the robot with sensor 'front_scan'" in message
-    assert "--pose-topic /ego --mount front_scan=0,0,0deg`" in message
-    assert "\n" not in message
-    assert "its poses are not known" in str(open_recording(path).overview())
-    named = open_recording(path, pose_topic="/ego", mounts=[parse_mount("front_scan=0.3,0.1,30deg")])
-    assert made.walls_stay(named.scans())
-    still = open_recording(path, pose_topic="none")
-    assert still.overview().warnings == ()
-    assert not still.survey.moves
-
-
-def test_an_error_about_ambiguous_poses_says_why_the_transforms_are_not_used(bag: Bag) -> None:
-    path = bag(*FRONT, *made.moving(ROS, "odom", "base"), *made.poses(ROS, "/ego"))
-    reason = (
-        r"transforms on /tf \(odom -> base\) do not lead to frame '\w+' of sensor 'front_scan'; it is not recorded"
-        r" whether /ego has the poses of the robot with sensor 'front_scan': name the topic"
-    )
-    with pytest.raises(RecordingError, match=reason):
-        open_stream(path)
 
 
 # ---- errors suggest commands that work

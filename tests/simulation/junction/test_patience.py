@@ -1,4 +1,4 @@
-"""Drivers give way to walking pedestrians, and after one and a half signal cycles no longer to standing ones."""
+"""After one and a half signal cycles drivers no longer give way to standing pedestrians."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ SNAIL = """
  <flow id="car" type="car" begin="0" end="200" period="60" from="NC" to="CS" departLane="best"/>
 </routes>
 """
-"""A pedestrian who crosses at 3 cm a second blocks the northern arm for two green phases."""
+"""A pedestrian who crosses at 3 cm per second blocks the northern arm for two green phases."""
 
 
 class Traffic:
-    """A scripted TraCI connection: the vehicles' waiting times and the pedestrians' positions at each observation."""
+    """A scripted TraCI connection: waiting times of vehicles and positions of pedestrians at each observation."""
 
     def __init__(self, time_s: float = FROM_S) -> None:
         self.junction, self.vehicle, self.simulation = self, self, self
@@ -53,7 +53,7 @@ class Traffic:
         self.ignored[vehicle] = value
 
     def observe(self, waited_s: dict[str, float], people: dict[str, tuple[float, float]]) -> dict[str, str]:
-        """The parameters of the vehicles that were set at this observation."""
+        """The parameters of vehicles that this observation sets."""
         from traci import constants
 
         self.values = {name: {constants.VAR_WAITING_TIME: value} for name, value in waited_s.items()}
@@ -77,7 +77,7 @@ def test_the_short_packaged_recordings_end_before_patience_starts() -> None:
     assert traffic.observe({"car": 400.0}, {"anna": CORNER}) == {}
 
 
-def test_drivers_ignore_standing_pedestrians_after_a_cycle_and_a_half_but_not_walking_ones_or_those_ahead() -> None:
+def test_after_a_cycle_and_a_half_drivers_ignore_standing_pedestrians_outside_their_path() -> None:
     traffic = Traffic()
     traffic.observe({"car": 156.0}, {"anna": CORNER, "ben": OTHER_CORNER, "carl": MIDDLE})
     walked = (OTHER_CORNER[0] + 1.5, OTHER_CORNER[1])

@@ -9,7 +9,7 @@ pytest.importorskip("optuna")
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Shift
-from gridtrack.trackers.contract import FitTask, StreamSpec, StretchScore
+from gridtrack.trackers.contract import FitTask, StreamSpec
 from gridtrack.trackers.dogma.settings import DogmaSettings
 from gridtrack.trackers.dogma.tracker import DogmaTracker, count_occupancy_rate
 from gridtrack.trackers.site_map import count_frames
@@ -18,6 +18,7 @@ from gridtrack.trackers.training.card import card_for
 from gridtrack.trackers.training.excerpts import CachedSource
 from gridtrack.trackers.training.search import FINALISTS
 from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
+from tests.trackers.scores import of_every_stratum
 
 from scenes.scrolling import scrolled
 
@@ -72,10 +73,8 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
 
     def score(tracker, source, steps):
         asked.append(tracker.options)
-        loss = np.full(steps + 1, abs(np.log(tracker.options.acceleration / 1.3)))  # of F1 too: the search maximises it
-        return StretchScore(
-            {"dynamic": 1 - loss, "in-motion": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss}
-        )
+        loss = abs(np.log(tracker.options.acceleration / 1.3))
+        return of_every_stratum(1.0 - loss, loss, steps)
 
     paths = [tmp_path / run / "yard.toml" for run in ("one", "two")]
     for path in paths:
@@ -114,10 +113,8 @@ def test_a_site_starts_from_general_settings_and_searches_near_them(
 
     def score(tracker, source, steps):
         asked.append(tracker.options)
-        loss = np.full(steps + 1, abs(np.log(tracker.options.free_decay_s / best_s)) / 10)
-        return StretchScore(
-            {"dynamic": 1 - loss, "in-motion": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss}
-        )
+        loss = abs(np.log(tracker.options.free_decay_s / best_s)) / 10
+        return of_every_stratum(1.0 - loss, loss, steps)
 
     out = tmp_path / "yard.toml"
     DogmaTracker.fit(task(out, score, DogmaSettings(birth_speed=2.5), start=general))
@@ -151,10 +148,9 @@ class Driven(Source):
 
 def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(searched_fit, "SEARCH_ITERATIONS", 1)
-    flat = np.full(17, 0.5)
     told: list[str] = []
     out = tmp_path / "yard.toml"
-    both = StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+    both = of_every_stratum(0.5, 0.5, 16)
     DogmaTracker.fit(task(out, lambda *_: both, DogmaSettings(particles=800), Driven(), report=told.append))
     assert any("the sensor moves: no map of the place is learned" in line for line in told)
     stream = StreamSpec(GRID, PERIOD_S, "yard", weights=out)

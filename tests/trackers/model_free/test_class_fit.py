@@ -7,22 +7,22 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
-from gridtrack.trackers.contract import FitTask, StretchScore, stream_of
+from gridtrack.trackers.contract import FitTask, stream_of
 from gridtrack.trackers.model_free.classes import ClassModel
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
-from gridtrack.trackers.model_free.training import count_cells
+from gridtrack.trackers.model_free.training import count_labelled_cells
 from gridtrack.trackers.training import searched_fit
 from gridtrack.trackers.training.labelled_scans import LabelledScans
 from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
+from tests.trackers.scores import of_every_stratum
 
 from scenes.street import GRID, Street, frame_of
 
 
 def no_score(tracker, source, steps):
-    flat = np.zeros(steps + 1)
-    return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat})
+    return of_every_stratum(0.0, 0.0, steps)
 
 
 def fit(folder, tracker=KalmanTracker, street=None, **options):
@@ -160,7 +160,7 @@ def test_only_labelled_cells_of_the_trained_classes_are_counted():
                 yield LabelledFrame(frame_of([]), np.array([3, 3600 - 1]), np.array(labels, np.uint8))
 
     labelled = LabelledScans((Labelled(),), (np.array([0, 2]),), ("horse", "pedestrian"))
-    count = count_cells(labelled, ("horse", "pedestrian"))
+    count = count_labelled_cells(labelled, ("horse", "pedestrian"))
     assert count.sum() == 4.0
     assert (count[1, 0, 3], count[0, 59, 59], count[1, 59, 59]) == (2.0, 1.0, 1.0)
     assert ClassModel._fields == ("mixture_weights", "means", "whitening", "frequency", "powers", "cell_prior")

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import chi2
 
 from gridtrack.common.geometry import wrap_angle
-from gridtrack.trackers.model_free.estimators import IMPROBABLE, SwitchingEstimator, warm_up
+from gridtrack.trackers.model_free.estimators import IMPROBABLE, SwitchingEstimator
 from gridtrack.trackers.model_free.factor_graph import LAG_S, FactorGraphEstimator
 from gridtrack.trackers.model_free.kalman import KalmanEstimator
 from gridtrack.trackers.model_free.motion import MotionModel, Regimes, propagate
@@ -201,10 +201,6 @@ def test_an_invalid_measurement_is_refused_and_changes_nothing(estimator, pose, 
         estimator(np.array(pose), covariance, MODEL)
     assert np.array_equal(track.mean, mean)
     assert np.array_equal(track.covariance, spread)
-
-
-def test_warm_up_runs_every_function_once(estimator):
-    warm_up(estimator, MODEL)
 
 
 def circle(frames, speed=2.0, turn_rate=0.4):

@@ -10,7 +10,7 @@ import pytest
 
 from gridtrack.common.errors import RecordingError, WeightsError
 from gridtrack.common.grid import GridSpec, Shift
-from gridtrack.trackers.contract import FitTask, StreamSpec, StretchScore
+from gridtrack.trackers.contract import FitTask, StreamSpec
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.residence import fit_residence, resampled
@@ -19,6 +19,7 @@ from gridtrack.trackers.training import searched_fit
 from gridtrack.trackers.training.card import card_for
 from gridtrack.trackers.training.search import FINALISTS
 from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
+from tests.trackers.scores import of_every_stratum
 
 from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
 from scenes.scrolling import scrolled
@@ -83,10 +84,7 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
         settings = tracker._settings
         asked.append(settings)
         far = abs(np.log(settings.acceleration / 0.3))
-        loss = np.full(steps + 1, far)
-        return StretchScore(
-            {"dynamic": 1 - loss, "in-motion": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss}
-        )
+        return of_every_stratum(1.0 - far, far, steps)
 
     paths = [tmp_path / run / "hall.toml" for run in ("one", "two")]
     for path in paths:
@@ -116,8 +114,7 @@ def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, mo
         """In training, more acceleration is better; in validation, less."""
         value = tracker._settings.acceleration
         (compared if source is validation else searched).append(value)
-        flat = np.full(steps + 1, value if source is not validation else 1.0 - value)
-        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+        return of_every_stratum(value if source is not validation else 1.0 - value, 0.0, steps)
 
     told = []
     fit_hall(tmp_path, score, told, validation)
@@ -129,11 +126,7 @@ def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, mo
 
 def test_a_stretch_without_scores_is_refused_in_one_line(tmp_path):
     def score(tracker, source, steps):
-        undefined = np.full(steps + 1, np.nan)
-        return StretchScore(
-            {"dynamic": undefined, "in-motion": undefined, "visible": undefined},
-            {"dynamic": undefined, "visible": undefined},
-        )
+        return of_every_stratum(np.nan, np.nan, steps)
 
     with pytest.raises(RecordingError, match=r"F1 is not defined on the training recordings: .*use a longer stretch"):
         fit_hall(tmp_path, score, [])
@@ -150,8 +143,7 @@ class Scores:
         if self.calls == self.interrupt_after:
             raise KeyboardInterrupt
         self.calls += 1
-        flat = np.full(steps + 1, 1.0 / (1.0 + tracker._settings.acceleration))
-        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+        return of_every_stratum(1.0 / (1.0 + tracker._settings.acceleration), 0.0, steps)
 
 
 def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_been(tmp_path, caplog, monkeypatch):
@@ -252,8 +244,7 @@ def test_at_a_site_settings_are_searched_near_the_general_ones_and_those_of_its_
 
     def score(tracker, source, steps):
         asked.append(tracker._settings)
-        flat = np.full(steps + 1, 0.5)
-        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+        return of_every_stratum(0.5, 0.0, steps)
 
     fit(tmp_path / "hall.toml", score, ModelFreeSettings(link_m=0.7), start=general)
     assert {one.link_m for one in asked} == {0.7}, "was given"
@@ -281,8 +272,7 @@ def test_the_validation_recordings_decide_whether_the_map_of_the_place_serves(
     def score(tracker, scored, steps):
         without = tracker._settings.background == "none"
         assert not (without and scored is not validation and not told), "the search itself counts with the map"
-        flat = np.full(steps + 1, 0.5 if without else with_map)
-        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+        return of_every_stratum(0.5 if without else with_map, 0.0, steps)
 
     more = {"report": told.append, "start": general}
     at_site = fit(tmp_path / "hall.toml", score, train=[source()], validation=validation, **more)
@@ -296,8 +286,7 @@ def test_a_background_that_is_given_is_not_chosen(tmp_path, monkeypatch):
 
     def score(tracker, source, steps):
         asked.append(tracker._settings.background)
-        flat = np.full(steps + 1, 0.5)
-        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+        return of_every_stratum(0.5, 0.0, steps)
 
     options = ModelFreeSettings(background="fitted")
     fit(tmp_path / "hall.toml", score, options, start=general_weights(tmp_path))

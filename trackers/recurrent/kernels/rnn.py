@@ -31,8 +31,10 @@ class InferenceRNN(InferenceNetwork):
     def step(self, x: Tensor | None, state: OneState) -> OneState:
         """h_t; an empty input is not convolved."""
         if x is None:
-            return (torch.sigmoid(self._empty + conv2d(state[0], self._weight, padding="same")),)
-        return self.network.step(x, state)
+            h: Tensor = torch.sigmoid(self._empty + conv2d(state[0], self._weight, padding="same"))
+            return (h,)
+        found: OneState = self.network.step(x, state)
+        return found
 
     def occupancy(self, features: Tensor) -> Tensor:
         """Logits of P(occupied), (1, M, M)."""
