@@ -134,7 +134,7 @@ def test_what_cannot_be_uploaded_stays_here_and_is_uploaded_by_the_command_that_
     failed = gridtrack(*command, code=2)
     (kept,) = kept_runs(folder)
     told, reason = failed.stderr.splitlines()[-2:]
-    assert told.startswith(f"gridtrack: {kept} keeps the run, which is not in {url} as it is here: run `gridtrack")
+    assert told.startswith(f"gridtrack: {kept} keeps the run, which {url} does not have in this state: run `gridtrack")
     assert "--resume`" in told
     assert reason.startswith(f"gridtrack: {url}: cannot be uploaded to (")
     assert not (folder / "store" / "hall" / "run.json").exists()
