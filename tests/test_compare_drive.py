@@ -31,7 +31,7 @@ def test_a_drive_is_compared_without_an_option_about_poses(
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     ros = made.Ros(version)
     ros.write(tmp_path / "drive.bag", made.two_scanner_drive(ros, 12_000))
-    # a ROS 1 bag with every tracker
+    # A ROS 1 bag with every tracker that there is, with general weights where it needs any.
     trackers = () if version == 1 else ("--tracker", "persistence", "--tracker", "blank")
     shown = gridtrack("compare", "drive.bag", *trackers).stderr
     assert f"drive.bag: {CHAINS}\n" in shown

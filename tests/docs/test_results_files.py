@@ -13,7 +13,7 @@ from studies.support.results_file import read_sections
 SECTIONS = [
     (path.relative_to(RESULTS).as_posix(), name, section.command)
     for path in sorted(RESULTS.rglob("*.json"))
-    if path.name != "summary.json"
+    if path.name not in ("summary.json", "confusion.json")
     for name, section in read_sections(path).items()
 ]
 
