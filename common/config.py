@@ -25,7 +25,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def parse_pairs(text: str, where: str) -> dict[str, Any]:
-    """Read `key=value,key=value`; a value is JSON where it parses as JSON, else a string.
+    """Read `key=value,key=value`; a value is JSON if it parses as JSON, else a string.
 
     A comma inside brackets or double quotes belongs to the value.
 

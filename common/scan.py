@@ -55,11 +55,10 @@ class Scan:
     `ranges` (B,) float32 in metres, beam i at `angle_min + i * angle_increment` (radians, counter-clockwise, sensor
     frame). A range of +inf or beyond `range_max` is "no return": free up to `range_max`. NaN, -inf and anything below
     `range_min` is invalid and gives no information (ROS REP 117). `world_T_sensor` is the pose that trackers get;
-    `reference_T_sensor` is the one that forecasts are scored by, where it is another. `labels` (B,) uint8 are indices
-    into the recording's classes, UNLABELLED where the class is not known. `scene` is the true scene, where the
-    recording has it, in the world of the reference poses. Labels, scene and reference poses are never sent to a
-    tracker. Beam i is measured `i * time_increment_s` after the stamp; 0 where the times of the beams are not known.
-    `pose_quality` says how the pose was found, where it comes from matching scans.
+    `reference_T_sensor`, if it differs, is the pose for scoring forecasts. `labels` (B,) uint8 are indices into the
+    recording's classes, or UNLABELLED. `scene` is the true scene, if the recording has it, in the reference world
+    frame. Trackers never get labels, scene and reference poses. Beam i is measured `i * time_increment_s` after the
+    stamp; 0 if the beam times are unknown. `pose_quality` is the quality of a pose from matching scans.
     """
 
     stamp_ns: int

@@ -65,8 +65,7 @@ class Growth:
 
     At the end of the file `more()` may wait for more bytes; it returns whether to read on. By default the present
     content is read. Bytes from `limit` on are not read, and sensors outside of `sensors` are left out; None: no limit,
-    all sensors. `position` is the number of bytes read last; `cut` tells whether the file ended there before its writer
-    closed it.
+    all sensors. `position` is the number of bytes read last; `cut`: the file ended there before its writer closed it.
     """
 
     more: Callable[[], bool] = _no_more

@@ -1,4 +1,4 @@
-"""A recording whose scans, transforms and poses name their coordinate frames: ROS messages, Foxglove messages."""
+"""A recording with coordinate frames in its scans, transforms and poses: ROS messages, Foxglove messages."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class EncodedMessage(NamedTuple):
 
 
 class FramedRecording(Recording):
-    """A recording whose messages name their frames. A file is read in three passes:
+    """A recording with frame names in its messages. A file is read in three passes:
 
     1. All transforms and poses, to choose the chain of transforms of each sensor; static ones may come anywhere.
     2. The transforms of the moving links of these chains. A file that grows has no second pass.

@@ -165,7 +165,7 @@ class SceneWriter:
         self._entities: dict[str, tuple[Outline, int, SceneEntity]] = {}
 
     def outlines(self, scene: Scene, stamp_ns: int) -> SceneUpdate | None:
-        """The static outlines, or None if they are those of the last call. Raises RecordingError."""
+        """The static outlines, or None if they are unchanged since the last call. Raises RecordingError."""
         if self._static is scene.static:
             return None
         self._static = scene.static

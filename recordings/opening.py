@@ -17,8 +17,8 @@ from gridtrack.recordings.registry import HEAD_BYTES, FormatRegistry, RecordingF
 OPTION_PURPOSE = {
     "topic": "--topic is for recordings with several topics",
     "cloud_slice": "--cloud-slice is for ROS recordings with point clouds",
-    "pose_topic": "--pose-topic is for recordings whose poses are on topics of their own (ROS, Foxglove)",
-    "mounts": "--mount is for recordings whose scans name their frame (ROS, Foxglove)",
+    "pose_topic": "--pose-topic is for recordings with poses on separate topics (ROS, Foxglove)",
+    "mounts": "--mount is for recordings with frames in their scans (ROS, Foxglove)",
 }
 
 

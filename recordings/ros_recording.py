@@ -120,7 +120,7 @@ def cloud_points(message: Any) -> NDArray[np.float64]:
     for name in ("x", "y", "z"):
         kind = np.dtype(order + POINT_FIELD_TYPES.get(fields[name].datatype, "V1"))
         if kind.kind == "V" or fields[name].offset + kind.itemsize > step:
-            raise RecordingError(f"a point cloud whose field '{name}' cannot be read")
+            raise RecordingError(f"a point cloud with an unreadable field '{name}'")
         view = np.ndarray((rows, columns), kind, data.tobytes(), fields[name].offset, (row_step, step))
         axes.append(view.astype(np.float64).reshape(-1))
     points = np.stack(axes, axis=1)

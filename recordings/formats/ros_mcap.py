@@ -38,7 +38,7 @@ FOXGLOVE_TYPES: dict[str, tuple[type[Any], Content]] = {
 }
 ZERO_ROTATION = "have a rotation of all zeros, the default of Protobuf: read as no rotation"
 NOT_FINITE = SE3((math.nan, math.nan, math.nan))
-"""The pose of a scan whose message has no valid numbers for it: StampOrder leaves the scan out."""
+"""The pose of a scan without valid numbers for it: StampOrder leaves the scan out."""
 
 
 class RosMcap(RosRecording):
@@ -98,7 +98,7 @@ class RosMcap(RosRecording):
 
 
 def foxglove_transforms(message: EncodedMessage, note: Callable[[str], None]) -> Iterator[StampedTransform]:
-    """The transforms of a message, or its pose, whose child has no name. Raises DamageError."""
+    """The transforms of a message, or its pose, with an empty child. Raises DamageError."""
     decoded = _decoded(message)
     if isinstance(decoded, PoseInFrame):
         stamp_ns = nanoseconds_of(decoded.timestamp) or message.received_ns

@@ -100,7 +100,7 @@ class FrameMotion:
         self.contradicts = False
         """Whether two transforms with the same stamp differ."""
         self.number = 1
-        """The number of transforms whose stamps are near others."""
+        """The number of transforms with stamps near others."""
         self._last = first_ns, first
         self._held: tuple[int, SE3] | None = None
         self._far = FarStamps()
@@ -222,7 +222,7 @@ class FrameTree:
         return [self.edges[child], *self.other_topics.get(child, ())] if child in self.edges else []
 
     def edge(self, topic: str, child: str) -> Edge | None:
-        """The edge of a frame whose first topic is `topic`."""
+        """The edge of a frame with `topic` as its first topic."""
         return next((edge for edge in self.edges_of(child) if edge.topic == topic), None)
 
     def edge_with(self, topic: str, stamped: StampedTransform) -> Edge | None:

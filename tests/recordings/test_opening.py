@@ -1,4 +1,4 @@
-"""Formats are found by the file, those of other distributions only by name; a broken one stops no other."""
+"""Formats are found by the file, formats of other distributions only by name; a broken one stops no other."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gridtrack.common.scan import Scan
@@ -81,6 +81,7 @@ def rule(stamps: list[int], tick: int) -> int | None:
     return nearest if abs(nearest - tick) <= PERIOD / 2 or bridged else None
 
 
+@settings(deadline=None)
 @given(st.sets(st.integers(0, 3000), max_size=40), st.integers(0, 10), st.integers(0, 25))
 def test_agrees_with_a_search_over_all_scans(stamps: set[int], first: int, count: int) -> None:
     ticks = range(first, first + count)

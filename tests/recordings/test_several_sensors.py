@@ -113,7 +113,7 @@ def robot_at(k: float) -> SE2:
 
 @pytest.fixture
 def drive(write, scan) -> Callable[..., Path]:
-    """`drive(front, rear)` writes a drive with these scans of each sensor; those of the rear one are 20 ms later."""
+    """`drive(front, rear)` writes a drive with these scans of each sensor, the rear ones 20 ms later."""
 
     def drive(front: Container[int], rear: Container[int] = range(SCANS)) -> Path:
         scans = []

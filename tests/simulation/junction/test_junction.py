@@ -144,7 +144,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_other_traffic() -> 
     files = []
     for seed in (1, 1, 2):
         file = BytesIO()
-        write_tracks(file, simulate_junction(0.05, seed, start_s=30.0))
+        write_tracks(file, simulate_junction(0.05, seed, start_s=10.0))
         files.append(file.getvalue())
     assert files[0] == files[1]
     assert files[0] != files[2]
