@@ -14,7 +14,7 @@ import re
 import subprocess
 import tarfile
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from studies.support.results_file import measured_table
@@ -67,7 +67,7 @@ def measured(texts: Texts) -> dict[str, int]:
     }
 
 
-def _lines(texts: Sequence[str] | Iterator[str]) -> int:
+def _lines(texts: Iterable[str]) -> int:
     return sum(text.count("\n") for text in texts)
 
 

@@ -42,7 +42,7 @@ QUICK = {
     "studies.gate_power": "--comparisons 1 --out TMP/regression.json",
     "studies.known_present": "--results TMP/known_present.json",
     "studies.size": "",
-    "studies.stage_costs": "--stretch 0s-4s --out TMP/model-free.json",
+    "studies.stage_costs": "--stretch 0s-6s --out TMP/model-free.json",
     "studies.stage_errors": "--stretches 0s-5s --out TMP/model-free.json",
     "studies.static_memory": "static-map --out TMP",
     "studies.two_sensors": "persistence --minutes 1 --out TMP/two_sensors.json",
