@@ -9,7 +9,7 @@ DEMO_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tra
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
 # one worker more than processors: many tests wait for the processes that they start
-PYTEST := $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 1) --dist worksteal
+PYTEST := $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
 # with general weights: they have seen no recording of a site
 GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
@@ -77,7 +77,7 @@ docs: $(VENV)/.installed-docs ## build the documentation site in runs/site; ever
 figures: $(VENV)/.installed-dev ## write the numbers of the pages from docs/results, and draw the label budget
 	$(BIN)/python -m studies.label_curve
 	$(BIN)/python -m studies.figures
-	$(BIN)/python -m studies.contract_page
+	$(BIN)/python -m studies.defined_pages
 
 size: $(VENV)/.installed-dev ## count lines, files and words (REV=v0.2.0: beside those of that revision)
 	$(BIN)/python -m studies.size $(REV)

@@ -9,24 +9,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gridtrack.cli.notebook import Run, compare
     from gridtrack.common.config import Settings
     from gridtrack.common.errors import ConfigurationError, GridtrackError
     from gridtrack.common.geometry import SE2
     from gridtrack.common.grid import GridFrame, GridSpec
     from gridtrack.recordings import open_recording, packaged_recording
     from gridtrack.recordings.stream import open_stream
-    from gridtrack.trackers.contract import Forecast, StreamSpec, TrackedObject, Tracker
+    from gridtrack.reports.python_api import Run, compare
+    from gridtrack.trackers.contract import FitTask, Forecast, Objective, StreamSpec, TrackedObject, Tracker
 
     __version__: str
 
 __all__ = [
     "SE2",
     "ConfigurationError",
+    "FitTask",
     "Forecast",
     "GridFrame",
     "GridSpec",
     "GridtrackError",
+    "Objective",
     "Run",
     "Settings",
     "StreamSpec",
@@ -41,16 +43,18 @@ __all__ = [
 _HOMES = {
     "SE2": "common.geometry",
     "ConfigurationError": "common.errors",
+    "FitTask": "trackers.contract",
     "Forecast": "trackers.contract",
     "GridFrame": "common.grid",
     "GridSpec": "common.grid",
     "GridtrackError": "common.errors",
-    "Run": "cli.notebook",
+    "Objective": "trackers.contract",
+    "Run": "reports.python_api",
     "Settings": "common.config",
     "StreamSpec": "trackers.contract",
     "TrackedObject": "trackers.contract",
     "Tracker": "trackers.contract",
-    "compare": "cli.notebook",
+    "compare": "reports.python_api",
     "open_recording": "recordings",
     "open_stream": "recordings.stream",
     "packaged_recording": "recordings",

@@ -14,10 +14,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import psutil
 
-from gridtrack.trackers.model_free.motion.estimator import MotionEstimator, warm_up
-from gridtrack.trackers.model_free.motion.factor_graph import FactorGraphEstimator
-from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
-from gridtrack.trackers.model_free.motion.model import propagate
+from gridtrack.trackers.model_free.estimators import MotionEstimator, warm_up
+from gridtrack.trackers.model_free.factor_graph import FactorGraphEstimator
+from gridtrack.trackers.model_free.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.motion import propagate
 
 from benchmarks.timing import p50_p95
 from studies.estimator_errors import FRAMES_PER_SECOND, MODEL, NOISE, Array, measured_poses

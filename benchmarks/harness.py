@@ -15,11 +15,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.results.summary import RunSummary
-from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
+from gridtrack.evaluation.runs.summary import RunSummary
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.recordings import open_recording, write_native
 
 from studies.support.results_file import study_parser

@@ -16,8 +16,8 @@ from typing import TypeVar
 
 from gridtrack.recordings import open_recording
 from gridtrack.simulation.junction import simulate_junction
+from gridtrack.simulation.tracks_file import write_recording
 from gridtrack.simulation.traffic import check_traffic
-from gridtrack.simulation.writing import write_recording
 
 from studies.support.results_file import study_parser
 

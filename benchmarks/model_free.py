@@ -17,7 +17,6 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.calibration import IDENTITY, Calibration
 from gridtrack.trackers.model_free.background import BackgroundMap
 from gridtrack.trackers.model_free.classes import FEATURES, ClassFilter, ClassModel
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
@@ -25,7 +24,9 @@ from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.registry import registered_name
+from gridtrack.trackers.training.calibration import IDENTITY, Calibration
+from gridtrack.trackers.training.weights import read_card
 
 from benchmarks.timing import p50_p95
 from studies.support.results_file import measured_table, study_parser, write_table
@@ -157,15 +158,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"{'tracker':12} {'movers':>6} {'tracks':>6}   update and {STEPS}-step forecast, p50 / p95 ms")
     shares, values, medians = {}, {}, {}
     for tracker in (KalmanTracker, FactorGraphTracker):
+        name = registered_name(tracker)
         for count in MOVERS:
             pipeline, seconds = measure(tracker, count, given.frames)
-            print(f"{tracker.name:12} {count:>6} {len(pipeline.tracks):>6}   {p50_p95(1e3 * seconds, 2):>16}")
+            print(f"{name:12} {count:>6} {len(pipeline.tracks):>6}   {p50_p95(1e3 * seconds, 2):>16}")
         for stage in pipeline.seconds:
             print(f"    {stage:20} {p50_p95(1e3 * np.array(pipeline.seconds[stage][WARM_UP:]), 2):>16}")
-        shares[tracker.name], medians[tracker.name] = share_column(pipeline, seconds), np.median(seconds)
-        values[f"{tracker.name}, classes"] = shares[tracker.name][MORE]
-        values[f"{tracker.name}, ms"] = p50_p95(1e3 * seconds)
-        values[f"{tracker.name}, times kalman"] = f"{medians[tracker.name] / medians[KalmanTracker.name]:.1f}"
+        shares[name], medians[name] = share_column(pipeline, seconds), np.median(seconds)
+        values[f"{name}, classes"] = shares[name][MORE]
+        values[f"{name}, ms"] = p50_p95(1e3 * seconds)
+        values[f"{name}, times kalman"] = f"{medians[name] / medians['kalman']:.1f}"
     stages = next(iter(shares.values()))
     table = measured_table(
         ("share of an update and a forecast", *shares),

@@ -16,7 +16,11 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.statistics.jackknife import COUNTS, differences, holm, interval
+from gridtrack.evaluation.referee.strata import STRATA
+from gridtrack.evaluation.scores.definition import Sums, TrialFacts
+from gridtrack.evaluation.scores.f1 import F1
+from gridtrack.evaluation.scores.thresholds import half
+from gridtrack.evaluation.statistics.jackknife import difference, holm, interval, replicates
 
 from benchmarks.timing import median_ms
 from studies.support.results_file import study_parser
@@ -28,7 +32,6 @@ PROCESSES = {
     "gridtrack --help": ("-m", "gridtrack.cli", "--help"),
 }
 GRIDS = (GridSpec(100, 0.2), GridSpec(200, 0.1), GridSpec(400, 0.1))
-SCORES = ("f1", "precision", "recall", "brier", "nll")
 
 
 def print_processes(runs: int) -> None:
@@ -58,16 +61,21 @@ def print_raycast(runs: int) -> None:
 
 def print_statistics(runs: int) -> None:
     """Intervals of all trackers, and their differences from the first."""
-    trackers = np.random.default_rng(0).poisson(50.0, (10, 20, 21, 8, len(COUNTS))).astype(np.float64)
+    parts = F1.parts(TrialFacts(0.2, 20, STRATA, half(20, STRATA)))
+    trackers = np.random.default_rng(0).poisson(50.0, (10, 20, 21, len(STRATA), len(parts))).astype(np.float64)
 
     def statistics_of_all() -> None:
+        found = []
         for counts in trackers:
-            for score in SCORES:
-                interval(counts, score)
-        gaps = [differences(counts, trackers[0]) for counts in trackers[1:]]
+            by_unit = Sums(counts, parts)
+            found.append(replicates(F1.value, lambda one=by_unit: iter([one]), Sums(counts.sum(axis=0), parts)))
+            for output in F1.outputs:
+                if output.name in found[-1]:
+                    interval(found[-1][output.name], output.scale)
+        gaps = [difference(one["f1"], found[0]["f1"]) for one in found[1:]]
         holm(np.concatenate([gap.p[[4, 8, 20], :2].ravel() for gap in gaps]))
 
-    print(f"10 trackers, {len(SCORES)} intervals and the differences: {median_ms(statistics_of_all, runs):.0f} ms")
+    print(f"10 trackers, the intervals of F1 and the differences: {median_ms(statistics_of_all, runs):.0f} ms")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

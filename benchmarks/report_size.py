@@ -17,8 +17,8 @@ from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
 
-from gridtrack.evaluation.results.run_record import RUN_FILE
-from gridtrack.evaluation.results.summary import SUMMARY_FILE
+from gridtrack.evaluation.runs.run_record import RUN_FILE
+from gridtrack.evaluation.runs.summary import SUMMARY_FILE
 from gridtrack.reports.page import render_report
 
 from studies.support.results_file import study_parser

@@ -28,7 +28,7 @@ import psutil
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.hosting.orphans import adopt_orphans
+from gridtrack.evaluation.hosting.host import adopt_orphans
 from gridtrack.recordings import RecordingInfo, write_native
 
 from studies.support.results_file import (

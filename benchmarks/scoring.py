@@ -20,16 +20,9 @@ from sklearn.metrics import average_precision_score, brier_score_loss, f1_score,
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
-from gridtrack.evaluation.scoring.beam_errors import beam_errors
-from gridtrack.evaluation.scoring.counting import count_forecast
-from gridtrack.evaluation.scoring.energy import energy_terms
-from gridtrack.evaluation.scoring.motion import parts_of
-from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
-from gridtrack.evaluation.scoring.returned_beams import returned_beams
-from gridtrack.evaluation.scoring.score_store import ScoreWriter
-from gridtrack.evaluation.scoring.semantics import count_classes, count_found, match_classes
-from gridtrack.evaluation.scoring.strata import (
+from gridtrack.evaluation.referee.motion import parts_of
+from gridtrack.evaluation.referee.referee import ScoredForecast
+from gridtrack.evaluation.referee.strata import (
     CELL_KINDS,
     RANGES,
     REGIONS,
@@ -39,10 +32,23 @@ from gridtrack.evaluation.scoring.strata import (
     RegionMaps,
     region_maps_of,
 )
-from gridtrack.evaluation.scoring.target import HIDDEN_FREE, NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED, Target
-from gridtrack.evaluation.scoring.thresholds import half
+from gridtrack.evaluation.referee.targets import (
+    HIDDEN_FREE,
+    NOT_SCORED,
+    SEEN_FREE,
+    SEEN_OCCUPIED,
+    Target,
+    returned_beams,
+)
+from gridtrack.evaluation.runs.scorekeeper import Counter
+from gridtrack.evaluation.runs.sums import SumsWriter
+from gridtrack.evaluation.scores.cells import PROBABILITY_EDGES, count_cells
+from gridtrack.evaluation.scores.definition import TrialFacts
+from gridtrack.evaluation.scores.neighbourhoods import sum_neighbourhoods
+from gridtrack.evaluation.scores.registry import built_in
+from gridtrack.evaluation.scores.thresholds import half
 from gridtrack.recordings.observation import Observation
-from gridtrack.trackers.contract import MAX_FUTURES
+from gridtrack.trackers.contract import MAX_FUTURES, Forecast
 
 from benchmarks.timing import median_ms
 from studies.support.results_file import study_parser
@@ -113,32 +119,38 @@ def main(arguments: Sequence[str] | None = None) -> None:
     beams = returned_beams(Observation(targets(rng, False)[0].frame, (scan,), (pose,)), GRID)
     for strata, truth in ((STRATA, False), (STRATA_WITH_TRUTH, True)):
         region_maps, observed = street(strata), targets(rng, truth)
+        names = tuple(str(k) for k in range(CLASSES))
+        facts = TrialFacts(GRID.cell_m, STEPS, strata, half(STEPS, strata), names, names)
+        seen = tuple(replace(target, beams=beams) for target in observed)
         for name, occupancy in forecasts.items():
-            ms = median_ms(lambda o=occupancy, c=observed, a=region_maps: count_forecast(o, c, a, ages), runs)
+            ms = median_ms(lambda o=occupancy, c=observed, a=region_maps: count_cells(o, c, a, ages), runs)
             print(f"count a forecast, {len(strata):2} strata of {REGIONS} regions, {name:14}: {ms:7.2f} ms")
             ms = median_ms(lambda o=occupancy, c=observed, a=region_maps: sum_neighbourhoods(o, c, a, ages), fewer)
             print(f"  its sums over neighbourhoods: {ms:.2f} ms")
+            semantics = np.full((STEPS + 1, CLASSES, SIZE, SIZE), 1 / CLASSES, np.float32)
             futures = rng.random((MAX_FUTURES, *occupancy.shape)) < occupancy
-            ms = median_ms(lambda f=futures, c=observed, a=region_maps: energy_terms(f, c, a, ages), few)
-            print(f"  the energy score of {MAX_FUTURES} futures drawn from it: {ms:.0f} ms")
-            seen = [replace(target, beams=beams) for target in observed]
-            ms = median_ms(lambda o=occupancy, c=seen, a=region_maps: beam_errors(o, c, a, GRID.cell_m), fewer)
-            print(f"  its errors along {len(beams.ranges)} beams: {ms:.2f} ms")
+            forecast = Forecast(occupancy, semantics=semantics, futures=futures)
+            for score in built_in():
+                counter = Counter([score], facts)
+                ms = median_ms(
+                    lambda f=forecast, c=counter, s=seen, a=region_maps: c.count(ScoredForecast(f, s, a, ages)), few
+                )
+                print(f"  {score.name} alone: {ms:.2f} ms")
     returns, chosen = observed[0].frame.occupied, rng.random(GRID.shape) < 0.3
     ms = median_ms(lambda: parts_of(chosen, returns, region_maps.dynamic, GRID), runs)
     print(f"find the parts of a frame with {returns.sum()} returns: {ms:.2f} ms")
-    tally = count_forecast(occupancy, observed, region_maps, ages)
-    with tempfile.TemporaryDirectory() as folder, ScoreWriter(Path(folder), STEPS, half(STEPS, strata)) as writer:
+    counter = Counter(built_in(), facts)
+    sums = counter.count(ScoredForecast(forecast, seen, region_maps, ages))
+    with tempfile.TemporaryDirectory() as folder, SumsWriter(Path(folder), counter.layouts, STEPS) as writer:
         stamps = iter(range(0, 10**15, 500_000_000))
-        print(f"write its rows: {median_ms(lambda: writer.add(at := next(stamps), '', tally, at), runs):.2f} ms")
-    semantics = np.full((STEPS + 1, CLASSES, SIZE, SIZE), 1 / CLASSES, np.float32)
-    names = [str(k) for k in range(CLASSES)]
-    matching, thresholds = match_classes(names, names), half(STEPS, strata)
-    ms = median_ms(lambda: count_classes(semantics, observed, matching), runs)
-    print(f"count its classes ({CLASSES}): {ms:.2f} ms")
-    ms = median_ms(lambda: count_found(occupancy, observed, region_maps.cell_kinds, thresholds, CLASSES), runs)
-    print(f"count its recall of each class: {ms:.2f} ms")
-    ours = median_ms(lambda: count_forecast(forecasts["spread thin"], observed, region_maps, ages), runs)
+
+        def write() -> None:
+            stamp_ns = next(stamps)
+            for name, own in sums.items():
+                writer.add(stamp_ns, "", name, own)
+
+        print(f"write its rows: {median_ms(write, runs):.2f} ms")
+    ours = median_ms(lambda: count_cells(forecasts["spread thin"], observed, region_maps, ages), runs)
     peers = median_ms(lambda: with_scikit_learn(forecasts["spread thin"], observed, region_maps, ages), fewest)
     print(f"the same scores by scikit-learn: {peers:.0f} ms, {peers / ours:.0f} x as long")
 

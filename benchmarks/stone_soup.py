@@ -42,7 +42,7 @@ from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.simulation.laser import Laser
 from gridtrack.trackers.model_free.background import BackgroundMap
 from gridtrack.trackers.model_free.forecast import objects
-from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.kalman import KalmanEstimator
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.segmentation import clusters_of, segment

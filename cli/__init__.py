@@ -5,15 +5,52 @@ from __future__ import annotations
 import signal
 import sys
 import traceback
-from typing import Annotated, NoReturn
+from contextlib import AbstractContextManager, nullcontext
+from importlib import import_module
+from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperCommand
 
-from gridtrack.cli import recordings, regress, report, runs, simulate, trackers
 from gridtrack.cli.completion import words_as_typed
-from gridtrack.cli.options import DEBUG_OPTION, print_note, with_defaults
+from gridtrack.cli.options import DEBUG_OPTION, print_note
 from gridtrack.common.errors import ConfigurationError, GridtrackError
-from gridtrack.common.names import check_utf8
+from gridtrack.common.files import check_utf8
+
+COMMANDS = {
+    "compare": "Run trackers on recordings, each in its own process, score them, and write a report.",
+    "report": "Write the report of a run again, or of several runs side by side: as a page, or in another format.",
+    "regress": "Compare a run with a baseline: is any tracker worse?",
+    "train": "Train a tracker for a site or, with --general, for any site.",
+    "trackers": "The trackers: list, show, check, new.",
+    "recording": "Recordings: info, import, view, layout.",
+    "simulate": "Recordings with ground truth: junction, junction-set, drive-set, worlds, tracks, check.",
+}
+"""The commands, each in the module of its name, and their help."""
+STARTS_TRACKERS = ("compare", "regress", "train", "trackers")
+"""Commands that run the code of trackers in processes below this one."""
+
+
+class LazyCommand(TyperCommand):
+    """A command whose module is imported when the command is used, and not for the help or the name of another one."""
+
+    def load(self) -> Any:
+        """The command itself, or the group of commands."""
+        command = typer.main.get_command(import_module(f"gridtrack.cli.{self.name}").app)
+        command.help = command.help or self.help
+        return command
+
+    def make_context(self, *arguments: Any, **named: Any) -> Any:
+        """The context of the command itself: parsing, help and completion start from it."""
+        return self.load().make_context(*arguments, **named)
+
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Compare trackers on occupancy grids: the same frames, the same scores, statistics with intervals.",
+)
+for _name, _help in COMMANDS.items():
+    app.command(_name, help=_help, cls=LazyCommand)(lambda: None)
 
 
 def _print_version(requested: bool) -> None:
@@ -32,21 +69,6 @@ VersionOption = Annotated[
     bool, typer.Option("--version", help="Print the version and exit", callback=_print_version, is_eager=True)
 ]
 
-STARTS_TRACKERS = ("compare", "train", "trackers")
-"""Commands that run the code of trackers in processes below this one."""
-
-app = typer.Typer(
-    no_args_is_help=True,
-    help="Compare trackers on occupancy grids: the same frames, the same scores, statistics with intervals.",
-)
-app.command("compare", cls=with_defaults(runs.compare_defaults, runs.compare_helps))(runs.compare_command)
-app.command("report")(report.report_command)
-app.command("regress", cls=with_defaults(regress.regress_defaults))(regress.regress_command)
-app.command("train", cls=with_defaults(trackers.train_defaults))(trackers.train_command)
-app.add_typer(trackers.app, name="trackers")
-app.add_typer(recordings.app, name="recording")
-app.add_typer(simulate.app, name="simulate")
-
 
 @app.callback()
 def common_options(debug: DebugOption = False, version: VersionOption = False) -> None:
@@ -56,23 +78,28 @@ def common_options(debug: DebugOption = False, version: VersionOption = False) -
 def main() -> None:
     """Run the command line. An error of the user is one line and exit code 2; `--debug` also shows its traceback.
 
-    SIGTERM, with which a scheduler ends a job, does what Ctrl-C does: results so far are kept.
+    SIGTERM, with which a scheduler ends a job, has the effect of Ctrl-C: results so far are kept.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     arguments = [argument for argument in sys.argv[1:] if argument != DEBUG_OPTION]
-    if arguments and arguments[0] in STARTS_TRACKERS:
-        from gridtrack.evaluation.hosting.shielding import shield_host
-
-        shield_host(f"gridtrack {arguments[0]}")
     try:
         for argument in sys.argv[1:]:
             check_utf8(argument, ConfigurationError)
-        with words_as_typed():
-            app(arguments)
+        with _shield(arguments), words_as_typed():
+            app(arguments, prog_name="gridtrack")
     except GridtrackError as error:
         _fail(error, str(error))
     except OSError as error:
         _fail(error, f"{error.filename}: {error.strerror}" if error.filename else str(error))
+
+
+def _shield(arguments: list[str]) -> AbstractContextManager[None]:
+    """Hide the arguments of this process from trackers that it starts."""
+    if not arguments or arguments[0] not in STARTS_TRACKERS:
+        return nullcontext()
+    from gridtrack.evaluation.hosting.host import shielded_host
+
+    return shielded_host(f"gridtrack {arguments[0]}", alone=True)
 
 
 def _fail(error: Exception, reason: str) -> NoReturn:

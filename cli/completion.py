@@ -1,7 +1,6 @@
-"""What the shell completes beside commands and options: trackers and their options, and values of a fixed set.
+"""Completion of values in the shell: trackers and their options, values of a fixed set, and keys of KEY=VALUE,...
 
-The sets are those that the values are validated with; they are imported for a completion and not for every command.
-Typer keeps the values that begin as what is typed.
+Modules are imported for a completion and not for every command. Typer keeps the values that begin with the typed text.
 """
 
 from __future__ import annotations
@@ -9,20 +8,17 @@ from __future__ import annotations
 import io
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
-from typing import TYPE_CHECKING, Any, get_args
-
-if TYPE_CHECKING:
-    from gridtrack.common.config import Settings
+from typing import Any, get_args
 
 BREAKS = frozenset(":=@")
-"""Characters at which bash ends a word; a completion takes the place of what follows the last of them."""
+"""Characters at which bash ends a word; a completion replaces the text after the last of them."""
 
 
 @contextmanager
 def words_as_typed() -> Iterator[None]:
-    """Where bash asks for a completion: each word is whole, as in zsh and fish, and bash gets the part it replaces."""
+    """If bash asks for a completion, give typer whole words, as zsh and fish do, and bash the part that it replaces."""
     if os.environ.get("_GRIDTRACK_COMPLETE") != "complete_bash":
         yield
         return
@@ -40,16 +36,16 @@ def words_as_typed() -> Iterator[None]:
 
 
 def _joined(broken: Sequence[str]) -> list[str]:
-    """The words that bash made of each word at its BREAKS, as one again."""
+    """The words, of which bash broke each at its BREAKS."""
     words: list[str] = []
-    goes_on = False
+    continues = False
     for part in broken:
         is_break = bool(part) and BREAKS.issuperset(part)
-        if words and part and (goes_on or is_break):
+        if words and part and (continues or is_break):
             words[-1] += part
         else:
             words.append(part)
-        goes_on = is_break
+        continues = is_break
     return words
 
 
@@ -61,12 +57,12 @@ def complete_tracker(incomplete: str) -> Iterator[str]:
 
 
 def complete_selection(incomplete: str) -> Iterator[str]:
-    """A tracker, or after NAME: its options."""
+    """A tracker, or its options after `NAME:`."""
     return _complete_selection(incomplete, {})
 
 
 def complete_row(incomplete: str) -> Iterator[str]:
-    """Rows of a comparison, [LABEL=]NAME[:KEY=VALUE,...]: the label stays as it is typed."""
+    """A tracker of a comparison, [LABEL=]NAME[:KEY=VALUE,...]: the label stays as typed."""
     from gridtrack.common.grid import Points
     from gridtrack.trackers.selection import CardKind
 
@@ -77,7 +73,7 @@ def complete_row(incomplete: str) -> Iterator[str]:
 
 
 def _complete_selection(incomplete: str, own: Mapping[str, Sequence[str]]) -> Iterator[str]:
-    """NAME, or the last part of NAME:KEY=VALUE,... among the options of that tracker and `own` ones."""
+    """NAME, or the last part of NAME:KEY=VALUE,... among the options of that tracker and the options `own`."""
     name, colon, typed = incomplete.partition(":")
     if not colon:
         yield from complete_tracker(name)
@@ -86,7 +82,7 @@ def _complete_selection(incomplete: str, own: Mapping[str, Sequence[str]]) -> It
 
 
 def _options_of(name: str) -> dict[str, Sequence[str]]:
-    """The options of a tracker with the values of those that have few; none where it cannot say."""
+    """The options of a tracker, and the values of an option with few values; none if it cannot be described."""
     from gridtrack.common.errors import GridtrackError
     from gridtrack.evaluation.hosting.limits import Limits
     from gridtrack.evaluation.hosting.tracker_process import describe
@@ -106,13 +102,6 @@ def _values_of(schema: Mapping[str, Any]) -> Sequence[str]:
     return [value for value in schema.get("enum", ()) if isinstance(value, str)]
 
 
-def complete_engine() -> Sequence[str]:
-    """What can run the trials of a comparison."""
-    from gridtrack.evaluation.runs.settings import EngineName
-
-    return get_args(EngineName)
-
-
 def complete_format() -> Sequence[str]:
     """The formats of a report."""
     from gridtrack.reports.formats import FORMAT_NAMES
@@ -120,31 +109,14 @@ def complete_format() -> Sequence[str]:
     return FORMAT_NAMES
 
 
-def complete_degradation(incomplete: str) -> Iterator[str]:
-    """The kinds of degraded input, as KIND=."""
-    from gridtrack.recordings.degradation import Degradation
+def complete_values(kind: Any, values: Sequence[str]) -> Callable[[str], Iterable[str]] | None:
+    """A completion among `values`, or of KEY=VALUE,... for the settings `kind`; None for neither."""
+    from gridtrack.common.config import Settings, field_names
 
-    return _complete_keys(incomplete, Degradation)
-
-
-def complete_slurm(incomplete: str) -> Iterator[str]:
-    """What a trial can ask of Slurm, as KEY=."""
-    from gridtrack.evaluation.engines.slurm_settings import SlurmSettings
-
-    return _complete_keys(incomplete, SlurmSettings)
-
-
-def complete_cloud_slice(incomplete: str) -> Iterator[str]:
-    """The settings of a slice of point clouds, as KEY=."""
-    from gridtrack.recordings import CloudSlice
-
-    return _complete_keys(incomplete, CloudSlice)
-
-
-def _complete_keys(incomplete: str, model: type[Settings]) -> Iterator[str]:
-    from gridtrack.common.config import field_names
-
-    return _complete_pairs(incomplete, dict.fromkeys(field_names(model), ()))
+    if isinstance(kind, type) and issubclass(kind, Settings):
+        keys = dict.fromkeys(field_names(kind), ())
+        return lambda incomplete: _complete_pairs(incomplete, keys)
+    return (lambda incomplete: values) if values else None
 
 
 def _complete_pairs(incomplete: str, values: Mapping[str, Iterable[str]]) -> Iterator[str]:

@@ -1,41 +1,33 @@
-"""Options that several commands share, and the reading of their text."""
+"""Options of commands: generated from settings, or shared by several commands."""
 
 from __future__ import annotations
 
-import json
-import re
-import shlex
+import inspect
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from copy import copy
+from collections.abc import Callable, Mapping
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin
 
 import typer
-from typer.core import TyperCommand, TyperOption
 
-from gridtrack.common.errors import ConfigurationError, printable
-from gridtrack.common.remote_files import URL, folder_name, is_url, local_folder
+from gridtrack.cli.completion import complete_row, complete_values
+from gridtrack.common.errors import printable
+from gridtrack.common.remote_files import local_folder
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
+    from pydantic.fields import FieldInfo
 
+    from gridtrack.common.options import OptionField
+
+KEYWORD_ONLY = inspect.Parameter.KEYWORD_ONLY
 DEBUG_OPTION = "--debug"
 """Read from the command line itself, so that it can follow the name of a command."""
-ROW_WEIGHTS_URL = re.compile(rf'(?<=[:,])\s*weights\s*=\s*("?)(?P<url>{URL.pattern}[^",]*)\1')
-"""`weights=URL` among the options of a row."""
 EXAMPLES = "For example demo.mcap@30s-90s, or s3://bucket/demo.mcap"
-
-
-def fetch_recordings(given: Any) -> Any:
-    """A callback: of recordings that are named by URLs the local copies. Raises RecordingError."""
-    from gridtrack.recordings.fetching import fetched
-
-    if given is None:
-        return None
-    if isinstance(given, str):
-        return fetched(given, print_note)
-    return [fetch_recordings(text) for text in given]
+COMPLETIONS = {"tracker": complete_row}
+"""Completions of options by name, beside those of fixed values."""
 
 
 def print_note(line: str) -> None:
@@ -43,63 +35,126 @@ def print_note(line: str) -> None:
     typer.echo(f"gridtrack: {printable(line)}", err=True)
 
 
+def command_line() -> list[str]:
+    """The command as the user entered it, for run.json."""
+    return ["gridtrack", *sys.argv[1:]]
+
+
+def settings_options(model: type[BaseModel], *without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """A decorator of a command `function(values, ...)`: it gets an option for each field of `model`.
+
+    `values` are the values that the user gave, by field; the fields `without` an option are left out.
+    """
+    from gridtrack.common.options import option_fields
+
+    options = {
+        option.name.replace("-", "_"): option for option in option_fields(model) if option.path[-1] not in without
+    }
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        @wraps(function)
+        def command(**arguments: Any) -> None:
+            given = {options[name].path: arguments.pop(name) for name in options}
+            function(_nested({path: value for path, value in given.items() if value is not None}), **arguments)
+
+        _, *own = inspect.signature(function, eval_str=True).parameters.values()
+        generated = [_parameter(name, option) for name, option in options.items()]
+        named = [parameter.replace(kind=KEYWORD_ONLY) for parameter in own]
+        vars(command)["__signature__"] = inspect.Signature([*generated, *named])
+        return command
+
+    return decorate
+
+
+def _nested(given: Mapping[tuple[str, ...], Any]) -> dict[str, Any]:
+    """Values by field, and by field within a field that holds a model."""
+    values: dict[str, Any] = {}
+    for (*above, name), value in given.items():
+        inner = values
+        for part in above:
+            inner = inner.setdefault(part, {})
+        inner[name] = value
+    return values
+
+
+def _parameter(name: str, option: OptionField) -> inspect.Parameter:
+    """The parameter of a command from which typer makes the option."""
+    field, kind, annotation = option.field, *_types(option.field)
+    literals = get_args(kind) if get_origin(kind) is Literal else ()
+    shown: dict[str, Any] = {
+        "help": " ".join((field.description or "").split()).replace("[", r"\[") + _default_text(option),
+        "metavar": option.metavar or "|".join(literals) or None,
+        "autocompletion": COMPLETIONS.get(name) or complete_values(kind, literals),
+    }
+    flag = f"--{option.name}/--no-{option.name}" if field.default is True else f"--{option.name}"
+    made = typer.Argument(**shown) if option.argument else typer.Option(flag, **shown)
+    default = inspect.Parameter.empty if field.is_required() else None
+    optional = annotation if field.is_required() else annotation | None
+    return inspect.Parameter(name, KEYWORD_ONLY, default=default, annotation=Annotated[optional, made])
+
+
+def _types(field: FieldInfo) -> tuple[Any, Any]:
+    """The type of a field without None, and the type of its option: text, if the settings read the field from text."""
+    from pydantic import BeforeValidator
+
+    union = get_origin(field.annotation) in (Union, UnionType)
+    kind = next(one for one in get_args(field.annotation) if one is not NoneType) if union else field.annotation
+    metadata = [*field.metadata, *getattr(kind, "__metadata__", ())]
+    kind = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    if get_origin(kind) is dict or Ellipsis in get_args(kind):
+        return kind, list[str]
+    is_text = any(isinstance(one, BeforeValidator) for one in metadata)
+    return kind, kind if kind in (bool, int, float) and not is_text else str
+
+
+def _default_text(option: OptionField) -> str:
+    """The end of the help of an option: its default, if it has one."""
+    default = option.field.get_default(call_default_factory=True)
+    if option.field.is_required() or default is None or default is False or default in ("", (), {}):
+        return ""
+    text = f"{default:g}s" if option.metavar == "SECONDS" else str(default)
+    return rf" \[default: {text}]"
+
+
+def fetch_recording(given: str | None) -> str | None:
+    """A callback: a recording, or the local copy of one at a URL. Raises StoreError."""
+    from gridtrack.recordings.stretches import fetched
+
+    return given and fetched(given, print_note)
+
+
 def weights_folder(text: str) -> Path:
-    """A parser: the folder of weights at a path, or the local copy of the one at a URL. Raises StoreError."""
+    """A parser: the folder of weights at a path, or a local copy of the one at a URL. Raises StoreError."""
     return local_folder(text, "weights", print_note)
 
 
-def fetch_row_weights(rows: list[str] | None) -> list[str] | None:
-    """A callback: of rows with `weights=URL` those with the local copies. Raises StoreError."""
-
-    def local(match: re.Match[str]) -> str:
-        return f"weights={json.dumps(str(weights_folder(match['url'])), ensure_ascii=False)}"
-
-    return rows and [ROW_WEIGHTS_URL.sub(local, row) for row in rows]
-
-
 def run_folder_at(text: str) -> Path:
-    """A parser: the folder of a run at a path, or the local copy of the one at a URL. Raises StoreError."""
+    """A parser: the folder of a run at a path, or a local copy of the one at a URL. Raises StoreError."""
     return local_folder(text, "runs", print_note)
 
 
-def default_report_folder(runs: Sequence[str]) -> Path | None:
-    """The folder of the report where the user names none: of a run in a store `NAME-report` in the working folder, of
-    several `NAME-side-by-side`; None for the run's own folder."""
-    if not is_url(runs[0]):
-        return None
-    return Path(f"{folder_name(runs[0])}-{'report' if len(runs) == 1 else 'side-by-side'}")
-
-
-RecordingArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="RECORDING[@RANGE]",
-        help=EXAMPLES,
-        callback=fetch_recordings,
-    ),
-]
-RecordingsArgument = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="RECORDING[@RANGE]...",
-        help=EXAMPLES,
-        callback=fetch_recordings,
-    ),
-]
+RecordingArgument = Annotated[str, typer.Argument(metavar="RECORDING[@RANGE]", help=EXAMPLES, callback=fetch_recording)]
 WholeRecordingArgument = Annotated[
-    str, typer.Argument(metavar="RECORDING", help="A file, a folder or a URL", callback=fetch_recordings)
+    str, typer.Argument(metavar="RECORDING", help="A file, a folder or a URL", callback=fetch_recording)
 ]
-GridOption = Annotated[str | None, typer.Option(help=r"CELLSxMETRES\[@X,Y], e.g. 100x0.2; default: the recording's")]
-RateOption = Annotated[float | None, typer.Option(help="Frames per second; default: the recording's")]
+GridOption = Annotated[
+    str | None,
+    typer.Option(metavar="CELLSxMETRES[@X,Y]", help="Grid, such as 100x0.2; default: the grid of the recording"),
+]
+RateOption = Annotated[
+    float | None, typer.Option(metavar="HZ", help="Frames per second; default: the rate of the recording")
+]
 WeightsOption = Annotated[
     Path | None,
     typer.Option(
         metavar="FOLDER",
-        help="Folder of learned weights, or its URL, searched before the user's own and the shipped ones",
+        help="Folder of learned weights, or its URL, searched before your own and the shipped ones",
         parser=weights_folder,
     ),
 ]
-TrackersTomlOption = Annotated[Path | None, typer.Option(help="Trackers of other environments and programs")]
+TrackersTomlOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="File that names trackers of other environments, and programs")
+]
 SandboxOption = Annotated[
     bool,
     typer.Option(
@@ -107,49 +162,3 @@ SandboxOption = Annotated[
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON")]
-
-
-def with_defaults(
-    defaults: Callable[[], Mapping[str, str]], helps: Callable[[], Mapping[str, str]] = dict
-) -> type[TyperCommand]:
-    """A command whose help shows the texts of `defaults()` and `helps()`, by the name of the parameter.
-
-    The models of the settings hold what they are made of; these are imported for the help and not for every command.
-    """
-
-    class WithDefaults(TyperCommand):
-        def format_help(self, ctx: Any, formatter: Any) -> None:
-            default_texts, help_texts = defaults(), helps()
-            shown = copy(self)
-            shown.params = [copy(parameter) for parameter in self.params]
-            for parameter in shown.params:
-                name = parameter.name or ""
-                parameter.default = default_texts.get(name, parameter.default)
-                if isinstance(parameter, TyperOption) and name in help_texts:
-                    parameter.help = help_texts[name]
-            super(WithDefaults, shown).format_help(ctx, formatter)
-
-    return WithDefaults
-
-
-def default_of(model: type[BaseModel], field: str) -> Any:
-    """The default of a field of settings."""
-    return model.model_fields[field].default
-
-
-def seconds_text(value: float) -> str:
-    """Seconds as `seconds` reads them: 2.5 is `2.5s`."""
-    return f"{value:g}s"
-
-
-def seconds(text: str) -> float:
-    """`2.5s` or `2.5` in seconds. Raises ConfigurationError."""
-    try:
-        return float(text.removesuffix("s"))
-    except ValueError:
-        raise ConfigurationError(f"'{text}': expected seconds, such as 2.5s") from None
-
-
-def command_line() -> str:
-    """The command as the user entered it, for run.json and for cards of learned weights."""
-    return shlex.join(["gridtrack", *sys.argv[1:]])

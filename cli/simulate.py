@@ -6,135 +6,107 @@ import json
 import shlex
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
-from gridtrack.cli.options import JsonOption, default_of, seconds, seconds_text, with_defaults
-from gridtrack.common.errors import ConfigurationError, printable
+from gridtrack.cli.options import JsonOption, settings_options
+from gridtrack.common.config import validated
+from gridtrack.common.errors import ConfigurationError, RecordingError, printable
+from gridtrack.common.options import seconds
+from gridtrack.simulation import junction
+from gridtrack.simulation.junction import drives
+from gridtrack.simulation.stanford import Video, read_stanford
+from gridtrack.simulation.tracks import Tracks
+from gridtrack.simulation.tracks_file import check_suffix, read_tracks, write_recording
+from gridtrack.simulation.traffic import Traffic, check_traffic
 
-if TYPE_CHECKING:
-    from gridtrack.simulation.stanford import Video
-    from gridtrack.simulation.tracks import Tracks
-    from gridtrack.simulation.traffic import Traffic
-
-app = typer.Typer(
-    no_args_is_help=True, help="Recordings with ground truth: junction, junction-set, drive-set, worlds, tracks, check."
-)
+app = typer.Typer(add_completion=False, no_args_is_help=True)
 FAULTY = 3
 SDD = "sdd"
 """The format of the Stanford Drone Dataset's annotations."""
 
-Out = Annotated[Path, typer.Option(help="The recording to write: .tracks, rendered on first use, or .mcap, scans")]
+Out = Annotated[
+    Path, typer.Option(metavar="FILE", help="The recording to write: .tracks, rendered on first use, or .mcap, scans")
+]
+OutFolder = Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the recordings")]
 
 
-def _junction_defaults() -> dict[str, str]:
-    from gridtrack.simulation.junction import WARM_UP_S
-
-    return {"start": seconds_text(WARM_UP_S), "carrier": "car", "odometry_noise": "0"}
-
-
-def _tracks_defaults() -> dict[str, str]:
-    from gridtrack.simulation.stanford import Video
-
-    fields = {"rate": "rate_hz", "grid": "grid", "seed": "seed"}
-    return {option: str(default_of(Video, field)) for option, field in fields.items()}
-
-
-@app.command("junction", cls=with_defaults(_junction_defaults))
+@app.command("junction")
 def junction_command(
-    minutes: Annotated[float, typer.Option(help="Duration of the recording")],
+    minutes: Annotated[float, typer.Option(metavar="MINUTES", help="Duration of the recording")],
     out: Out,
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1)] = 1,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the traffic")] = 1,
     start: Annotated[
-        str | None,
-        typer.Option(help="Omitted at the beginning, while the streets fill"),
-    ] = None,
+        str, typer.Option(metavar="SECONDS", help="Time omitted at the beginning, while the streets fill")
+    ] = f"{junction.WARM_UP_S:g}s",
     sensor: Annotated[
         Literal["corner", "corners", "drive", "beside"],
         typer.Option(
-            help="A laser on the corner; two on opposite corners; one that drives through; one that stands beside the"
-            " way of that drive"
+            metavar="PLACE",
+            help="Place of the laser: corner; corners, two opposite ones; drive, on a vehicle that drives through;"
+            " beside, at rest beside the way of that vehicle",
         ),
     ] = "corner",
     carrier: Annotated[
         Literal["car", "robot"] | None,
-        typer.Option(help="What drives through: a car, or a delivery robot  [default: car]"),
+        typer.Option(help="Vehicle that drives through: a car, or a delivery robot; default: car"),
     ] = None,
     odometry_noise: Annotated[
         float | None,
-        typer.Option(help="Poses of a drive are those of wheel odometry, with so many times its errors"),
+        typer.Option(
+            metavar="FACTOR", help="Poses of a drive from wheel odometry, with its errors times this; default: 0, true"
+        ),
     ] = None,
 ) -> None:
     """A laser at a signalled junction with pedestrians, cyclists, cars and buses (needs the extra `sim`).
 
     Exit code: 0 correct, 2 wrong use, 3 a road user moves through a wall, or gridlock.
     """
-    from gridtrack.simulation.junction import ONE_CORNER, TWO_CORNERS, WARM_UP_S
-    from gridtrack.simulation.junction import simulate_junction as simulate
-    from gridtrack.simulation.junction.drives import MAX_ODOMETRY_NOISE, simulate_drive
-    from gridtrack.simulation.writing import check_suffix, write_recording
-
     check_suffix(out)
-    start_s = WARM_UP_S if start is None else seconds(start)
+    start_s = seconds(start)
     if carrier is not None and sensor not in ("drive", "beside"):
         raise ConfigurationError(f"--carrier {carrier}: only with --sensor drive or --sensor beside")
     if odometry_noise is not None and sensor != "drive":
         raise ConfigurationError(f"--odometry-noise {odometry_noise:g}: only with --sensor drive")
-    if not 0.0 <= (odometry_noise or 0.0) <= MAX_ODOMETRY_NOISE:
-        raise ConfigurationError(f"--odometry-noise {odometry_noise:g}: expected 0 to {MAX_ODOMETRY_NOISE:g}")
+    if not 0.0 <= (odometry_noise or 0.0) <= drives.MAX_ODOMETRY_NOISE:
+        raise ConfigurationError(f"--odometry-noise {odometry_noise:g}: expected 0 to {drives.MAX_ODOMETRY_NOISE:g}")
     if sensor in ("corner", "corners"):
-        tracks = simulate(minutes, seed, start_s, ONE_CORNER if sensor == "corner" else TWO_CORNERS)
+        view = junction.ONE_CORNER if sensor == "corner" else junction.TWO_CORNERS
+        tracks = junction.simulate_junction(minutes, seed, start_s, view)
     else:
-        drive = simulate_drive(minutes, seed, start_s, carrier or "car")
+        drive = drives.simulate_drive(minutes, seed, start_s, carrier or "car")
         tracks = drive.beside() if sensor == "beside" else drive.carried(odometry_noise or 0.0)
-    write_recording(out, tracks)
-    _report(out, tracks)
+    _write(out, tracks)
 
 
 @app.command("junction-set")
-def simulate_junction_set(
-    out: Annotated[Path, typer.Option(help="Folder of the set")] = Path("data/junction"),
-) -> None:
+def simulate_junction_set(out: OutFolder = Path("data/junction")) -> None:
     """The whole junction set as tracks: 65 minutes to train on, 5 to choose thresholds on, 20 times one to test."""
-    from gridtrack.simulation.junction import JUNCTION_SET
-    from gridtrack.simulation.junction import simulate_junction as simulate
-    from gridtrack.simulation.writing import write_recording
-
-    for name, (minutes, seed, start_s) in JUNCTION_SET.items():
-        tracks = simulate(minutes, seed, start_s)
-        write_recording(out / f"{name}.tracks", tracks)
-        _report(out / f"{name}.tracks", tracks)
+    for name, (minutes, seed, start_s) in junction.JUNCTION_SET.items():
+        _write(out / f"{name}.tracks", junction.simulate_junction(minutes, seed, start_s))
 
 
 @app.command("drive-set")
-def simulate_drive_set(out: Annotated[Path, typer.Option(help="Folder of the set")]) -> None:
+def simulate_drive_set(out: OutFolder) -> None:
     """Twenty drives of a minute as tracks, each with true poses, with wheel odometry, and with a laser beside its way;
     and the junction's test minutes with lasers on two corners.
     """
-    from gridtrack.simulation.junction.drives import drive_set
-    from gridtrack.simulation.writing import write_recording
-
-    for name, tracks in drive_set():
-        write_recording(out / f"{name}.tracks", tracks)
-        _report(out / f"{name}.tracks", tracks)
+    for name, tracks in drives.drive_set():
+        _write(out / f"{name}.tracks", tracks)
 
 
 @app.command("worlds")
 def simulate_worlds(
-    out: Annotated[Path, typer.Option(help="Folder of the worlds")],
+    out: OutFolder,
     count: Annotated[int, typer.Option(min=1, max=100_000, help="Number of worlds, with successive seeds")] = 1,
-    minutes: Annotated[float, typer.Option(help="Duration of each")] = 1.0,
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Of the first world")] = 1,
+    minutes: Annotated[float, typer.Option(metavar="MINUTES", help="Duration of each world")] = 1.0,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of the first world")] = 1,
 ) -> None:
     """Small places indoors and outdoors, no two alike, each with its laser, as tracks (needs the extra `sim`).
 
     Each world depends on its own seed only. A world that is already in the folder is kept.
     """
-    from gridtrack.common.errors import RecordingError
-    from gridtrack.simulation.tracks_file import read_tracks
-    from gridtrack.simulation.writing import write_recording
-
     try:
         from gridtrack.simulation import worlds
     except ModuleNotFoundError as missing:
@@ -150,50 +122,27 @@ def simulate_worlds(
         typer.echo(printable(f"{path}: {worlds.summary_of(read_tracks(path))}"))
 
 
-@app.command("tracks", cls=with_defaults(_tracks_defaults))
+@app.command("tracks")
+@settings_options(Video, "site")
 def simulate_tracks(
-    source: Annotated[Path, typer.Argument(metavar="FILE")],
+    values: dict[str, Any],
+    source: Annotated[Path, typer.Argument(metavar="FILE", help="The annotations")],
     out: Out,
-    scale: Annotated[float, typer.Option(help="Metres to a pixel")],
+    site: Annotated[str | None, typer.Option(metavar="SITE", help="The site; default: the name of the result")] = None,
     layout: Annotated[
         str,
         typer.Option("--format", help=f"{SDD}: the Stanford Drone Dataset's annotations", autocompletion=lambda: [SDD]),
     ] = SDD,
-    site: Annotated[str | None, typer.Option(help="The site; default: the name of the result")] = None,
-    rate: Annotated[float | None, typer.Option(help="Scans per second")] = None,
-    grid: Annotated[str | None, typer.Option(help=r"CELLSxMETRES\[@X,Y] round the laser")] = None,
-    laser_at: Annotated[
-        str | None, typer.Option(metavar="X,Y", help="Metres from the image's upper left corner, y up; default: clear")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of the range noise")] = None,
-    licence: str | None = None,
-    credit: str | None = None,
 ) -> None:
     """A simulated laser among annotated road users: recorded paths, with ground truth for all of them.
 
     Exit code: 0 correct, 2 wrong use, 3 a road user moves through the laser.
     """
-    from gridtrack.common.config import validated
-    from gridtrack.simulation.stanford import Video, read_stanford
-    from gridtrack.simulation.writing import check_suffix, write_recording
-
     if layout != SDD:
         raise ConfigurationError(f"--format {layout}: known is {SDD}, the Stanford Drone Dataset's")
     check_suffix(out)
-    given: dict[str, Any] = {
-        "scale": scale,
-        "site": site or out.stem,
-        "rate_hz": rate,
-        "grid": grid,
-        "laser_at": laser_at and laser_at.split(","),
-        "seed": seed,
-        "licence": licence,
-        "credit": credit,
-    }
-    video = validated(Video, {name: value for name, value in given.items() if value is not None}, "simulate tracks")
-    tracks = read_stanford(source, video, _command(source, out, video))
-    write_recording(out, tracks)
-    _report(out, tracks)
+    video = validated(Video, {"site": site or out.stem, **values}, "simulate tracks")
+    _write(out, read_stanford(source, video, _command(source, out, video)))
 
 
 def _command(source: Path, out: Path, video: Video) -> str:
@@ -217,15 +166,13 @@ def _command(source: Path, out: Path, video: Video) -> str:
 
 @app.command("check")
 def check_tracks(
-    tracks: Annotated[list[Path], typer.Argument(metavar="TRACKS...")], as_json: JsonOption = False
+    tracks: Annotated[list[Path], typer.Argument(metavar="TRACKS", help="Recordings as .tracks files")],
+    as_json: JsonOption = False,
 ) -> None:
     """The traffic in the window of a .tracks file, and its faults: collisions with walls or the laser, gridlock.
 
     Exit code: 0 correct, 2 wrong use, 3 a fault was found.
     """
-    from gridtrack.simulation.tracks_file import read_tracks
-    from gridtrack.simulation.traffic import check_traffic
-
     found = {path: check_traffic(read_tracks(path)) for path in tracks}
     if as_json:
         records = [{"tracks": str(path), **asdict(traffic)} for path, traffic in found.items()]
@@ -237,9 +184,9 @@ def check_tracks(
         raise typer.Exit(FAULTY)
 
 
-def _report(path: Path, tracks: Tracks) -> None:
-    from gridtrack.simulation.traffic import check_traffic
-
+def _write(path: Path, tracks: Tracks) -> None:
+    """Write a recording and print its traffic. Raises Exit for traffic with faults."""
+    write_recording(path, tracks)
     traffic = check_traffic(tracks)
     _print_traffic(path, traffic)
     if traffic.faults:

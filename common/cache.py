@@ -1,7 +1,7 @@
-"""Files that can be made again, kept in the user's cache folder: found by what they were made from, each with its hash.
+"""A cache of files in the user's cache folder, by key, each with a checksum.
 
-An entry is a file of its own, moved into place when it is complete, so that several processes may use one cache. Users
-get copies and never the entry itself: who writes to a copy, or links to it, changes nothing here.
+An entry is a file that is moved into place when it is complete, so several processes may use one cache. Users get
+copies, never the entry itself: writing to a copy does not change the cache.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 class FileCache:
-    """The folder `name` of the user's cache, with about `max_bytes` at most. It may be emptied at any time."""
+    """The folder `name` of the user's cache, of about `max_bytes` at most. The user may empty it at any time."""
 
     def __init__(self, name: str, max_bytes: int, report: Callable[[str], None]) -> None:
-        """`report` is told of damaged entries, and of a folder that cannot be used: the files are then made anew."""
+        """`report` receives a line for a damaged entry or an unusable folder; the files are then made again."""
         self.folder = user_cache_folder() / name
         self._max_bytes, self._report = max_bytes, report
         self._usable = True
 
     def fetch(self, key: Mapping[str, Any], target: Path, make: Callable[[Path], object]) -> Path:
-        """Let `target` be the file of `key`, which `make` writes to the path that it is given; returns `target`.
+        """Copy the entry of `key` to `target`, and return `target`. `make(path)` writes a missing entry.
 
-        `key` (JSON) is everything that the content depends on, the version of its format too. Raises what `make`
-        raises, and OSError where `target` cannot be written.
+        `key` (JSON) contains everything that the content depends on, including the version of its format. Exceptions
+        of `make` pass through; raises OSError if `target` cannot be written.
         """
         entry = self.folder / hashlib.sha256(json.dumps(dict(key), sort_keys=True).encode()).hexdigest()
-        target.unlink(missing_ok=True)  # it may be a link to another file, which stays as it is
+        target.unlink(missing_ok=True)  # it may be a link to another file
         if self._usable and self._copied(entry, target):
             return target
         room = self._room() if self._usable else None
@@ -53,7 +53,7 @@ class FileCache:
         return target
 
     def trim(self) -> None:
-        """Delete the entries used longest ago until the others have at most `max_bytes` together."""
+        """Delete the least recently used entries until the rest has at most `max_bytes`."""
         kept = 0
         with suppress(OSError):
             found = [(path, path.stat()) for path in self.folder.iterdir() if path.is_file()]
@@ -63,7 +63,7 @@ class FileCache:
                     path.unlink(missing_ok=True)
 
     def _copied(self, entry: Path, target: Path) -> bool:
-        """Whether `target` is now the content of `entry`; not without one, nor where it does not end in its hash."""
+        """Copy `entry` to `target`; returns False if there is no entry, or its checksum is wrong."""
         try:
             file = entry.open("rb")
         except FileNotFoundError:
@@ -82,7 +82,7 @@ class FileCache:
         return True
 
     def _room(self) -> TemporaryDirectory[str] | None:
-        """A folder in which an entry is made; None where there can be none."""
+        """A temporary folder for a new entry; None if the cache folder cannot be used."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             return TemporaryDirectory(dir=self.folder, prefix="making-")
@@ -91,7 +91,7 @@ class FileCache:
             return None
 
     def _keep(self, made: Path, entry: Path) -> None:
-        """Move the complete file `made` to `entry`."""
+        """Append the checksum to the file `made`, and move it to `entry`."""
         try:
             with made.open("r+b") as file:
                 digest = hashlib.file_digest(file, "sha256").digest()
@@ -103,13 +103,13 @@ class FileCache:
     def _cannot(self, error: OSError) -> None:
         self._usable = False
         self._report(
-            f"{self.folder}: cannot be used ({error.strerror}), so nothing is kept for the next time; set"
-            " XDG_CACHE_HOME to a folder with room"
+            f"{self.folder}: cannot be used ({error.strerror}), so nothing is cached; set XDG_CACHE_HOME to a folder"
+            " with free space"
         )
 
 
 def _copy_checked(file: BinaryIO, copy: BinaryIO) -> bool:
-    """Copy `file` but for the digest at its end; whether that is the digest of the rest."""
+    """Copy `file` without the digest at its end; returns whether the digest is right."""
     left, digest = file.seek(0, os.SEEK_END) - DIGEST_BYTES, hashlib.sha256()
     file.seek(0)
     while left > 0 and (block := file.read(min(BLOCK_BYTES, left))):

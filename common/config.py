@@ -10,7 +10,7 @@ from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.common.untrusted import parse_json
 
 MAX_ERRORS, MAX_SHOWN_CHARS, MAX_FAULT_CHARS = 5, 80, 300
-"""Limits of the errors that are told of one set of values, and of the characters of each value and message in them."""
+"""Limits of a message about invalid values: number of errors, characters of each value and of each error."""
 
 
 class Settings(BaseModel):
@@ -29,7 +29,7 @@ def parse_pairs(text: str, where: str) -> dict[str, Any]:
 
     A comma inside brackets or double quotes belongs to the value.
 
-    Raises ConfigurationError for a part without `=`, an empty key or a key given twice.
+    Raises ConfigurationError for a part without `=`, an empty key or a repeated key.
     """
     pairs: dict[str, Any] = {}
     for part in filter(None, (p.strip() for p in _split(text))):
@@ -65,10 +65,7 @@ def _value(text: str) -> Any:
 
 
 def validated(model: type[Model], values: dict[str, Any], where: str) -> Model:
-    """`model(**values)`; the first errors in one line, with a suggestion for an unknown key.
-
-    Raises ConfigurationError.
-    """
+    """`model(**values)`. Raises ConfigurationError: the first errors in one line, with suggestions for unknown keys."""
     try:
         return model.model_validate(values)
     except ValidationError as error:
@@ -87,5 +84,5 @@ def _error_text(model: type[BaseModel], error: Any, where: str) -> str:
 
 
 def field_names(model: type[BaseModel]) -> list[str]:
-    """Names of the fields, as a user writes them."""
+    """Names of the fields as users write them."""
     return [field.alias or name for name, field in model.model_fields.items()]

@@ -12,7 +12,7 @@ VALID_NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 
 @dataclass(frozen=True, slots=True)
 class Registration:
-    """An entry point of a distribution; `problem` is the reason why it cannot be used, where that is known already."""
+    """An entry point of a distribution; `problem` is the reason why it cannot be used, if that is known already."""
 
     name: str
     value: str
@@ -27,7 +27,7 @@ class Registration:
 
 
 def registrations(group: str) -> dict[str, Registration]:
-    """Every entry point of `group` by name, sorted; one that cannot be used carries its `problem`."""
+    """All entry points of `group` by name, sorted. An unusable one has a `problem`."""
     found: dict[str, Registration] = {}
     for entry in _registered(group):
         known = found.get(entry.name)
@@ -57,7 +57,7 @@ def _registrations_of(distribution: Distribution, label: str, group: str) -> lis
     try:
         points = list(distribution.entry_points.select(group=group))
     except (TypeError, ValueError, AttributeError) as error:
-        # the standard parser has no error of its own for a damaged file
+        # the parser of the standard library has no specific error for a damaged file
         return [Registration(f"({label})", "", label, f"its entry_points.txt cannot be read ({error})")]
     return [_registration(point, label) for point in points]
 

@@ -1,4 +1,4 @@
-"""Errors that a user can cause, printed by the command line as one line with exit code 2; parts of their messages."""
+"""Errors that a user can cause: the command line prints one line and exits with code 2."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from collections.abc import Iterable
 MAX_NAMES = 20
 """Limit of the names listed in one error line."""
 MAX_NAME_CHARS = 200
-"""So much of an unknown name is compared with the known ones."""
+"""Characters of an unknown name that are compared with the known names."""
 INTERRUPTED_EXIT_CODE = 130
-"""Exit code of a process after Ctrl-C, as of a shell."""
+"""Exit code of a process after Ctrl-C, by the convention of shells."""
 MAX_LINE_CHARS = 2000
 """Limit of a line that may quote untrusted input."""
 CUT_MARK = " ... "
 
 
 class GridtrackError(Exception):
-    """Root of every error gridtrack raises on purpose: the message says what is wrong, where, and what to do.
+    """Base of all errors that gridtrack raises on purpose. The message names the place, the problem and the remedy.
 
-    As text it is one printable line of at most MAX_LINE_CHARS characters, whatever untrusted input it quotes.
+    As text it is one printable line of at most MAX_LINE_CHARS characters, even if it quotes untrusted input.
     """
 
     def __str__(self) -> str:
@@ -27,27 +27,27 @@ class GridtrackError(Exception):
 
 
 class ConfigurationError(GridtrackError):
-    """An option, name or value that is not valid."""
+    """An invalid option, name or value."""
 
 
 class RecordingError(GridtrackError):
-    """A recording that cannot be read, or only in part."""
+    """A recording that cannot be read completely."""
 
 
 class WeightsError(GridtrackError):
-    """Learned weights that are missing, damaged, or made for another grid or period."""
+    """Learned weights that are missing, damaged, or for another grid or period."""
 
 
 class StoreError(GridtrackError):
-    """A file or folder that a URL names, and that cannot be fetched, listed or uploaded."""
+    """A file or folder at a URL that cannot be fetched, listed or uploaded."""
 
 
 class PluginError(GridtrackError):
-    """A plugin (tracker, recording format) that is unknown, or that cannot be loaded."""
+    """A plugin (tracker, recording format) that is unknown or cannot be loaded."""
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """The end of an error line: the known name closest to `name`, or the known names where none is close."""
+    """The end of an error line: the known name closest to `name`, or all known names if none is close."""
     names = sorted(known)
     near = difflib.get_close_matches(name[:MAX_NAME_CHARS], names, n=1, cutoff=0.6)
     if near:
@@ -57,7 +57,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def printable(line: str) -> str:
-    """`line` with a space in place of each character that cannot be printed, such as a terminal's control codes."""
+    """`line` with a space for each unprintable character, such as the control codes of a terminal."""
     return "".join(character if character.isprintable() else " " for character in line)
 
 
@@ -67,7 +67,7 @@ def printable_lines(text: str) -> str:
 
 
 def bounded_line(text: str) -> str:
-    """`text` as one printable line of at most MAX_LINE_CHARS characters, cut in the middle: the remedy is last."""
+    """`text` as one printable line of at most MAX_LINE_CHARS characters, cut in the middle: the remedy stands last."""
     if len(text) > MAX_LINE_CHARS:
         tail = MAX_LINE_CHARS // 4
         text = text[: MAX_LINE_CHARS - tail - len(CUT_MARK)] + CUT_MARK + text[-tail:]
@@ -75,5 +75,5 @@ def bounded_line(text: str) -> str:
 
 
 def one_line(text: str, max_chars: int) -> str:
-    """`text` as one printable line of at most `max_chars` characters, its runs of spaces made one."""
+    """`text` as one printable line of at most `max_chars` characters, with single spaces."""
     return " ".join(printable(text[:max_chars]).split())

@@ -1,4 +1,4 @@
-"""Files: atomic writes, bounded reads, hashes; the user's folders for data and cache."""
+"""Files: atomic writes, bounded reads, hashes, valid names; the user's folders for data and cache."""
 
 from __future__ import annotations
 
@@ -14,14 +14,19 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.common.untrusted import parse_json
 
 APPLICATION = "gridtrack"
+MAX_NAME_BYTES = 160
+NAME_RULE = (
+    f"expected 1 to {MAX_NAME_BYTES} bytes of printable UTF-8 without / and \\, and no '.' or space at the beginning"
+)
+LABEL_RULE = f"expected 1 to {MAX_NAME_BYTES} bytes of printable UTF-8"
 
 
 @contextmanager
 def atomic_write(path: Path, *, keep_on_error: bool = False) -> Iterator[BinaryIO]:
     """Open a file beside `path` that replaces `path` when the block ends.
 
-    A reader sees the old content or the new one and never a part of it. When the block raises, `path` is not changed;
-    with `keep_on_error` it is replaced by the content written so far. Raises OSError.
+    A reader sees either the old or the new content, never a part. If the block raises, `path` is not changed, or with
+    `keep_on_error` has the content written so far. Raises OSError.
     """
     partial = path.with_name(path.name + ".partial")
     try:
@@ -36,16 +41,16 @@ def atomic_write(path: Path, *, keep_on_error: bool = False) -> Iterator[BinaryI
 
 
 def write_text(path: Path, text: str) -> None:
-    """Replace the content of `path` by `text`, UTF-8. Raises OSError."""
+    """Replace the content of `path` by `text` (UTF-8). Raises OSError."""
     with atomic_write(path) as file:
         file.write(text.encode())
 
 
 def read_bounded(path: Path, max_bytes: int, error: type[GridtrackError]) -> bytes:
-    """The content of `path`, of which at most `max_bytes` + 1 bytes are read.
+    """The content of `path`; at most `max_bytes` + 1 bytes are read.
 
-    Raises FileNotFoundError, so that the caller can name the missing file, and `error` for a file that cannot be read
-    or is larger than `max_bytes`.
+    Raises FileNotFoundError, so that the caller can name the missing file, and `error` if the file cannot be read or is
+    larger than `max_bytes`.
     """
     try:
         with path.open("rb") as file:
@@ -60,9 +65,9 @@ def read_bounded(path: Path, max_bytes: int, error: type[GridtrackError]) -> byt
 
 
 def read_json(path: Path, max_bytes: int, error: type[GridtrackError]) -> dict[str, Any]:
-    """The JSON object in `path`; a number that is not finite is None.
+    """The JSON object in `path`, with None for numbers that are not finite.
 
-    Raises FileNotFoundError; `error` if it is larger, or not a JSON object.
+    Raises FileNotFoundError, and `error` for a larger file or other content.
     """
     text = read_bounded(path, max_bytes, error)
     try:
@@ -75,9 +80,9 @@ def read_json(path: Path, max_bytes: int, error: type[GridtrackError]) -> dict[s
 
 
 def sha256_of(path: Path, limit: int | None = None) -> str:
-    """SHA-256 of a file, 64 hexadecimal digits; of all its files, in the order of their names, for a folder.
+    """SHA-256 of a file, or of all files of a folder in the order of their names: 64 hexadecimal digits.
 
-    The files are read in pieces, of each at most its first `limit` bytes. Raises OSError.
+    At most the first `limit` bytes of each file are read, in pieces. Raises OSError.
     """
     digest = hashlib.sha256()
     for part in sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]:
@@ -88,10 +93,37 @@ def sha256_of(path: Path, limit: int | None = None) -> str:
 
 
 def user_data_folder() -> Path:
-    """The folder for data that the user keeps: `$XDG_DATA_HOME/gridtrack` on Linux. It may not exist."""
+    """The folder for permanent data: `$XDG_DATA_HOME/gridtrack` on Linux. It may not exist."""
     return Path(platformdirs.user_data_path(APPLICATION))
 
 
 def user_cache_folder() -> Path:
-    """The folder for data that can be recomputed: `$XDG_CACHE_HOME/gridtrack` on Linux. It may not exist."""
+    """The folder for reproducible data: `$XDG_CACHE_HOME/gridtrack` on Linux. It may not exist."""
     return Path(platformdirs.user_cache_path(APPLICATION))
+
+
+def check_utf8(path: Path | str, error: type[GridtrackError]) -> None:
+    """Raise `error` for a path that is not UTF-8: JSON and terminals cannot represent it."""
+    text = str(path)
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        shown = text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+        raise error(f"{shown}: this path is not UTF-8, and results could not name it: rename it") from None
+
+
+def is_name(text: str) -> bool:
+    """Whether `text` can be the name of a file or folder: NAME_RULE."""
+    return is_label(text) and not text.startswith((".", " ")) and "/" not in text and "\\" not in text
+
+
+def is_label(text: str) -> bool:
+    """Whether `text` can be shown and written: LABEL_RULE. A lone surrogate is not printable."""
+    return text.isprintable() and 1 <= len(text.encode()) <= MAX_NAME_BYTES
+
+
+def name_from(file_name: str) -> str:
+    """A valid name from a file name: the part before the first dot, with invalid characters replaced."""
+    stem = file_name.lstrip(".").partition(".")[0]
+    allowed = "".join(c if c.isprintable() and c not in "/\\" else "_" for c in stem).strip()
+    return allowed.encode()[:MAX_NAME_BYTES].decode(errors="ignore") or "recording"

@@ -48,6 +48,6 @@ def wrap_angle(theta: Angle) -> Angle:
 
 
 def same_pose(one: SE2, other: SE2) -> bool:
-    """Whether two poses agree to a millimetre and a milliradian: a grid cell is then the same place in both."""
+    """Whether two poses agree to a millimetre and a milliradian, so that a grid cell is the same place in both."""
     turned = abs(wrap_angle(one.theta - other.theta))
     return max(abs(one.x - other.x), abs(one.y - other.y), turned) < 1e-3

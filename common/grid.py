@@ -1,4 +1,4 @@
-"""The occupancy grid: its geometry (GridSpec) and one observation of it (GridFrame), with classes (LabelledFrame)."""
+"""The occupancy grid: its geometry (GridSpec), one observation (GridFrame, LabelledFrame), and its scrolling window."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ MAX_ORIGIN_M = 1e6
 Mask = NDArray[np.bool_]
 Points = Literal["centres", "raw"]
 """The points of a frame: the centres of the occupied cells, or the returns of the laser."""
+TIE_DIGITS = 3
+"""Decimals of a number of steps; a period of six digits makes further decimals inexact."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +98,15 @@ class GridFrame:
     """One grid observation x_t.
 
     `visible`, `occupied` (M, M) bool, occupied within visible; `world_T_grid` the pose of the grid frame, which scrolls
-    with the sensor: it moves by whole cells and never turns;
-    `origins` (S, 2) float32, positions of the sensors, metres, grid frame; `points` (N, 2) float32, the returns inside
-    the grid window, metres, grid frame, each from sensor `point_origin` (N,) uint8.
+    with the sensor: it moves by whole cells and never turns; `origins` (S, 2) float32, positions of the sensors,
+    metres, grid frame; `points` (N, 2) float32, the returns inside the grid window, metres, grid frame, each from
+    sensor `point_origin` (N,) uint8.
+
+    >>> from gridtrack.recordings import packaged_recording
+    >>> from gridtrack.recordings.stream import open_stream
+    >>> frame = next(iter(open_stream(packaged_recording("leg_tracker"))))
+    >>> frame.visible.shape, int(frame.occupied.sum()), frame.points.shape
+    ((100, 100), 60, (60, 2))
     """
 
     stamp_ns: int
@@ -111,7 +119,7 @@ class GridFrame:
 
 
 class LabelledFrame(NamedTuple):
-    """A frame, and the class of each occupied cell whose class is known.
+    """A frame, and the classes of its labelled occupied cells.
 
     `cells` (N,) int64, row * M + column; `labels` (N,) uint8, indices into the recording's classes.
     """
@@ -122,12 +130,12 @@ class LabelledFrame(NamedTuple):
 
 
 def window_about(world_T_sensor: SE2, cell_m: float) -> SE2:
-    """`world_T_grid` of the window about a sensor: it lies at a whole multiple of the cell and is not turned."""
+    """`world_T_grid` of the window about a sensor: at a whole multiple of the cell, not turned."""
     return SE2(round(world_T_sensor.x / cell_m) * cell_m, round(world_T_sensor.y / cell_m) * cell_m)
 
 
 class Shift(NamedTuple):
-    """How far the window of a grid moved, in whole cells: upwards (`rows`, y) and to the right (`columns`, x)."""
+    """Motion of the window of a grid in whole cells: `rows` upwards (y) and `columns` to the right (x)."""
 
     rows: int = 0
     columns: int = 0
@@ -137,9 +145,9 @@ class Shift(NamedTuple):
 
 
 def shift_between(before: SE2, after: SE2, cell_m: float) -> Shift:
-    """How far the window moved from the pose `before` to `after`, both `world_T_grid`.
+    """The motion of the window from pose `before` to `after`, both `world_T_grid`.
 
-    Raises RecordingError where it turned, or moved by a part of a cell.
+    Raises RecordingError if it turned, or moved by a part of a cell.
     """
     columns, rows = (after.x - before.x) / cell_m, (after.y - before.y) / cell_m
     shift = Shift(round(rows), round(columns))
@@ -161,12 +169,11 @@ def rolled(
     size: int | None = None,
     out: NDArray[Any] | None = None,
 ) -> NDArray[Any]:
-    """The values of cells after the window moved by `shift`: each stays at its place in the world.
+    """The values of cells after the window moved by `shift`: each value stays at its place in the world.
 
-    `axes` of `values` are row and column. Cells that come into the window have the value `fill`, a scalar or an array
-    that can be broadcast to the result; those that leave it are lost. With `size` the values are those of an area
-    larger than the window, such as a map: before the shift its first cell was that of the window, which is `size` cells
-    a side. The result is a copy, also without a shift; it is written to `out` where there is one.
+    `axes` of `values` are row and column. New cells get `fill`, a scalar or an array that broadcasts to the result.
+    With `size` the result has `size` cells a side, cut from `values` of a larger area, such as a map, whose first cell
+    was the first cell of the window before the shift. The result is always a copy, written to `out` if given.
     """
     shape = list(values.shape)
     for axis in axes:
@@ -196,3 +203,11 @@ def with_neighbours(cells: Mask) -> Mask:
     grown[:, 1:] |= rows[:, :-1]
     grown[:, :-1] |= rows[:, 1:]
     return grown
+
+
+def nearest_step(horizon_s: float, period_s: float) -> int:
+    """The step nearest to a horizon; the even one of two that are equally near.
+
+    Rounding makes it the same for a period of 1/7 s and for its first digits: half a second is step 4 at 7 Hz.
+    """
+    return round(round(horizon_s / period_s, TIE_DIGITS))

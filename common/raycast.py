@@ -1,4 +1,4 @@
-"""Exact traversal of laser beams through the grid: exactly the cells that a beam has length in."""
+"""Exact traversal of laser beams through the grid: the cells in which a beam has length."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Beams = tuple[NDArray[np.float32], NDArray[np.float64], float, float, float, flo
 def cast_scan(scan: Scan, grid: GridSpec, grid_T_sensor: SE2, visible: Mask, occupied: Mask) -> NDArray[np.float32]:
     """Mark in `visible` and `occupied` (M, M) bool, C-contiguous, the observation of `scan`, and return its points.
 
-    The cells that a beam crosses and its end cell become visible; the end cell becomes occupied when the beam returned.
+    The cells that a beam crosses and its end cell become visible; the end cell of a return becomes occupied.
     Marks are only added, so occupied wins over free and several scans can share the arrays.
     Points are the returns inside the grid window, (N, 2) float32, metres, grid frame.
     """
@@ -38,7 +38,7 @@ def cast_scan(scan: Scan, grid: GridSpec, grid_T_sensor: SE2, visible: Mask, occ
 
 
 def end_cells(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> NDArray[np.int64]:
-    """The cell (B,) of each beam's return, row * M + column; -1 for no return, or a return outside the grid.
+    """The cell (B,) of each beam's return, row * M + column; -1 for no return or a return outside the grid.
 
     The cells are those that `cast_scan` marks occupied.
     """
@@ -72,7 +72,7 @@ def directions_of(angle_0: float, angle_step: float, beams: int) -> NDArray[np.f
 
 
 def turned(directions: NDArray[np.float64], theta: float) -> NDArray[np.float64]:
-    """Unit vectors (B, 2) turned by `theta`; exactly the same ones where it is 0."""
+    """Unit vectors (B, 2) turned by `theta`; unchanged to the last bit if it is 0."""
     if theta == 0.0:
         return directions
     c, s = np.cos(theta), np.sin(theta)  # NaN, not an error, for an angle that is not finite
@@ -84,7 +84,7 @@ def turned(directions: NDArray[np.float64], theta: float) -> NDArray[np.float64]
 def _cast(ranges, directions, range_min, range_max, x0, y0, cell_m, visible, occupied, size, points):  # type: ignore[no-untyped-def]
     """Cast all beams; coordinates in cells, from the lower-left corner. Returns the number of points.
 
-    Values that are not finite are also checked here: the traversal would write outside the arrays.
+    Checks for values that are not finite: with them the traversal would write outside the arrays.
     """
     inside = 0
     if not abs(x0) + abs(y0) < MAX_COORDINATE_CELLS:
@@ -128,7 +128,7 @@ def _ends(ranges, directions, range_min, range_max, x0, y0, cell_m, size, cells)
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def cross(x0, y0, dx, dy, size, visible):  # type: ignore[no-untyped-def]
-    """Mark the cells that the segment from (x0, y0) to (x0 + dx, y0 + dy) has length in."""
+    """Mark the cells in which the segment from (x0, y0) to (x0 + dx, y0 + dy) has length."""
     enter, leave = clip(x0, y0, dx, dy, size)
     if enter >= leave or (dx == 0.0 and dy == 0.0):
         return
@@ -142,10 +142,10 @@ def cross(x0, y0, dx, dy, size, visible):  # type: ignore[no-untyped-def]
 def _cross_slabs(u0, v0, du, dv, enter, leave, size, stride_u, stride_v, visible):  # type: ignore[no-untyped-def]
     """Traverse the unit slabs of the axis u along which the segment is longer, so |dv/du| <= 1.
 
-    Within one slab the segment crosses one cell or two: the one where it enters and the one where it leaves. Where it
-    passes from slab to slab it leaves one cell and enters the next at the same v; a segment through a corner crosses
-    the two cells that it has length in, and not their neighbours. v is kept in fixed point (2^-40 of a cell), which
-    leaves the loop without a branch or a conversion, for speed.
+    Within one slab the segment crosses one or two cells: where it enters and where it leaves. From slab to slab it
+    leaves one cell and enters the next at the same v; a segment through a corner crosses the two cells in which it has
+    length, not their neighbours. v is in fixed point (2^-40 of a cell), so that the fast loop has no branch and no
+    conversion.
     """
     slope = dv / du
     first, last = u0 + enter * du, u0 + leave * du
@@ -171,10 +171,10 @@ def _cross_slabs(u0, v0, du, dv, enter, leave, size, stride_u, stride_v, visible
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _inside(v, step, crossings, top):  # type: ignore[no-untyped-def]
-    """`v` moved by the rounding error, if any, that would carry one of `v + k * step`, 0 <= k < crossings, outside.
+    """`v`, moved if a rounding error would carry one of `v + k * step`, 0 <= k < crossings, outside of 1 to `top`.
 
-    Inside is 1 to `top`: a slope too small for a step still takes 1 from v. Between them lie at most size - 2 cells,
-    so there is always room.
+    The lower limit is 1 because a slope too small for a step still takes 1 from v. Between the limits lie at most
+    size - 2 cells, so there is always room.
     """
     travel = (crossings - 1) * step
     if step > 0:

@@ -1,4 +1,4 @@
-"""Files and folders in an object store or on a server: named by a URL, fetched into the user's cache, uploaded."""
+"""Files and folders at URLs, in an object store or on a server: fetched into the user's cache, listed, uploaded."""
 
 from __future__ import annotations
 
@@ -15,19 +15,18 @@ from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from gridtrack.common.errors import GridtrackError, StoreError, bounded_line
-from gridtrack.common.files import user_cache_folder
-from gridtrack.common.names import NAME_RULE, is_name
+from gridtrack.common.files import NAME_RULE, is_name, user_cache_folder
 
 URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*://")
 READ_BYTES = 1 << 22
 VERSION_KEYS = ("ETag", "etag", "generation", "LastModified", "last_modified", "mtime")
-"""What the file systems of fsspec call the version of a file; without any it is fetched again when its size changes."""
+"""Names of a file's version in the file systems of fsspec; without one the size alone shows a change."""
 MAX_PART_BYTES = 255
-"""Limit of the name of a file or folder inside a folder that is fetched: of most file systems."""
+"""Limit of a file name in most file systems."""
 
 
 class StoredFile(NamedTuple):
-    """A file in a store: its path there, its size in bytes, and what identifies its content."""
+    """A file in a store: its path there, its size in bytes, and a digest of its URL, size and version."""
 
     path: str
     size: int
@@ -35,17 +34,17 @@ class StoredFile(NamedTuple):
 
 
 def is_url(text: str) -> bool:
-    """Whether `text` names something in a store, and not a path."""
+    """Whether `text` is a URL, not a path."""
     return URL.match(text) is not None
 
 
 def fetched_file(url: str, kind: str, note: Callable[[str], None]) -> Path:
-    """The local copy of a file, `<cache>/<kind>/<version>/<its name>`, whole or not at all.
+    """The complete local copy of a file, `<cache>/<kind>/<version>/<its name>`.
 
-    It is fetched where there is no copy of this version yet; `note` receives a line before that. Raises StoreError.
+    It is fetched unless the cache has this version; `note` receives a line before that. Raises StoreError.
     """
     name = _checked_name(url, unquote(PurePosixPath(urlsplit(url).path).name))
-    with _told_in_one_line(url, "fetched"):
+    with _as_store_error(url, "fetched"):
         files, path = _file_system(url)
         stored = _stored(files, path, url, files.info(path))
         copy = user_cache_folder() / kind / stored.version / name
@@ -56,18 +55,18 @@ def fetched_file(url: str, kind: str, note: Callable[[str], None]) -> Path:
 
 
 def local_folder(text: str, kind: str, note: Callable[[str], None]) -> Path:
-    """The folder at a path, or the local copy (`fetched_folder`) of the one at a URL. Raises StoreError."""
+    """The folder at a path, or the local copy (`fetched_folder`) of a folder at a URL. Raises StoreError."""
     return fetched_folder(text, kind, note) if is_url(text) else Path(text)
 
 
 def fetched_folder(url: str, kind: str, note: Callable[[str], None]) -> Path:
-    """The local copy of a folder as it is now, `<cache>/<kind>/<version>/<its name>`, whole or not at all.
+    """The complete local copy of a folder as it is now, `<cache>/<kind>/<version>/<its name>`.
 
-    Its files are links to the copies of the single files, so that only those are fetched of which there is no copy of
-    this version yet; `note` receives a line before that. Files below a hidden name are left out. Raises StoreError.
+    Its files are links to the cached copies of the single files: only new versions are fetched, after a line to `note`.
+    Hidden files and folders are left out. Raises StoreError.
     """
     name, cache = folder_name(url), user_cache_folder() / kind
-    with _told_in_one_line(url, "fetched"):
+    with _as_store_error(url, "fetched"):
         files, path = _file_system(url)
         found = _listed(files, path, url)
         if not found:
@@ -87,32 +86,31 @@ def fetched_folder(url: str, kind: str, note: Callable[[str], None]) -> Path:
 
 
 def folder_name(url: str) -> str:
-    """The name of the folder that a URL names: the last part of its path, or the bucket. Raises StoreError."""
+    """The name of the folder at a URL: the last part of its path, or the bucket. Raises StoreError."""
     parts = urlsplit(url)
     return _checked_name(url, unquote(PurePosixPath(f"/{parts.hostname or ''}/{parts.path}").name))
 
 
 def list_folder(url: str) -> dict[str, StoredFile]:
-    """The files of a folder in a store by their names relative to it, `a/b`; none where there is no such folder.
+    """The files of a folder in a store by their relative names, `a/b`; empty if there is no such folder.
 
     Raises StoreError.
     """
     folder_name(url)
-    with _told_in_one_line(url, "listed"):
+    with _as_store_error(url, "listed"):
         files, path = _file_system(url)
         return _listed(files, path, url)
 
 
 def upload_folder(folder: Path, url: str, last: str) -> None:
-    """Upload the files of `folder` but the hidden ones, and the file named `last` after all others.
+    """Upload the files of `folder` except hidden ones, the file named `last` after all others.
 
-    What the store has under other names stays there. Raises StoreError where a file cannot be written, or has another
-    size there.
+    Other files in the store stay. Raises StoreError if a file cannot be written or arrives with another size.
     """
     folder_name(url)
     paths = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     names = [path.as_posix() for path in paths if not any(part.startswith(".") for part in path.parts)]
-    with _told_in_one_line(url, "uploaded to"):
+    with _as_store_error(url, "uploaded to"):
         files, root = _file_system(url)
         for name in sorted(names, key=lambda name: (name == last, name)):
             files.put_file(str(folder / name), f"{root.rstrip('/')}/{name}")
@@ -121,23 +119,23 @@ def upload_folder(folder: Path, url: str, last: str) -> None:
         for name in names:
             size = (folder / name).stat().st_size
             if name not in there or there[name].size != size:
-                raise StoreError(f"{url}/{name}: is not there in its {size} bytes after the upload; try again")
+                raise StoreError(f"{url}/{name}: the upload is not complete; try again")
 
 
 @contextmanager
-def _told_in_one_line(url: str, done: str) -> Iterator[None]:
-    """Errors of file systems, of which each has its own, as StoreError."""
+def _as_store_error(url: str, done: str) -> Iterator[None]:
+    """Turn the errors of any file system into StoreError."""
     try:
         yield
     except GridtrackError:
         raise
-    except Exception as error:  # noqa: BLE001 every file system has errors of its own
+    except Exception as error:  # noqa: BLE001 every file system has its own errors
         reason = bounded_line(str(error) or type(error).__name__)
         raise StoreError(f"{url}: cannot be {done} ({type(error).__name__}: {reason})") from None
 
 
 def _checked_name(url: str, name: str) -> str:
-    """`name`, the last part of `url`. Raises StoreError for one that no file can have here, and for a password."""
+    """`name`, the last part of `url`. Raises StoreError for an invalid file name, and for a password in the URL."""
     if "@" in urlsplit(url).netloc:
         raise StoreError(f"{urlsplit(url).hostname}: leave user and password out of the URL: commands are recorded")
     if not is_name(name):
@@ -146,14 +144,14 @@ def _checked_name(url: str, name: str) -> str:
 
 
 def _file_system(url: str) -> tuple[Any, str]:
-    """The file system of a URL, which asks its store anew, and the path in it. Raises StoreError."""
+    """The file system of a URL, without cached listings, and the path in it. Raises StoreError."""
     if "::" in url:
         raise StoreError(f"{url}: a chain of file systems is not supported; name the file or folder itself")
     try:
         from fsspec.core import url_to_fs
     except ImportError:
-        raise StoreError(f"{url}: what is named by a URL needs gridtrack[remote]") from None
-    # object stores have no folders to create, and the others create them; that of local files has to be told
+        raise StoreError(f"{url}: reading a URL needs gridtrack[remote]") from None
+    # only the file system of local files does not create folders by itself
     options = {"auto_mkdir": True} if url.startswith(("file://", "local://")) else {}
     try:
         files, path = url_to_fs(url, **options)
@@ -164,20 +162,22 @@ def _file_system(url: str) -> tuple[Any, str]:
 
 
 def _stored(files: Any, path: str, url: str, information: Mapping[str, Any]) -> StoredFile:
-    """The file at `path`, as its file system describes it. Raises StoreError where it does not tell the size."""
+    """The file at `path`, as its file system describes it. Raises StoreError if its size is not known."""
     size = information.get("size")
     if size is None:
         size = files.info(path).get("size")
     if size is None:
-        raise StoreError(f"{url}: its size is not told, so a part would look like the whole: copy it here")
-    told = {key: str(information[key]) for key in VERSION_KEYS if key in information} | {"size": str(size)}
-    return StoredFile(path, size, _digest([url, told]))
+        raise StoreError(
+            f"{url}: the server does not send its size, so a cut download would go unnoticed: copy it here"
+        )
+    version = {key: str(information[key]) for key in VERSION_KEYS if key in information} | {"size": str(size)}
+    return StoredFile(path, size, _digest([url, version]))
 
 
 def _listed(files: Any, root: str, url: str) -> dict[str, StoredFile]:
-    """The files below `root` by their names relative to it, but the hidden ones; none where there is no such folder.
+    """The files below `root` by their relative names, except hidden ones; empty if there is no such folder.
 
-    Raises StoreError, and what the file system raises: half a list would look like the whole.
+    Raises StoreError; errors of the file system pass through, since an incomplete list would look complete.
     """
     try:
         files.ls(root, detail=True)
@@ -192,7 +192,7 @@ def _listed(files: Any, root: str, url: str) -> dict[str, StoredFile]:
 
 
 def _files_below(files: Any, folder: str) -> Iterator[dict[str, Any]]:
-    """What the file system tells of each file below; its own `walk` and `find` leave out what cannot be listed."""
+    """The entry of each file below; `walk` and `find` of fsspec silently skip folders that cannot be listed."""
     for entry in files.ls(folder, detail=True):
         if entry["type"] != "directory":
             yield entry
@@ -201,7 +201,7 @@ def _files_below(files: Any, folder: str) -> Iterator[dict[str, Any]]:
 
 
 def _relative(path: str, root: str, url: str) -> str:
-    """The name of the file at `path` relative to the folder `root`. Raises StoreError for one that leads elsewhere."""
+    """The name of the file at `path` relative to the folder `root`. Raises StoreError if it lies outside."""
     folder = f"{root.strip('/')}/"
     if not path.strip("/").startswith(folder):
         raise StoreError(f"{url}: is not a folder, or lists a file outside itself ({path})")
@@ -220,7 +220,7 @@ def _digest(content: Any) -> str:
 
 
 def _copy(files: Any, stored: StoredFile, copy: Path) -> None:
-    """Copy a file, whole or not at all. Raises StoreError where it has another size than was told."""
+    """Copy a file completely or not at all. Raises StoreError if its size is not the announced one."""
     path, size, _ = stored
     copy.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=copy.parent, prefix=".fetching-", delete=False) as made:
@@ -231,7 +231,7 @@ def _copy(files: Any, stored: StoredFile, copy: Path) -> None:
                     if made.tell() > size:
                         break
             if made.tell() != size:
-                raise StoreError(f"{path}: {made.tell()} bytes came, and {size} were announced; try again")
+                raise StoreError(f"{path}: received {made.tell()} bytes instead of {size}; try again")
             made.flush()
             Path(made.name).replace(copy)
         finally:
@@ -239,7 +239,7 @@ def _copy(files: Any, stored: StoredFile, copy: Path) -> None:
 
 
 def _assemble(folder: Path, copies: Mapping[str, Path]) -> None:
-    """Make `folder` of links to the copies of its files; one that another process made meanwhile is as good."""
+    """Fill `folder` with links to the copies of its files, unless another process has done so meanwhile."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     made = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".fetching-"))
     try:

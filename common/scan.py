@@ -1,15 +1,15 @@
-"""One revolution of a planar laser."""
+"""One revolution of a planar laser, and the quality of its pose."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.pose_quality import PoseQuality
 from gridtrack.common.scene import Scene
 
 MAX_BEAMS = 100_000
@@ -18,6 +18,34 @@ MAX_ANGLE_RAD = 4.0 * math.pi
 MAX_RANGE_M, MAX_POSITION_M = 1e6, 1e9
 """Limits of the maximum range, and of a sensor's coordinates."""
 MIN_RATE_HZ, MAX_RATE_HZ = 1e-3, 1e4
+MatchOutcome = Literal["start", "matched", "partial", "few-returns", "few-inliers", "far"]
+MATCH_OUTCOMES: tuple[str, ...] = get_args(MatchOutcome)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseQuality:
+    """The match of a scan with the scans before it.
+
+    `outcome` is `start` for the first scan, `matched`, or `partial` if the surroundings leave a direction of the pose
+    open (as along a corridor, or with a single compact cluster, which may move): there the pose is the prior's. It is
+    the prior's completely with `few-returns`, `few-inliers`, or a match `far` from the prior. `inlier_share` is the
+    share of the returns on the map, `residual_m` their median distance from the map's walls; both are 0 for a scan
+    that was not matched.
+    """
+
+    outcome: MatchOutcome
+    inlier_share: float = 0.0
+    residual_m: float = 0.0
+
+    @property
+    def failed(self) -> bool:
+        """Whether the pose is that of the prior."""
+        return self.outcome in ("few-returns", "few-inliers", "far")
+
+    @property
+    def fell_back(self) -> bool:
+        """Whether the pose is that of the prior, in full or in part."""
+        return self.failed or self.outcome == "partial"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""The true scene of a recording: outlines of all static and moving objects, also of those the laser does not see."""
+"""The true scene of a recording: outlines of all static and moving objects, also of hidden ones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gridtrack.common.geometry import SE2
 
 UNLABELLED = 255
-"""The label of a beam, a cell or an outline whose class is not known."""
+"""The label of a beam, a cell or an outline of unknown class."""
 
 Outline = NDArray[np.float32]
 """A simple closed polygon (N, 2) float32, metres, counter-clockwise; the last corner joins the first."""
@@ -20,8 +20,8 @@ Outline = NDArray[np.float32]
 class SceneObject:
     """A road user at one instant.
 
-    `label` is an index into the recording's classes; `outline` is in the object's own frame (x forward, origin at the
-    centre of the body), whose pose is `world_T_object`; `track` identifies the object over time.
+    `label` is an index into the recording's classes; `world_T_object` is the pose of the object's frame (x forward,
+    origin at the centre of the body), `outline` is in that frame; `track` identifies the object over time.
     """
 
     track: int
@@ -34,7 +34,7 @@ class SceneObject:
 class Scene:
     """All objects at one instant.
 
-    `static` outlines in the world frame, `static_label` their class, or UNLABELLED; `objects` are the road users.
+    `static` outlines in the world frame, `static_label` their class or UNLABELLED; `objects` are the road users.
     """
 
     static: tuple[Outline, ...]

@@ -1,7 +1,7 @@
-"""JSON and TOML that nobody vouches for: their nesting and numbers are limited before or while they are read.
+"""Untrusted JSON and TOML, with limits on nesting and numbers.
 
-Without limits a file of 40 kB takes 1.6 GB (dotted keys of TOML), or fails where its content is used: nested so deeply
-that it cannot be written again, or with numbers that no float and no array can hold.
+Without limits a file of 40 kB takes 1.6 GB (dotted keys of TOML), or fails later: content nested too deeply to be
+written again, or numbers beyond any float or array.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from itertools import accumulate
 from typing import Any, NoReturn
 
 MAX_NESTING = 64
-"""Limit of lists and objects inside each other; the deepest file of gridtrack has 12."""
+"""Limit of nested lists and objects; the deepest file of gridtrack has 12."""
 MAX_KEY_PARTS = 16
-"""Limit of the parts of a dotted key of TOML: tables inside each other take time quadratic in their number."""
+"""Limit of the parts of a dotted key in TOML: nested tables take time quadratic in their number."""
 MAX_INTEGER = 1 << 64
 """Limit of the size of an integer."""
 
@@ -31,7 +31,7 @@ _TOML_STRING = re.compile(
     """,
     re.DOTALL | re.VERBOSE,
 )
-"""A string or a comment; one that does not end reaches to the end of its line, or of the text."""
+"""A string or a comment; an unterminated one reaches to the end of its line, or of the text."""
 _LONG_KEY = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{MAX_KEY_PARTS}}}")
 _NESTING = {ord(char): step for chars, step in (("[{", 1), ("]}", -1)) for char in chars}
 _NO_BRACKETS = bytes(set(range(256)) - set(_NESTING))
@@ -39,10 +39,10 @@ _ESCAPED_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 
 
 def parse_json(text: bytes | bytearray, *, undefined: bool = False) -> Any:
-    """The JSON value in `text`, UTF-8. Raises ValueError, in a few words, for anything else.
+    """The JSON value in `text`, UTF-8. Raises ValueError, with a short reason, for anything else.
 
-    Also for lists and objects nested beyond MAX_NESTING, integers from MAX_INTEGER on, strings with a lone surrogate,
-    which cannot be written as UTF-8, and numbers that are not finite: with `undefined` these are None.
+    Also refused are nesting beyond MAX_NESTING, integers from MAX_INTEGER on, strings with a lone surrogate (UTF-8
+    cannot encode it), and numbers that are not finite; with `undefined` these are None instead.
     """
     _refuse_deep(_JSON_STRING.sub(b"", text))
     finite, constant = (_finite_or_none, _none) if undefined else (_finite, _not_json)
@@ -68,7 +68,7 @@ def parse_toml(text: bytes) -> dict[str, Any]:
 
 
 def _refuse_deep(text: bytes) -> None:
-    """Raise ValueError where the brackets of `text`, which has no strings, are nested too deeply."""
+    """Raise ValueError if the brackets of `text`, which has no strings, are nested too deeply."""
     brackets = text.translate(None, _NO_BRACKETS)
     if max(accumulate(map(_NESTING.__getitem__, brackets)), default=0) > MAX_NESTING:
         raise ValueError(f"nested more than {MAX_NESTING} deep")

@@ -12,12 +12,12 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
-OUTSIDE = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "examples/**/*", "data/**/*.md")
-"""What is on the site beside docs/."""
+OUTSIDE = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "RELEASING.md", "LICENSE", "examples/**/*", "data/**/*.md")
+"""Files of the site outside docs/."""
 NOT_SHOWN = (".py", ".pyc", ".txt")
 """Files of docs/ that no page links to."""
 PACKAGE = ROOT / ".link" / "docs" / "gridtrack"
-"""What mkdocstrings reads: it follows links, so that from .link/ it would read the environment too, many times."""
+"""The package as mkdocstrings reads it: it follows links, and from .link/ it would read the environment too."""
 PARTS = ("__init__.py", "cli", "common", "evaluation", "recordings", "reports", "simulation", "trackers")
 
 

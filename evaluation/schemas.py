@@ -12,9 +12,9 @@ from pydantic import BaseModel
 
 from gridtrack.common.files import write_text
 from gridtrack.evaluation.regression.measurement import Baseline
-from gridtrack.evaluation.results.run_record import RunRecord
-from gridtrack.evaluation.results.summary import RunSummary
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.runs.run_record import RunRecord
+from gridtrack.evaluation.runs.summary import RunSummary
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 
 MODELS: Mapping[str, type[BaseModel]] = {
     "run": RunRecord,

@@ -1,14 +1,13 @@
 """Recordings of laser scans: read in any registered format, written in the native one."""
 
-from gridtrack.recordings.format import RecordingFormat
-from gridtrack.recordings.formats.native_writer import write_native
+from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.importing import import_recording
-from gridtrack.recordings.mounts import Mount, parse_mount
 from gridtrack.recordings.opening import open_recording, packaged_recording, recordings_at
-from gridtrack.recordings.read_options import CloudSlice, ReadOptions
+from gridtrack.recordings.overview import RecordingOverview
+from gridtrack.recordings.read_options import CloudSlice, Mount, ReadOptions, parse_mount
 from gridtrack.recordings.recording import Recording
 from gridtrack.recordings.recording_info import RecordingInfo, Stretch
-from gridtrack.recordings.survey import RecordingOverview
+from gridtrack.recordings.registry import RecordingFormat
 
 __all__ = [
     "CloudSlice",

@@ -21,7 +21,7 @@ JITTER_LEVER_M = 5.0
 
 
 class Degradation(Settings):
-    """The amount of each kind of degradation; 0 is none. The command line and messages use hyphens in the names."""
+    """The amount of each kind of degradation; 0 is none. Names have hyphens on the command line and in messages."""
 
     model_config = ConfigDict(alias_generator=lambda name: name.replace("_", "-"), populate_by_name=True)
 
@@ -30,7 +30,7 @@ class Degradation(Settings):
     range_noise: float = Field(0.0, ge=0.0, le=100.0)
     """Standard deviation of the noise on the range of each return, metres; clipped to the laser's range limits."""
     frame_drop: float = Field(0.0, ge=0.0, le=1.0)
-    """Probability that a scan is lost: its frame is delivered at its time, and is empty."""
+    """Probability that a scan is lost: its frame is then empty."""
     pose_jitter: float = Field(0.0, ge=0.0, le=100.0)
     """Standard deviation of the noise on the x and y of each pose, metres; a fifth of it on the heading, radians."""
 
@@ -57,19 +57,19 @@ def parse_degradation(text: str) -> Degradation:
     degradation = validated(Degradation, pairs, DEGRADE_OPTION)
     if not degradation.kinds:
         known = ", ".join(f"{field.alias}=..." for field in Degradation.model_fields.values())
-        raise ConfigurationError(f"{DEGRADE_OPTION}: '{text}' degrades nothing; name one or more of {known}")
+        raise ConfigurationError(f"{DEGRADE_OPTION}: '{text}' degrades nothing; expected one or more of {known}")
     return degradation
 
 
 def degrader(degradation: Degradation, seed: int) -> Callable[[Scan], Scan]:
     """A function that degrades one scan; labels and the true scene are not changed.
 
-    The random numbers depend on `seed`, the scan's stamp and its sensor only: every reading of a scan is degraded in
-    the same way, and a stronger degradation drops or shifts whatever a weaker one does, and further.
+    The random numbers depend on `seed`, the scan's stamp and its sensor only. Every pass over a recording is thus
+    degraded in the same way, and a stronger degradation drops the beams that a weaker one drops, and more.
     """
 
     def degrade(scan: Scan) -> Scan:
-        # always drawn in full and in this order, so that one kind does not change the random numbers of another
+        # all are always drawn, in this order, so that one kind does not change the random numbers of another
         rng = np.random.default_rng([seed, scan.stamp_ns, zlib.crc32(scan.sensor.encode())])
         lost, (dx, dy, turn) = rng.random(), rng.standard_normal(3)
         dropped, noise = rng.random(scan.ranges.size), rng.standard_normal(scan.ranges.size)

@@ -1,4 +1,4 @@
-"""A recording whose scans, transforms and poses name their frames: ROS messages, Foxglove messages."""
+"""A recording whose scans, transforms and poses name their coordinate frames: ROS messages, Foxglove messages."""
 
 from __future__ import annotations
 
@@ -9,27 +9,24 @@ from functools import cached_property
 from typing import Literal, NamedTuple
 
 from gridtrack.common.errors import RecordingError
-from gridtrack.common.names import name_from
+from gridtrack.common.files import name_from
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.frames.chains import ChainOptions, Chains
+from gridtrack.recordings.file_reading import DamageError
+from gridtrack.recordings.frames.chains import ChainOptions, Chains, LinkKey
 from gridtrack.recordings.frames.choice import chosen_chains
-from gridtrack.recordings.frames.placing import FramedScan, ScansOnChains
-from gridtrack.recordings.frames.trajectory import MAX_WHOLE, AllTransforms
+from gridtrack.recordings.frames.trajectory import MAX_TRANSFORMS, AllTransforms, FramedScan, ScansOnChains
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FrameTree, StampedTransform, frame_name
-from gridtrack.recordings.mounts import Mount
-from gridtrack.recordings.read_options import NO_POSES
-from gridtrack.recordings.recording import DamageError, Recording, Topics
+from gridtrack.recordings.read_options import NO_POSES, Mount
+from gridtrack.recordings.recording import Recording, Topics
 from gridtrack.recordings.recording_info import RecordingInfo
 
 Content = Literal["scan", "transforms", "pose"]
-Recorded = tuple[str, str]
-"""What is recorded of a link: its source, and the frame whose place it gives."""
 STATIC_TRANSFORMS = "tf_static"
 
 
 class EncodedMessage(NamedTuple):
-    """One message of a file, still encoded (`ros1`, `cdr`, `protobuf`); ROS types as ROS 2 writes them."""
+    """One message of a file, still encoded (`ros1`, `cdr`, `protobuf`). `kind` is its type, in ROS 2's notation."""
 
     topic: str
     kind: str
@@ -39,20 +36,20 @@ class EncodedMessage(NamedTuple):
 
 
 class FramedRecording(Recording):
-    """A recording whose messages name their frames.
+    """A recording whose messages name their frames. A file is read in three passes:
 
-    One quick pass over the transforms and poses of the whole file chooses the chain of each sensor: static transforms
-    may come anywhere in it. A second one reads those of the links that move, which may be far from their scans in a
-    file that is finished. Then the scans are read, each with the pose on its chain.
+    1. All transforms and poses, to choose the chain of transforms of each sensor; static ones may come anywhere.
+    2. The transforms of the moving links of these chains. A file that grows has no second pass.
+    3. The scans, each with the pose on its chain.
     """
 
     @abstractmethod
     def messages(self) -> Iterator[EncodedMessage]:
-        """All messages in the order of the file. Raises DamageError where it is cut off or corrupt."""
+        """All messages in the order of the file. Raises DamageError if it is cut off or corrupt."""
 
     @abstractmethod
     def content_of(self, message: EncodedMessage) -> Content | None:
-        """What a message holds, from its topic and type."""
+        """The content of a message, from its topic and type."""
 
     @abstractmethod
     def frame_of(self, message: EncodedMessage) -> str:
@@ -64,18 +61,18 @@ class FramedRecording(Recording):
 
     @abstractmethod
     def transforms_of(self, message: EncodedMessage) -> Iterable[StampedTransform]:
-        """The transforms of a message, or its pose; `child` is empty where it does not name one. DamageError."""
+        """The transforms of a message, or its pose; `child` is empty if the message does not name it. DamageError."""
 
     @cached_property
     def info(self) -> RecordingInfo:
-        """The metadata of the recording: its file name as `site`, and where its poses come from."""
-        stands = self.options.pose_topic == NO_POSES
-        poses = self.chains.describe(self._tree, self._sensors, stands=stands)
+        """The metadata of the recording: its file name as `site`, and the source of its poses."""
+        is_at_rest = self.options.pose_topic == NO_POSES
+        poses = self.chains.describe(self._tree, self._sensors, is_at_rest=is_at_rest)
         return RecordingInfo(site=name_from(self.name), poses=poses)
 
     @property
     def pose_problem(self) -> str:
-        """Why the poses of the sensors cannot be used, and what to do; empty where they can."""
+        """Why the poses of the sensors cannot be used, and what to do; empty if they can."""
         return self.chains.problem
 
     def topic_of(self, sensor: str) -> str:
@@ -86,23 +83,32 @@ class FramedRecording(Recording):
         """The name of the sensor with the scans of `topic`."""
         return topic.strip("/") or "scan"
 
+    def is_read(self, message: EncodedMessage) -> bool:
+        """Whether the scans of a message's topic are read."""
+        return self.options.topic in (None, message.topic)
+
+    def is_mount_of(self, mount: Mount, topic: str) -> bool:
+        """As in every recording; a mount may also name the frame of the sensor."""
+        return super().is_mount_of(mount, topic) or mount.sensor == self._tree.sensors.get(topic)
+
     @cached_property
     def chains(self) -> Chains:
         """The chain of each topic with scans.
 
-        Raises RecordingError for a pose topic that is not there, ConfigurationError for a mount of no sensor.
+        Raises RecordingError for an unknown pose topic, ConfigurationError for a mount of an unknown sensor.
         """
         return self._chains_in(self._tree)
 
     def survey_again(self) -> None:
-        """As of every recording; the chains stay, and a warning tells where the whole file leads to other ones."""
+        """As in every recording. The chains are kept, with a warning if the whole file leads to other ones."""
         super().survey_again()
         whole = self._chains_in(self._read_tree())
         for topic, chain in self.chains.of_topic.items():
             if str(whole.of_topic.get(topic)) != str(chain):
                 self.notify(
-                    f"sensor '{self.sensor_of(topic)}': the whole file leads to the frames {whole.of_topic.get(topic)};"
-                    f" those of its beginning, {chain}, were used: compare the finished file"
+                    f"sensor '{self.sensor_of(topic)}': its transforms in the whole file are"
+                    f" {whole.of_topic.get(topic)}; the comparison used those at the beginning of the file, {chain}:"
+                    " compare the finished file"
                 )
 
     def _chains_in(self, tree: FrameTree) -> Chains:
@@ -140,12 +146,12 @@ class FramedRecording(Recording):
             tree.note(f"{damage}; it is left out")
 
     def read(self, topics: Topics) -> Iterator[Scan]:
-        """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""
+        """The scans in the order of the file; counts the messages in `topics`. Raises DamageError at damage."""
         for fault in (*self._tree.faults, *self.chains.faults):
             self.warn(fault)
         for note in self.chains.notes:
             self.notify(note)
-        self._tell_shared_frames()
+        self._note_shared_frames()
         scans = ScansOnChains(self.chains.of_topic, self.warn, self._known_transforms)
         try:
             for message in self.messages():
@@ -154,75 +160,67 @@ class FramedRecording(Recording):
                 if content == "scan" and self.is_read(message):
                     yield from self._placed(scans, message)
                 elif self._known_transforms is None:
-                    for moved in self._moving_transforms(message):
-                        yield from scans.transform(*moved)
+                    for key, stamp_ns, transform in self._moving_transforms(message):
+                        yield from scans.transform(key, stamp_ns, transform)
         except DamageError:
             yield from scans.flush()
             raise
         yield from scans.flush()
 
     def _placed(self, scans: ScansOnChains, message: EncodedMessage) -> Iterator[Scan]:
-        """The scans that no longer wait when the one in a message is added."""
+        """The scans that no longer wait once the scan in a message is added."""
         framed = self.scan_of(message)
         if frame_name(framed.frame) == self._tree.sensors.get(message.topic):
             yield from scans.scan(framed)
         else:
-            self.warn(f"topic '{message.topic}': scans of another frame than the first are left out")
+            self.warn(f"topic '{message.topic}': scans in another frame than the first scan are left out")
 
-    def _tell_shared_frames(self) -> None:
-        """Tell moving sensors that may be one, whose scans are recorded twice: raw and filtered, for example."""
+    def _note_shared_frames(self) -> None:
+        """Report moving sensors that may be one, with its scans recorded twice: raw and filtered, for example."""
         moving = {topic: self._tree.sensors[topic] for topic, chain in self.chains.of_topic.items() if chain.moving}
         for frame in dict.fromkeys(moving.values()):
             topics = [topic for topic, other in moving.items() if other == frame]
             if len(topics) > 1:
                 self.notify(
-                    f"{' and '.join(topics[:3])} have scans of one frame, '{frame}': where they are of one sensor,"
-                    f" import one of them with `{self.import_command(['--topic', topics[0]])}`"
+                    f"{' and '.join(topics[:3])} have scans in one frame, '{frame}': if they are of one sensor, import"
+                    f" one of them with `{self.import_command(['--topic', topics[0]])}`"
                 )
 
-    def is_mount_of(self, mount: Mount, topic: str) -> bool:
-        """As of every recording; a mount may name the frame of the sensor too."""
-        return super().is_mount_of(mount, topic) or mount.sensor == self._tree.sensors.get(topic)
-
-    def is_read(self, message: EncodedMessage) -> bool:
-        """Whether the scans of a message's topic are read."""
-        return self.options.topic in (None, message.topic)
-
     @cached_property
-    def _moving_links(self) -> set[Recorded]:
+    def _moving_links(self) -> set[LinkKey]:
         return set(self.chains.moving)
 
     @cached_property
-    def _known_transforms(self) -> dict[Recorded, AllTransforms] | None:
-        """All transforms of each link that moves; None where they are read along with the scans.
+    def _known_transforms(self) -> dict[LinkKey, AllTransforms] | None:
+        """All transforms of each moving link; None if they are read together with the scans.
 
-        They are in a file that grows, and in one with more of them than are kept.
+        They are in a file that grows, and in one with more than MAX_TRANSFORMS.
         """
         if self.growth is not None:
             return None
-        known, count = {recorded: AllTransforms() for recorded in self._moving_links}, 0
+        known, count = {key: AllTransforms() for key in self._moving_links}, 0
         with contextlib.suppress(DamageError):  # reported when the scans are read
             for message in self.messages() if known else ():
-                for recorded, stamp_ns, transform in self._moving_transforms(message):
-                    known[recorded].add(stamp_ns, transform)
+                for key, stamp_ns, transform in self._moving_transforms(message):
+                    known[key].add(stamp_ns, transform)
                     count += 1
-                if count > MAX_WHOLE:
+                if count > MAX_TRANSFORMS:
                     return None
         return known
 
-    def _moving_transforms(self, message: EncodedMessage) -> Iterator[tuple[Recorded, int, SE3]]:
-        """The transforms of links that move: what they are of, stamp, transform."""
+    def _moving_transforms(self, message: EncodedMessage) -> Iterator[tuple[LinkKey, int, SE3]]:
+        """The transforms of moving links in a message: key of the link, stamp, transform."""
         content, topic, moving = self.content_of(message), message.topic, self._moving_links
-        of_pose = next((recorded for recorded in moving if recorded[0] == topic), None) if content == "pose" else None
+        of_pose = next((key for key in moving if key[0] == topic), None) if content == "pose" else None
         if not moving or (of_pose is None and content != "transforms"):
             return
-        with contextlib.suppress(DamageError):  # one of the tree's faults
+        with contextlib.suppress(DamageError):  # reported among the faults of the tree
             for stamped in self.transforms_of(message):
-                recorded = of_pose or self._recorded_of(topic, stamped)
-                if recorded in moving and stamped.transform is not None:
-                    yield recorded, stamped.stamp_ns, stamped.transform
+                key = of_pose or self._key_of(topic, stamped)
+                if key in moving and stamped.transform is not None:
+                    yield key, stamped.stamp_ns, stamped.transform
 
-    def _recorded_of(self, topic: str, stamped: StampedTransform) -> Recorded | None:
-        """What a transform on a topic is recorded of; None where it is not used."""
+    def _key_of(self, topic: str, stamped: StampedTransform) -> LinkKey | None:
+        """The key of a transform's link; None if it is not used."""
         edge = self._tree.edge_with(topic, stamped)
         return None if edge is None else (edge.topic, frame_name(stamped.child))

@@ -1,21 +1,25 @@
-"""Importing a recording: written as a native one, with the site, grid and stretches that a comparison uses."""
+"""Importing a recording: written as a native one, with site, grid, stretches, and labels from a CSV file."""
 
 from __future__ import annotations
 
+import csv
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gridtrack.common.config import validated
-from gridtrack.common.errors import RecordingError
-from gridtrack.common.files import atomic_write
-from gridtrack.common.names import check_utf8
+from gridtrack.common.errors import RecordingError, did_you_mean
+from gridtrack.common.files import atomic_write, check_utf8
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.formats.native_writer import write_native
-from gridtrack.recordings.frames.placing import ClocksApartError
-from gridtrack.recordings.labels import classes_in, with_labels
-from gridtrack.recordings.mounts import Mount
+from gridtrack.common.scene import UNLABELLED
+from gridtrack.recordings.formats.native import write_native
+from gridtrack.recordings.frames.trajectory import ClocksApartError
 from gridtrack.recordings.opening import open_recording
 from gridtrack.recordings.read_options import NO_POSES, CloudSlice
 from gridtrack.recordings.recording import Recording
@@ -30,7 +34,6 @@ def import_recording(
     source: Path | str,
     out: Path | str,
     *,
-    topic: str | None = None,
     site: str | None = None,
     grid: str | None = None,
     rate_hz: float | None = None,
@@ -38,47 +41,29 @@ def import_recording(
     licence: str = "",
     credit: str = "",
     labels: Path | str | None = None,
-    cloud_slice: CloudSlice | None = None,
-    pose_topic: str | None = None,
-    mounts: Sequence[Mount] = (),
-    zero_range: str | None = None,
     ego_motion: PoseSource = "recorded",
-    strict: bool = False,
     overwrite: bool = False,
+    **options: Any,
 ) -> Recording:
     """Write the recording at `source`, in any format, as a native one at `out`, and open it.
 
-    Ranges are copied exactly, NaN and infinities included, but for those of 0.0 with `zero_range`; the same source and
-    options give the same bytes. The warnings about the file are written too: reading the result gives them again.
-    `site` defaults to the site that the source names, or to its file name. With `ego_motion` "kiss-icp" or "refined"
-    the poses come from matching the scans, without or with the recorded motion as a prior; with "kiss-icp" the recorded
-    poses of a single sensor need not be usable. A file at `out` is replaced with `overwrite` only. Raises
-    RecordingError and ConfigurationError; `out` is then not changed.
+    Ranges are copied exactly, including NaN and infinities; only `zero_range` changes ranges of 0.0. The same source
+    and options give the same bytes. Warnings about the file are written too, so reading the result repeats them. `site`
+    defaults to the site in the source, or to its file name. With `ego_motion` "kiss-icp" the poses come from matching
+    the scans, and a single sensor needs no usable recorded poses; with "refined" the recorded motion is the prior of
+    the matches. `options` are those of `open_recording`. An existing file at `out` is replaced only with `overwrite`.
+    Raises RecordingError and ConfigurationError; `out` is then not changed.
     """
     out = Path(out)
     check_utf8(out, RecordingError)
-    options = {
-        "topic": topic,
-        "strict": strict,
-        "cloud_slice": cloud_slice,
-        "pose_topic": pose_topic,
-        "mounts": mounts,
-        "zero_range": zero_range,
-    }
     recording = _opened(source, options, ego_motion)
     _check_destination(out, recording, overwrite)
-    for stretch in (stretches or {}).values():
+    stretches = dict(stretches or {})
+    for stretch in stretches.values():
         stretch_of(recording, stretch)
-    given = {
-        "site": site,
-        "grid": grid,
-        "licence": licence,
-        "credit": credit,
-        "rate_hz": rate_hz,
-        "stretches": dict(stretches or {}),
-    }
-    info = _info(recording, given, labels).model_copy(
-        update={"command": _command(recording, out, given, ego_motion, labels)}
+    given = {"site": site, "grid": grid, "licence": licence, "credit": credit, "rate_hz": rate_hz}
+    info = _info(recording, {**given, "stretches": stretches}, labels).model_copy(
+        update={"command": _command(recording, out, given, stretches, labels, ego_motion)}
     )
     if recording.pose_problem:
         raise RecordingError(f"{recording.path}: {recording.pose_problem}")
@@ -88,11 +73,11 @@ def import_recording(
     if labels is not None:
         scans = with_labels(scans, Path(labels), info.classes)
     _write(out, info, scans, recording.warnings_for_copy)
-    return open_recording(out, strict=strict)
+    return open_recording(out, strict=recording.options.strict)
 
 
 def _opened(source: Path | str, options: Mapping[str, Any], ego_motion: PoseSource) -> Recording:
-    """The source, opened without its poses where they cannot be used and are not needed."""
+    """The source, opened without its poses if they cannot be used and are not needed."""
     recording = open_recording(source, **options)
     if ego_motion == "kiss-icp" and not _can_use_poses(recording):
         recording = open_recording(source, **{**options, "pose_topic": NO_POSES})
@@ -100,7 +85,7 @@ def _opened(source: Path | str, options: Mapping[str, Any], ego_motion: PoseSour
 
 
 def _can_use_poses(recording: Recording) -> bool:
-    """Whether the recorded poses can be used, or are those of several sensors, which cannot do without."""
+    """Whether the recorded poses can be used, or are needed for several sensors."""
     try:
         several = len(recording.survey.sensors) > 1
     except ClocksApartError:
@@ -111,7 +96,7 @@ def _can_use_poses(recording: Recording) -> bool:
 def _check_destination(out: Path, recording: Recording, overwrite: bool) -> None:
     if out.suffix != ".mcap":
         raise RecordingError(f"{out}: a recording is written as .mcap")
-    in_source = out.resolve().parent == recording.path.resolve()  # of a bag that is a folder
+    in_source = out.resolve().parent == recording.path.resolve()  # a bag that is a folder
     if in_source or (out.exists() and out.samefile(recording.path)):
         raise RecordingError(f"{out}: is the source itself, or in its folder; choose another place for the result")
     if out.exists() and not overwrite:
@@ -123,7 +108,7 @@ def _check_destination(out: Path, recording: Recording, overwrite: bool) -> None
 def _with_matched_poses(
     info: RecordingInfo, recording: Recording, ego_motion: PoseSource
 ) -> tuple[RecordingInfo, Iterator[Scan]]:
-    """The scans with the poses of their matches, and the metadata that says so."""
+    """The scans with the poses of their matches, and the metadata that describes them."""
     from gridtrack.recordings.ego_motion import MatchingSettings, matched_trajectory, with_matched_poses
 
     if ego_motion == "refined" and not recording.survey.moves:
@@ -137,9 +122,9 @@ def _with_matched_poses(
 
 
 def _info(recording: Recording, given: Mapping[str, Any], labels: Path | str | None) -> RecordingInfo:
-    """The metadata of the source, with the values that are `given` in place of its own."""
+    """The metadata of the source, replaced by the `given` values."""
     values = recording.info.model_dump() | {key: value for key, value in given.items() if value}
-    if not recording.info.source_sha256:  # else it was imported itself: the first source tells which recording it is
+    if not recording.info.source_sha256:  # else the source was imported itself: its own source identifies it
         values |= {"source": recording.name, "source_sha256": recording.sha256}
     if labels is not None:
         values["classes"] = classes_in(Path(labels))
@@ -147,40 +132,35 @@ def _info(recording: Recording, given: Mapping[str, Any], labels: Path | str | N
 
 
 def _command(
-    recording: Recording, out: Path, given: Mapping[str, Any], ego_motion: PoseSource, labels: Path | str | None
+    recording: Recording,
+    out: Path,
+    given: Mapping[str, Any],
+    stretches: Mapping[str, Stretch],
+    labels: Path | str | None,
+    ego_motion: PoseSource,
 ) -> str:
     """The command line that repeats the import, without the folders of this machine."""
     read = recording.options
-    options: dict[str, Any] = {
-        "out": out.name,
-        "topic": read.topic,
-        "labels": labels and Path(labels).name,
-        **given,
-        "cloud_slice": read.cloud_slice,
-        "pose-topic": read.pose_topic,
-        "mount": read.mounts,
-        "zero-range": read.zero_range,
-        "ego-motion": ego_motion if ego_motion != "recorded" else None,
-    }
-    words = ["gridtrack", "recording", "import", recording.name]
-    for name, value in options.items():
-        if name == "stretches":
-            for stretch_name, stretch in value.items():
-                words += ["--stretch", f"{stretch_name}={stretch_text(stretch)}"]
-        elif name == "mount":
-            for mount in value:
-                words += ["--mount", str(mount)]
-        elif name == "rate_hz" and value:
-            words += ["--rate", f"{value:g}"]
-        elif name == "cloud_slice" and value:
-            words += ["--cloud-slice", _pairs(value)]
-        elif value:
-            words += [f"--{name}", str(value)]
-    return shlex.join(words)
+    options = [
+        ("--out", out.name),
+        ("--format", read.format),
+        ("--topic", read.topic),
+        ("--labels", labels and Path(labels).name),
+        *((f"--{name}", given[name]) for name in ("site", "grid", "licence", "credit")),
+        ("--rate", given["rate_hz"] and f"{given['rate_hz']:g}"),
+        *(("--stretch", f"{name}={stretch_text(stretch)}") for name, stretch in stretches.items()),
+        ("--cloud-slice", read.cloud_slice and _pairs(read.cloud_slice)),
+        ("--pose-topic", read.pose_topic),
+        *(("--mount", str(mount)) for mount in read.mounts),
+        ("--zero-range", read.zero_range),
+        ("--ego-motion", None if ego_motion == "recorded" else ego_motion),
+    ]
+    words = [word for option, value in options if value for word in (option, str(value))]
+    return shlex.join(["gridtrack", "recording", "import", recording.name, *words])
 
 
 def _pairs(settings: CloudSlice) -> str:
-    """The settings that were given, in the form of the command line."""
+    """The given settings as on the command line."""
     given = settings.model_dump(exclude_unset=True)
     return ",".join(f"{key}={value if isinstance(value, str) else f'{value:g}'}" for key, value in given.items())
 
@@ -192,3 +172,82 @@ def _write(out: Path, info: RecordingInfo, scans: Iterable[Scan], warnings: Call
             write_native(file, info, scans, warnings)
     except OSError as error:
         raise RecordingError(f"{out}: cannot be written ({error.strerror})") from None
+
+
+class BeamLabel(NamedTuple):
+    """One row of the CSV file of labels, `stamp_ns,beam,class[,sensor]`: the class of one beam."""
+
+    stamp_ns: int
+    sensor: str
+    beam: int
+    name: str
+    line: int
+
+
+def classes_in(path: Path) -> tuple[str, ...]:
+    """The classes in the CSV file, sorted. Raises RecordingError."""
+    names = {label.name for label in _read_labels(path)}
+    if len(names) > UNLABELLED:
+        raise RecordingError(f"{path}: {len(names)} classes; at most {UNLABELLED}")
+    return tuple(sorted(names))
+
+
+def with_labels(scans: Iterable[Scan], path: Path, classes: tuple[str, ...]) -> Iterator[Scan]:
+    """`scans` with the labels of the CSV file; its rows are sorted by stamp.
+
+    A row without a sensor labels the sensor `scan`. Raises RecordingError for a row without a scan.
+    """
+    index = {name: i for i, name in enumerate(classes)}
+    groups = groupby(_read_labels(path), key=lambda row: (row.stamp_ns, row.sensor))
+    pending: dict[tuple[int, str], list[BeamLabel]] = {}
+    read_to_ns = -1
+    for scan in scans:
+        while read_to_ns <= scan.stamp_ns and (group := next(groups, None)) is not None:
+            key, rows = group
+            if key[0] < read_to_ns:
+                raise RecordingError(
+                    f"{path}, line {next(rows).line}: a stamp before that of the row above; sort the rows by stamp"
+                )
+            read_to_ns = key[0]
+            pending.setdefault(key, []).extend(rows)  # rows of sensors that share a stamp may alternate
+        labels = pending.pop((scan.stamp_ns, scan.sensor), None)
+        yield scan if labels is None else replace(scan, labels=_labels(labels, scan, index, path))
+        for key in [key for key in pending if key[0] < scan.stamp_ns]:
+            _raise_no_scan(pending[key][0], path)
+    for rest in pending.values():
+        _raise_no_scan(rest[0], path)
+    for _, rows in groups:
+        _raise_no_scan(next(rows), path)
+
+
+def _raise_no_scan(row: BeamLabel, path: Path) -> NoReturn:
+    raise RecordingError(f"{path}, line {row.line}: no scan of sensor '{row.sensor}' is stamped {row.stamp_ns}")
+
+
+def _labels(rows: list[BeamLabel], scan: Scan, index: dict[str, int], path: Path) -> NDArray[np.uint8]:
+    labels = np.full(scan.ranges.size, UNLABELLED, np.uint8)
+    for row in rows:
+        if row.name not in index:
+            raise RecordingError(f"{path}, line {row.line}: no class '{row.name}'; {did_you_mean(row.name, index)}")
+        if not 0 <= row.beam < labels.size:
+            raise RecordingError(f"{path}, line {row.line}: beam {row.beam} of a scan of {labels.size} beams")
+        labels[row.beam] = index[row.name]
+    return labels
+
+
+def _read_labels(path: Path) -> Iterator[BeamLabel]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file, restval="")
+            if not {"stamp_ns", "beam", "class"} <= set(reader.fieldnames or ()):
+                raise RecordingError(f"{path}: expected the columns stamp_ns, beam, class and optionally sensor")
+            for row in reader:
+                try:
+                    stamp_ns, beam = int(row["stamp_ns"]), int(row["beam"])
+                except ValueError as error:
+                    raise RecordingError(f"{path}, line {reader.line_num}: {error}") from None
+                yield BeamLabel(stamp_ns, row.get("sensor") or "scan", beam, row["class"], reader.line_num)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise RecordingError(f"{path}: not a CSV in UTF-8 ({error})") from None

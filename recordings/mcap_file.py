@@ -1,6 +1,7 @@
 """The records of an MCAP file, read in order: sizes are checked before memory is allocated, checksums verified.
 
-Format: https://mcap.dev/spec
+Format: https://mcap.dev/spec. The stream reader of the mcap package is not used: it unpacks chunks without a limit,
+keeps all messages of a chunk in memory, and accepts records that are cut off.
 """
 
 from __future__ import annotations
@@ -20,16 +21,14 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Metadata, Schema
 
-from gridtrack.recordings.growth import FileEnds, GrowingFile, Growth
-from gridtrack.recordings.read_budget import ReadBudget
-from gridtrack.recordings.recording import DamageError
+from gridtrack.recordings.file_reading import DamageError, FileEnds, GrowingFile, Growth, ReadBudget
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 MAX_MCAP_RECORD_BYTES = 1 << 28
 ENVELOPE = struct.Struct("<BQ")
 MESSAGE_HEADER = struct.Struct("<HIQQ")
 WITHOUT_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
-"""Of a channel that names the schema 0, such as one of JSON."""
+"""The schema 0 of a channel without a schema, such as a JSON channel."""
 
 
 class McapMessage(NamedTuple):
@@ -42,22 +41,22 @@ class McapMessage(NamedTuple):
 
 
 class McapFile:
-    """An MCAP file that is read from its beginning to its end, or to the first damage.
+    """An MCAP file, read from its beginning to its end or to the first damage.
 
-    With `growth` it may still be written: the end of what is there is no damage.
+    With `growth` it may still be written: then its present end is not damage.
     """
 
     def __init__(self, path: Path, growth: Growth | None = None, budget: ReadBudget | None = None) -> None:
-        """`budget`: limits of what one pass may unpack; default: those of a recording."""
+        """`budget`: limits of one pass; the default is for recordings."""
         self.path, self._growth, self._budget = path, growth, budget or ReadBudget()
         self.metadata: dict[str, dict[str, str]] = {}
         self.channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
 
     def messages(self) -> Iterator[McapMessage]:
-        """All messages in the order of the file; `metadata` and `channels` are filled while it is read.
+        """All messages in the order of the file; fills `metadata` and `channels` meanwhile.
 
-        Raises DamageError where the file is cut off or corrupt.
+        Raises DamageError if the file is cut off or corrupt.
         """
         with self._growth.open(self.path) if self._growth else self.path.open("rb") as file:
             try:
@@ -114,7 +113,7 @@ class McapFile:
 
 
 def _records(file: BinaryIO | GrowingFile) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of each record. Raises DamageError for one that is cut off or too large."""
+    """Opcode and content of each record. Raises DamageError if a record is cut off or too large."""
     while head := file.read(ENVELOPE.size):
         if len(head) < ENVELOPE.size:
             raise DamageError("cut off in the middle of a record")
@@ -128,7 +127,7 @@ def _records(file: BinaryIO | GrowingFile) -> Iterator[tuple[int, bytes]]:
 
 
 def _read_to_the_end(file: BinaryIO | GrowingFile) -> None:
-    """Read what follows the data, up to the magic bytes that close the file."""
+    """Read the records after the data, up to the magic bytes at the end of the file."""
     for opcode, _ in _records(file):
         if opcode == Opcode.FOOTER:
             file.read(len(MCAP_MAGIC))
@@ -136,7 +135,7 @@ def _read_to_the_end(file: BinaryIO | GrowingFile) -> None:
 
 
 def _decompressed(chunk: Chunk) -> bytes:
-    """The records inside a chunk. Raises DamageError where they are too large or their checksum is wrong."""
+    """The records inside a chunk. Raises DamageError if they are too large or their checksum is wrong."""
     size = chunk.uncompressed_size
     if size > MAX_MCAP_RECORD_BYTES:
         raise DamageError(f"corrupt: a chunk of {size} bytes, where at most {MAX_MCAP_RECORD_BYTES} are read")
@@ -151,7 +150,7 @@ def _decompressed(chunk: Chunk) -> bytes:
     elif chunk.compression == "":
         content = chunk.data
     else:
-        raise DamageError(f"a chunk is compressed as '{chunk.compression}', which is neither zstd nor lz4")
+        raise DamageError(f"a chunk is compressed as '{chunk.compression}'; expected zstd or lz4")
     if len(content) != size or (chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc):
         raise DamageError("corrupt: the checksum of a chunk is wrong")
     return content

@@ -1,27 +1,28 @@
-"""An observation: a grid frame with the scans it was made of, in the window of the frame or in another one."""
+"""An observation: a grid frame with the scans and labels from which it was made."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Points
-from gridtrack.common.raycast import cast_scan
+from gridtrack.common.raycast import cast_scan, end_cells
 from gridtrack.common.scan import Scan
-from gridtrack.common.scene import Scene
+from gridtrack.common.scene import UNLABELLED, Scene
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """A frame and the `scans` it was made of, with labels and truth, for the referee only.
+    """A frame and the `scans` from which it was made, with labels and truth, for the referee only.
 
-    `grid_T_sensor` are the poses of the scans' sensors in the frame's grid, in the same order; `time_s` is the time
-    since the first scan of the recording. `reference_T_world` leads from the world of the poses that trackers get to
-    that of the reference poses, in which truth is given and forecasts are scored.
+    `grid_T_sensor` are the poses of the sensors in the frame's grid, one for each scan; `time_s` is the time since the
+    first scan of the recording. `reference_T_world` transforms from the world frame of the trackers' poses to the
+    reference world frame, in which truth is given and forecasts are scored.
     """
 
     frame: GridFrame
@@ -32,24 +33,24 @@ class Observation:
 
     @property
     def scene(self) -> Scene | None:
-        """The true scene, where the recording has it."""
+        """The true scene, if the recording has it."""
         return next((scan.scene for scan in self.scans if scan.scene is not None), None)
 
     @property
     def reference_T_grid(self) -> SE2:
-        """The pose of the frame's window in the world of the reference poses."""
+        """The pose of the frame's window in the reference world frame."""
         return self.reference_T_world @ self.frame.world_T_grid
 
     def seen_in(self, reference_T_grid: SE2, grid: GridSpec) -> Observation:
         """The same scans in the window at `reference_T_grid`, each cast from its reference pose.
 
-        Its frame has no points. Without scans the cells of the frame are read: those outside of its own window are
-        unseen.
+        Its frame has no points. Without scans it is made from the cells of the frame; cells outside of the frame's own
+        window are then not visible.
         """
         if reference_T_grid == self.reference_T_grid:
             return self
         if not self.scans:
-            return self._read_in(reference_T_grid, grid)
+            return self._resampled_in(reference_T_grid, grid)
         grid_T_reference = reference_T_grid.inverse()
         poses = tuple(grid_T_reference @ reference_pose(scan) for scan in self.scans)
         visible, occupied = np.zeros((2, *grid.shape), np.bool_)
@@ -58,7 +59,7 @@ class Observation:
         frame = _without_points(self.frame.stamp_ns, visible, occupied, reference_T_grid, _positions(poses))
         return Observation(frame, self.scans, poses, self.time_s)
 
-    def _read_in(self, window: SE2, grid: GridSpec) -> Observation:
+    def _resampled_in(self, window: SE2, grid: GridSpec) -> Observation:
         frame, own = self.frame, self.reference_T_grid
         visible, occupied = cells_in_window(np.stack([frame.visible, frame.occupied]), own, window, grid)
         origins = (window.inverse() @ own).apply(frame.origins).astype(np.float32)
@@ -66,7 +67,7 @@ class Observation:
 
 
 def reference_pose(scan: Scan) -> SE2:
-    """`reference_T_sensor` of a scan: its pose under test where it has no reference pose."""
+    """`reference_T_sensor` of a scan: its recorded pose if it has no reference pose."""
     return scan.world_T_sensor if scan.reference_T_sensor is None else scan.reference_T_sensor
 
 
@@ -78,7 +79,7 @@ def frame_of(
     grid: GridSpec,
     points: Points,
 ) -> GridFrame:
-    """The frame of the `scans` by sensor; `grid_T_sensor` are the poses of all sensors, also those without a scan."""
+    """The frame of the `scans` by sensor; `grid_T_sensor` has the poses of all sensors, even without a scan."""
     visible, occupied = np.zeros((2, *grid.shape), np.bool_)
     owner = np.zeros(grid.shape, np.uint8)
     returns: list[NDArray[np.float32]] = []
@@ -111,13 +112,45 @@ def _without_points(
 
 
 def cells_in_window(marked: NDArray[np.bool_], own: SE2, window: SE2, grid: GridSpec) -> NDArray[np.bool_]:
-    """Marks (K, M, M) of the cells of a window at `own`, as cells of another `window`; False outside of the first.
+    """The marked cells (K, M, M) of a window at `own`, as cells of another `window`; False outside of the first one.
 
-    Each cell has the mark of the cell in which its centre lies: exactly a shift where the windows are whole cells apart
-    and not turned.
+    Each cell gets the mark of the cell that contains its centre. This is exactly a shift if the windows are whole cells
+    apart and have the same heading.
     """
     centres = (own.inverse() @ window).apply(grid.cell_centres(np.ones(grid.shape, np.bool_)))
     cells, inside = grid.cells_of(centres)
     found = np.zeros((len(marked), grid.size**2), np.bool_)
     found[:, inside] = marked[:, cells[inside, 0], cells[inside, 1]]
     return found.reshape(-1, *grid.shape)
+
+
+def labelled_returns(
+    scans: Sequence[Scan], grid_T_sensor: Sequence[SE2], grid: GridSpec
+) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+    """Cells (N,), row * M + column, with labelled returns, and the most frequent label (N,) of each.
+
+    Of equally frequent labels the lowest one counts; cells with mostly UNLABELLED returns are left out.
+    """
+    votes = [
+        end_cells(scan, grid, pose) * (UNLABELLED + 1) + scan.labels
+        for scan, pose in zip(scans, grid_T_sensor, strict=True)
+        if scan.labels is not None and scan.labels.min(initial=UNLABELLED) < UNLABELLED
+    ]
+    if not votes:
+        return np.zeros(0, np.int64), np.zeros(0, np.uint8)
+    pairs, count = np.unique(np.concatenate(votes), return_counts=True)
+    pairs, count = pairs[pairs >= 0], count[pairs >= 0]
+    cells, labels = np.divmod(pairs, UNLABELLED + 1)
+    order = np.lexsort((labels, -count, cells))
+    winners = order[np.flatnonzero(np.diff(cells[order], prepend=-1))]
+    winners = winners[labels[winners] != UNLABELLED]
+    return cells[winners], labels[winners].astype(np.uint8)
+
+
+def check_labels(labels: NDArray[np.uint8], classes: Sequence[str], time_s: float) -> None:
+    """Raise RecordingError for a label, `time_s` after the first scan, that is not an index into `classes`."""
+    if labels.size and labels.max() >= len(classes):
+        raise RecordingError(
+            f"a label is class {labels.max()} at {time_s:.3f} s, but the recording has {len(classes)} classes: it is"
+            " damaged"
+        )

@@ -1,20 +1,18 @@
-"""Opening a recording in any registered format."""
+"""Opening a recording in any format, by its path or its name in the package."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import GridtrackError, RecordingError, did_you_mean
-from gridtrack.common.names import check_utf8
-from gridtrack.recordings.format import HEAD_BYTES, RecordingFormat
-from gridtrack.recordings.growth import Growth
-from gridtrack.recordings.mounts import Mount
-from gridtrack.recordings.read_options import CloudSlice, ReadOptions
+from gridtrack.common.files import check_utf8
+from gridtrack.recordings.file_reading import Growth
+from gridtrack.recordings.read_options import ReadOptions
 from gridtrack.recordings.recording import Recording
-from gridtrack.recordings.registry import FormatRegistry
+from gridtrack.recordings.registry import HEAD_BYTES, FormatRegistry, RecordingFormat
 
 OPTION_PURPOSE = {
     "topic": "--topic is for recordings with several topics",
@@ -24,46 +22,31 @@ OPTION_PURPOSE = {
 }
 
 
-def open_recording(
-    path: Path | str,
-    *,
-    topic: str | None = None,
-    strict: bool = False,
-    cloud_slice: CloudSlice | None = None,
-    pose_topic: str | None = None,
-    mounts: Sequence[Mount] = (),
-    zero_range: str | None = None,
-    growth: Growth | None = None,
-) -> Recording:
-    """The recording at `path`, in any format; nothing but the beginning of the file is read yet.
+def open_recording(path: Path | str, *, growth: Growth | None = None, **options: Any) -> Recording:
+    """The recording at `path`, in any format; only the beginning of the file is read yet.
 
-    `topic` keeps one sensor of several; of ROS recordings `cloud_slice` says how a PointCloud2 topic becomes a scan,
-    `pose_topic` where the poses of what carries the sensors are ("none": they stand still), and `mounts` their places
-    on it, where the transforms in the recording do not tell; `zero_range` is the meaning of a range of 0.0, "free" or
-    "unknown"; `strict` turns what would be a warning into an error; `growth` is that of a file that is still being
-    written. Raises RecordingError and ConfigurationError.
+    `options` are the fields of ReadOptions: `format`, `topic`, `strict`, `cloud_slice`, `pose_topic`, `mounts`,
+    `zero_range`. `growth` is for a file that is still being written. Raises RecordingError, PluginError and
+    ConfigurationError.
+
+    >>> from gridtrack.recordings import open_recording, packaged_recording
+    >>> recording = open_recording(packaged_recording("leg_tracker"))
+    >>> recording.info.site, recording.survey.rate_hz, next(recording.scans()).ranges.shape
+    ('leg_tracker', 10.0, (512,))
     """
     path = Path(path)
     check_utf8(path, RecordingError)
-    given = {
-        "topic": topic,
-        "strict": strict,
-        "cloud_slice": cloud_slice,
-        "pose_topic": pose_topic,
-        "mounts": tuple(mounts),
-        "zero_range": zero_range,
-    }
-    options = validated(ReadOptions, given, str(path))
-    registry = FormatRegistry()
+    given = validated(ReadOptions, options, str(path))
+    registry = FormatRegistry(given.format)
     recording_format = registry.recognising(path, _head(path, registry))
     if recording_format is None:
         raise RecordingError(_why_unknown(path, registry))
     for name, purpose in OPTION_PURPOSE.items():
-        if getattr(options, name) not in (None, ()) and name not in recording_format.options:
+        if getattr(given, name) not in (None, ()) and name not in recording_format.options:
             raise RecordingError(f"{path}: {purpose}; a {recording_format.name} has no use for it: leave it out")
     if growth is not None:
         _require_growing(path, recording_format)
-    recording = _opened(path, recording_format, options)
+    recording = _opened(path, recording_format, given)
     recording.growth = growth
     for problem in registry.problems:
         recording.notify(problem)
@@ -71,7 +54,7 @@ def open_recording(
 
 
 def _require_growing(path: Path, recording_format: RecordingFormat) -> None:
-    """Raise RecordingError for what cannot be read while it is written."""
+    """Raise RecordingError for a recording that cannot be read while it is written."""
     if path.is_dir():
         raise RecordingError(f"{path}: a folder cannot be followed: name the MCAP file in it that is being written")
     if not recording_format.can_grow:
@@ -107,7 +90,7 @@ def _head(path: Path, registry: FormatRegistry) -> bytes:
 
 
 def _recordings_in(folder: Path, registry: FormatRegistry) -> list[str]:
-    """Names in `folder` that look like recordings: by the end of a file's name, by the content of a folder."""
+    """Names in `folder` that look like recordings: files by their suffix, folders by their content."""
     suffixes = tuple(suffix for found in registry.formats() for suffix in found.suffixes)
     return [
         path.name
@@ -116,14 +99,15 @@ def _recordings_in(folder: Path, registry: FormatRegistry) -> list[str]:
     ]
 
 
-def recordings_at(path: Path) -> list[Path]:
-    """`path`, or where it is a folder of recordings, all of them sorted by name. Raises RecordingError without any.
+def recordings_at(path: Path, format: str | None = None) -> list[Path]:
+    """`path`, or all recordings in a folder of recordings, sorted by name. Raises RecordingError without any.
 
-    A folder that is itself a recording, such as a ROS 2 bag, is one; its files are then of the same format.
+    A folder that is itself a recording, such as a ROS 2 bag, is one recording; its files then have the same format.
+    `format` is that of ReadOptions.
     """
     if not path.is_dir():
         return [path]
-    registry = FormatRegistry()
+    registry = FormatRegistry(format)
     own = registry.recognising(path, b"")
     found = [path / name for name in sorted(_recordings_in(path, registry))]
     if own and all(registry.recognising(file, _head(file, registry)) in (own, None) for file in found):
@@ -137,8 +121,11 @@ def _why_unknown(path: Path, registry: FormatRegistry) -> str:
     known = ", ".join(f"{found.name} ({', '.join(found.suffixes)})" for found in registry.formats())
     broken = f"; not available: {'; '.join(registry.problems)}" if registry.problems else ""
     if path.is_dir():
-        return f"{path}: a folder that is no recording (a ROS 2 bag has metadata.yaml): name a recording's file{broken}"
-    return f"{path}: not a recording that gridtrack reads; formats: {known}{broken}"
+        return f"{path}: a folder, but not a recording (a ROS 2 bag has metadata.yaml): name a file in it{broken}"
+    return (
+        f"{path}: not a recording that gridtrack reads; formats: {known}, or a format of another package by --format"
+        f" NAME{broken}"
+    )
 
 
 def packaged_recording(name: str) -> Path:
@@ -154,6 +141,6 @@ def packaged_recording(name: str) -> Path:
 
 
 def _packaged_name(path: Path, data: Path) -> str:
-    """The folder's name where the file has the same, else both."""
+    """The folder's name if the file has the same, else both."""
     folder = path.parent.relative_to(data).as_posix()
     return folder if path.stem == folder else f"{folder}/{path.stem}"

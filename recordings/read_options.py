@@ -1,26 +1,83 @@
-"""Options of reading a recording: the topic, strictness, point clouds, poses and mounts."""
+"""Options of reading a recording: its format, one topic, strictness, point clouds, poses and mounts."""
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from gridtrack.common.config import Settings
-from gridtrack.common.scan import MAX_RANGE_M
-from gridtrack.recordings.mounts import Mount
+from gridtrack.common.config import Settings, parse_pairs, validated
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.geometry import SE2, wrap_angle
+from gridtrack.common.options import Option, from_text
+from gridtrack.common.scan import MAX_POSITION_M, MAX_RANGE_M
 
+MOUNT_FORM = "SENSOR=X,Y,ANGLE, as in front_laser=0.4,0.2,45deg (metres; deg or rad; ',mirrored' if upside down)"
 NO_POSES = "none"
-"""The pose topic of a recording whose sensors stand still."""
+"""The pose topic of a recording with sensors at rest."""
+
+
+class Mount(Settings):
+    """The pose of a sensor on the frame `parent`, metres and radians; an empty parent is the robot's body.
+
+    `sensor` is the name of a sensor or of its frame. `mirrored`: mounted upside down, so that its angles run clockwise.
+    """
+
+    sensor: str
+    parent: str = ""
+    x: float = Field(ge=-MAX_POSITION_M, le=MAX_POSITION_M)
+    y: float = Field(ge=-MAX_POSITION_M, le=MAX_POSITION_M)
+    heading_rad: float
+    mirrored: bool = False
+
+    @property
+    def parent_T_sensor(self) -> SE2:
+        """The pose in the plane."""
+        return SE2(self.x, self.y, self.heading_rad)
+
+    def __str__(self) -> str:
+        parent = f"{self.parent}:" if self.parent else ""
+        degrees = round(math.degrees(self.heading_rad), 9)
+        heading = f"{180.0 if degrees == -180.0 else degrees:.9g}deg"
+        return f"{self.sensor}={parent}{self.x:.9g},{self.y:.9g},{heading}" + (",mirrored" if self.mirrored else "")
+
+
+def parse_mount(text: str) -> Mount:
+    """Read `front_laser=0.4,0.2,45deg` or `rear=base_link:-0.4,0,3.1rad,mirrored`. Raises ConfigurationError."""
+    sensor, _, rest = text.partition("=")
+    parent, _, place = rest.rpartition(":")
+    numbers = [part.strip() for part in place.split(",")]
+    try:
+        x, y, heading_rad = float(numbers[0]), float(numbers[1]), _radians(numbers[2])
+    except (ValueError, IndexError):
+        x = y = heading_rad = math.nan
+    is_valid = abs(x) <= MAX_POSITION_M and abs(y) <= MAX_POSITION_M and math.isfinite(heading_rad)
+    if not sensor.strip() or not is_valid or numbers[3:] not in ([], ["mirrored"]):
+        raise ConfigurationError(f"--mount {text}: expected {MOUNT_FORM}")
+    return Mount(
+        sensor=sensor.strip(), parent=parent.strip(), x=x, y=y, heading_rad=heading_rad, mirrored=len(numbers) == 4
+    )
+
+
+def _radians(text: str) -> float:
+    """`45deg` or `0.8rad`, wrapped; the only number without a unit is 0. Raises ValueError."""
+    if text.endswith("deg"):
+        return wrap_angle(math.radians(float(text.removesuffix("deg"))))
+    if text.endswith("rad"):
+        return wrap_angle(float(text.removesuffix("rad")))
+    if float(text) != 0.0:
+        raise ValueError(text)
+    return 0.0
 
 
 class CloudSlice(Settings):
     """How a point cloud becomes a scan: the nearest point of each bearing between two heights, metres, sensor frame.
 
-    `empty` is the meaning of a bearing without a point in the slice: "free" up to `range_max_m`, like a laser's beam
-    without a return, or "unknown", like no beam. Free is right for a dense cloud from a sensor that looks over all
-    obstacles below the slice. With few rings, or a slice above low obstacles, it marks unobserved cells as free: use a
-    shorter `range_max_m`, or "unknown".
+    `empty` is the meaning of a bearing without a point in the slice: "free" up to `range_max_m`, like a beam without a
+    return, or "unknown", like no beam. Free is right for a dense cloud from a sensor that sees over all obstacles below
+    the slice. With few rings, or a slice above low obstacles, it marks unobserved cells as free: use a shorter
+    `range_max_m`, or "unknown".
     """
 
     low_m: float
@@ -37,19 +94,31 @@ class CloudSlice(Settings):
         return self
 
 
-class ReadOptions(Settings):
-    """How a recording is read. An option that the format of the file cannot use is refused when the file is opened."""
+def parse_cloud_slice(text: str) -> CloudSlice:
+    """Read `low_m=0.2,high_m=1.0,...`. Raises ConfigurationError."""
+    return validated(CloudSlice, parse_pairs(text, "--cloud-slice"), "--cloud-slice")
 
-    topic: str | None = None
-    """Read the scans of this topic only."""
+
+class ReadOptions(Settings):
+    """How a recording is read: the options of `recording info` and `recording import`, and of `open_recording`.
+
+    Opening a file refuses options that its format cannot use.
+    """
+
+    format: Annotated[str | None, Option(metavar="NAME")] = None
+    """Recording format of another package, which is loaded only by this name; the formats of gridtrack are found by the
+    file itself"""
+    topic: Annotated[str | None, Option(metavar="TOPIC")] = None
+    """Read the scans of this topic only, if the recording has several"""
     strict: bool = False
-    """Raise RecordingError for what otherwise is a warning."""
-    cloud_slice: CloudSlice | None = None
-    """How a point cloud becomes a scan."""
-    pose_topic: str | None = None
-    """The topic with the poses of what carries the sensors; "none" where they stand still."""
-    mounts: tuple[Mount, ...] = ()
-    """The places of sensors on what carries them."""
+    """Refuse a recording with a fault, instead of giving a warning"""
+    cloud_slice: Annotated[CloudSlice | None, Option(metavar="KEY=VALUE,..."), from_text(parse_cloud_slice)] = None
+    """How a point cloud becomes a scan: low_m=0.2,high_m=1.0; bearings without points are free up to range_max_m, or
+    unknown with empty=unknown"""
+    pose_topic: Annotated[str | None, Option(metavar="TOPIC")] = None
+    """Topic with the poses of the robot, if the transforms are wrong; none: it stands still"""
+    mounts: Annotated[tuple[Annotated[Mount, from_text(parse_mount)], ...], Option("mount", "SENSOR=X,Y,ANGLE")] = ()
+    """Place of a sensor on the robot: laser=0.4,0.2,45deg, with ,mirrored if it is upside down; repeat for several"""
     zero_range: Literal["free", "unknown"] | None = None
-    """The meaning of a range of exactly 0.0, in every format: no return ("free" up to the maximum range) or invalid
-    ("unknown"). Without it such a range is as any other: invalid below the minimum range."""
+    """Meaning of a range of exactly 0.0, in every format: free up to the maximum range (no return), or unknown
+    (invalid); default: as any range, invalid below the minimum range"""

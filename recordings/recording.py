@@ -12,29 +12,24 @@ from pathlib import Path
 import numpy as np
 
 from gridtrack.common.errors import RecordingError, bounded_line, did_you_mean
-from gridtrack.common.files import sha256_of
-from gridtrack.common.names import name_from
+from gridtrack.common.files import name_from, sha256_of
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.growth import Growth
-from gridtrack.recordings.mounts import Mount
-from gridtrack.recordings.order import StampOrder
-from gridtrack.recordings.read_options import ReadOptions
+from gridtrack.recordings.file_reading import DamageError, Growth
+from gridtrack.recordings.overview import RecordingOverview, SensorOverview
+from gridtrack.recordings.read_options import Mount, ReadOptions
 from gridtrack.recordings.recording_info import RecordingInfo
-from gridtrack.recordings.survey import RecordingOverview, Survey
+from gridtrack.recordings.stamp_order import StampOrder
+from gridtrack.recordings.survey import Survey
 
 MAX_WARNINGS, MAX_LISTED_TOPICS = 100, 1000
 """Limits of the warnings about a recording, and of the topics that are listed."""
 MATCHED_POSES = ("kiss-icp", "refined")
-"""How `RecordingInfo.poses` begins where they come from matching the scans: such poses agree with them as they can."""
+"""Beginnings of `RecordingInfo.poses` for poses from matching the scans: they agree with the scans."""
 NO_MORE_WARNINGS = f"more than {MAX_WARNINGS} warnings: the others are left out"
 
 
-class DamageError(RecordingError):
-    """A file is cut off or corrupt: the scans before the damage can be used, those after it cannot."""
-
-
 class NoScansError(RecordingError):
-    """A file without scans, or without any so far."""
+    """A file without scans, or without scans so far."""
 
 
 @dataclass
@@ -44,10 +39,10 @@ class Topics:
     types: dict[str, str] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
     scans: set[str] = field(default_factory=set)
-    """Topics that can be read as scans."""
+    """Topics that gridtrack can read as scans."""
 
     def add(self, topic: str, kind: str, is_scan: bool) -> None:
-        """Count one message of `topic`; topics beyond MAX_LISTED_TOPICS are not counted, unless they are scans."""
+        """Count one message of `topic`; beyond MAX_LISTED_TOPICS only topics with scans are counted."""
         if len(self.types) >= MAX_LISTED_TOPICS and topic not in self.types and not is_scan:
             return
         self.types[topic] = kind
@@ -59,9 +54,8 @@ class Topics:
 class Recording(ABC):
     """A file of scans, read as a stream.
 
-    `warnings` holds one line for each fault in the part that has been read, once even if the recording is read
-    several times; `damage` is the reason why the rest of the file cannot be read. With the option `strict` the first
-    fault raises RecordingError instead.
+    `warnings` has one line for each fault in the part that has been read, even if it is read several times; `damage` is
+    the reason why the rest of the file cannot be read. With the option `strict` the first fault raises RecordingError.
     """
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
@@ -70,7 +64,7 @@ class Recording(ABC):
         self.warnings: list[str] = []
         self.damage = ""
         self.growth: Growth | None = None
-        """Of a file that is still being written; None: the file is finished."""
+        """For a file that is still being written; None: the file is finished."""
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({str(self.path)!r})"
@@ -82,42 +76,46 @@ class Recording(ABC):
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 of the file; of all its files, in the order of their names, where the recording is a folder.
+        """SHA-256 of the file, or of all files of a folder in the order of their names.
 
-        Of a file that is still being written, of the part that is read.
+        For a file that is still being written, of the part that is read.
         """
         return sha256_of(self.path, self.growth.limit if self.growth else None)
 
     @property
     def scans_version(self) -> str:
-        """What decides the scans beside the file and the options: a format that renders them names its version."""
+        """The version of the rendering, for a format that renders its scans."""
         return ""
 
     @property
     def source_sha256(self) -> str:
-        """SHA-256 of the file that the recording was first imported from, its own where it was not imported."""
+        """SHA-256 of the first source of an imported recording, else of the file itself."""
         return self.info.source_sha256 or self.sha256
 
     @cached_property
     def info(self) -> RecordingInfo:
-        """The metadata of the recording; for a format without any, its file name as `site`."""
+        """The metadata of the recording; a format without metadata has its file name as `site`."""
         return RecordingInfo(site=name_from(self.name))
 
     def topic_of(self, sensor: str) -> str:
-        """The topic with the scans of `sensor`, as the option `topic` names it."""
+        """The topic with the scans of `sensor`, as in the option `topic`."""
         return sensor
 
     @property
     def pose_problem(self) -> str:
-        """Why the poses of the sensors cannot be used, and what to do; empty where they can, as far as is known."""
+        """Why the poses of the sensors cannot be used, and what to do; empty if they can."""
         return ""
 
     def import_command(self, words: Iterable[str]) -> str:
-        """The command that imports the recording with the options it was opened with, and those in `words`."""
+        """The command that imports the recording with its present options and those in `words`."""
         words = list(words)
         end = "one" if "--topic" in words else "posed"
         command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{self.path.stem}-{end}.mcap"]
-        given = {"--topic": self.options.topic, "--pose-topic": self.options.pose_topic}
+        given = {
+            "--format": self.options.format,
+            "--topic": self.options.topic,
+            "--pose-topic": self.options.pose_topic,
+        }
         for option, value in given.items():
             command += [] if value is None or option in words else [option, value]
         topic = words[words.index("--topic") + 1] if "--topic" in words else None
@@ -128,17 +126,17 @@ class Recording(ABC):
         return shlex.join([*command, *words])
 
     def is_mount_of(self, mount: Mount, topic: str) -> bool:
-        """Whether a mount is that of the sensor with the scans of `topic`."""
+        """Whether a mount belongs to the sensor with the scans of `topic`."""
         return topic in (mount.sensor, self.topic_of(mount.sensor))
 
     @abstractmethod
     def read(self, topics: Topics) -> Iterator[Scan]:
-        """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""
+        """The scans in the order of the file; counts the messages in `topics`. Raises DamageError at damage."""
 
     def scans(self, start_s: float | None = None, end_s: float | None = None) -> Iterator[Scan]:
         """Scans with start_s <= stamp < end_s, seconds from the first scan, in the order of their stamps.
 
-        Raises RecordingError where the file has no scans or cannot be read.
+        Raises RecordingError if the file has no scans or cannot be read.
         """
         first_ns: int | None = None
         for scan in self._in_order(Topics()):
@@ -163,24 +161,24 @@ class Recording(ABC):
         return survey
 
     def recall(self, survey: Survey, warnings: Iterable[str], damage: str) -> None:
-        """Take over what an earlier pass over the same file found; the `warnings` are without its path."""
+        """Use the results of an earlier pass over the same file; the `warnings` are without its path."""
         self.survey, self.damage = survey, damage
         for text in warnings:
             self.notify(text)
 
     def survey_again(self) -> None:
-        """Let `survey`, `sha256` and the warnings be found anew where they are used next: the file has grown."""
+        """Forget `survey`, `sha256` and the warnings, because the file has grown; the next use finds them again."""
         self.warnings.clear()
         for name in ("survey", "sha256"):
             self.__dict__.pop(name, None)
 
     def check_poses(self) -> None:
-        """Raise RecordingError where the sensors have no poses in one frame."""
+        """Raise RecordingError if the sensors have no poses in one frame."""
         if problem := self._pose_problem_of(self.survey):
             raise RecordingError(f"{self.path}: {problem}")
 
     def _found_by(self, survey: Survey) -> list[str]:
-        """The warnings about the scans; of poses that come from matching them none says that they disagree."""
+        """The warnings about the scans; poses from matching the scans are not compared with them."""
         drift = ""
         if not self.pose_problem and not self.info.poses.startswith(MATCHED_POSES):
             drift = survey.pose_drift(self.import_command(["--ego-motion", "refined"]))
@@ -196,7 +194,7 @@ class Recording(ABC):
         )
 
     def overview(self) -> RecordingOverview:
-        """The content of the recording, as `gridtrack recording info` prints it."""
+        """The content of the recording, for `gridtrack recording info`."""
         survey = self.survey
         return RecordingOverview(
             path=str(self.path),
@@ -204,7 +202,10 @@ class Recording(ABC):
             info=self.info.model_dump(mode="json"),
             topics={topic: f"{kind}, {count}" for topic, (kind, count) in survey.topics.items()},
             duration_s=survey.duration_s,
-            sensors=survey.sensor_overviews(poses_known=not self.pose_problem),
+            sensors={
+                name: SensorOverview.of(sensor, poses_known=not self.pose_problem)
+                for name, sensor in survey.sensors.items()
+            },
             warnings=tuple(self.warnings),
         )
 
@@ -213,19 +214,19 @@ class Recording(ABC):
         return [line.removeprefix(f"{self.path}: ") for line in self.warnings]
 
     def warnings_for_copy(self) -> list[str]:
-        """The warnings that a copy cannot find: those about the scans it has as they are then, poses mended or not."""
+        """The warnings that a copy cannot find itself: all but those about the scans."""
         found = self._found_by(self.survey) if "survey" in self.__dict__ else []
         lines = {bounded_line(f"{self.path}: {text}") for text in found}
         return [text for line, text in zip(self.warnings, self.warning_texts(), strict=True) if line not in lines]
 
     def warn(self, text: str) -> None:
-        """Add a warning about an error in the file, once. Raises RecordingError instead if options are strict."""
+        """Add a warning about an error in the file, once. Raises RecordingError instead with the option `strict`."""
         if self.options.strict:
             raise RecordingError(text)
         self.notify(text)
 
     def notify(self, text: str) -> None:
-        """Add a warning about the recording that is not an error in the file, once."""
+        """Add a warning that is not about an error in the file, once."""
         line = bounded_line(f"{self.path}: {text}")
         if line not in self.warnings and len(self.warnings) <= MAX_WARNINGS:
             full = len(self.warnings) == MAX_WARNINGS
@@ -237,24 +238,25 @@ class Recording(ABC):
             for scan in filter(self._is_known, self._before_damage(topics)):
                 yield from order.push(self._with_zero_range(scan))
             yield from order.flush()
-            self._require_scans(order, topics)
+            if order.empty:
+                raise NoScansError(self._why_no_scans(topics))
         except RecordingError as error:
             raise type(error)(f"{self.path}: {str(error).removeprefix(f'{self.path}: ')}") from None
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read ({error.strerror})") from None
 
     def _is_known(self, scan: Scan) -> bool:
-        """Whether the sensor was there when the following of a growing file began."""
+        """Whether the sensor existed when following a growing file began."""
         if self.growth is None or self.growth.sensors is None or scan.sensor in self.growth.sensors:
             return True
         self.notify(
-            f"sensor '{scan.sensor}' has its first scan after the following began: it is left out; compare the finished"
-            " file to have it"
+            f"sensor '{scan.sensor}' has its first scan after the comparison began: it is left out; compare the"
+            " finished file to include it"
         )
         return False
 
     def _with_zero_range(self, scan: Scan) -> Scan:
-        """The scan with ranges of 0.0 replaced as the options say."""
+        """The scan with ranges of 0.0 replaced according to the options."""
         if self.options.zero_range is None:
             return scan
         meaning = np.float32(np.inf if self.options.zero_range == "free" else np.nan)
@@ -267,19 +269,13 @@ class Recording(ABC):
             self.damage = str(damage)
             self.warn(f"{damage}; the rest is left out")
 
-    def _require_scans(self, order: StampOrder, topics: Topics) -> None:
-        if order.empty:
-            raise NoScansError(self._why_no_scans(topics))
-
     def _why_no_scans(self, topics: Topics) -> str:
         topic = self.options.topic
         present = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.types.items())) or "none"
         if self.warnings:
             last = self.warnings[-1].removeprefix(f"{self.path}: ")
             if self.damage:
-                return (
-                    f"no scans before the damage ({last}): copy the file again from where it was recorded, or repair it"
-                )
+                return f"no scans before the damage ({last}): copy the file again from its origin, or repair it"
             return f"no scan can be used: {last}"
         if topic is not None and topic not in topics.types:
             return f"no topic '{topic}'; {did_you_mean(topic, topics.scans or topics.types)}"

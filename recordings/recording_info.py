@@ -1,4 +1,4 @@
-"""What a recording says of itself: its site, classes, grid, rate, stretches and origin."""
+"""The metadata of a recording: its site, classes, grid, rate, stretches and origin."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import Any
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer
 
 from gridtrack.common.config import Settings
+from gridtrack.common.files import LABEL_RULE, NAME_RULE, is_label, is_name
 from gridtrack.common.grid import GridSpec
-from gridtrack.common.names import LABEL_RULE, NAME_RULE, is_label, is_name
 from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ
 
 Stretch = tuple[float, float | None]
-"""(start, end) in seconds from the recording's first scan, the end excluded; None: to the end of the recording."""
+"""(start, end) in seconds from the recording's first scan; the end is excluded, None is the end of the recording."""
 
 
 def stretch_text(stretch: Stretch) -> str:
-    """A stretch in the form of the command line: `75s-90s`, or `90s-` to the end."""
+    """A stretch as on the command line: `75s-90s`, or `90s-` to the end."""
     start_s, end_s = stretch
     return f"{start_s:g}s-" if end_s is None else f"{start_s:g}s-{end_s:g}s"
 
@@ -35,8 +35,7 @@ class RecordingInfo(Settings):
     licence: str = ""
     credit: str = ""
     poses: str = ""
-    """Where the poses of the sensors come from; not written where it is empty, so that earlier recordings are written
-    with the same bytes."""
+    """The source of the sensors' poses; not written if it is empty."""
     source: str = ""
     source_sha256: str = ""
     command: str = ""

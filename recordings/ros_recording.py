@@ -1,47 +1,180 @@
-"""The common part of the ROS formats: laser and point cloud topics as scans, transforms, and topics with poses."""
+"""ROS messages as scans, transforms and poses: the common part of the ROS formats."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+import struct
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.scan import Scan
+from gridtrack.recordings.file_reading import DamageError
 from gridtrack.recordings.framed_recording import Content, EncodedMessage, FramedRecording
-from gridtrack.recordings.frames.placing import FramedScan
+from gridtrack.recordings.frames.trajectory import FramedScan
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import StampedTransform
-from gridtrack.recordings.read_options import ReadOptions
-from gridtrack.recordings.ros_messages import (
-    LASER_SCAN,
-    POINT_CLOUD,
-    POSES,
-    TRANSFORMS,
-    scan_of_cloud,
-    scan_of_laser,
-    stamp_ns,
-    transform_of,
-)
+from gridtrack.recordings.native_messages import MAX_SWEEP_S
+from gridtrack.recordings.read_options import CloudSlice, ReadOptions
 
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+POSES = (
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+)
 ROS_OPTIONS = ("topic", "cloud_slice", "pose_topic", "mounts")
+POINT_FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+
+
+def ros2_name(kind: str) -> str:
+    """`package/Name` of ROS 1 as `package/msg/Name` of ROS 2; other names unchanged."""
+    package, _, name = kind.partition("/")
+    is_ros1 = bool(name) and not name.startswith(("msg/", "srv/", "action/"))
+    return f"{package}/msg/{name}" if is_ros1 else kind
+
+
+def stamp_ns(message: Any) -> int:
+    """The stamp in the header of a message, nanoseconds."""
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
+def transform_of(translation: Any, rotation: Any) -> SE3 | None:
+    """A geometry_msgs/Transform or Pose from its two parts; None if its numbers are not a transform."""
+    return SE3.of((translation.x, translation.y, translation.z), (rotation.x, rotation.y, rotation.z, rotation.w))
+
+
+def scan_of_laser(message: Any, sensor: str, received_ns: int) -> Scan:
+    """A sensor_msgs/LaserScan as a scan, stamped by its header, or else by its reception."""
+    return Scan(
+        stamp_ns=stamp_ns(message) or received_ns,
+        ranges=np.array(message.ranges, np.float32),
+        angle_min=float(message.angle_min),
+        angle_increment=float(message.angle_increment),
+        range_min=float(message.range_min),
+        range_max=float(message.range_max),
+        sensor=sensor,
+        time_increment_s=_time_increment_s(message),
+    )
+
+
+def _time_increment_s(message: Any) -> float:
+    """The time between beams; 0 (not known) for an impossible value."""
+    increment_s = float(message.time_increment)
+    return increment_s if 0.0 <= increment_s * max(len(message.ranges) - 1, 0) <= MAX_SWEEP_S else 0.0
+
+
+def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice) -> Scan:
+    """A height slice of a sensor_msgs/PointCloud2 as a scan: bearings from -pi to pi.
+
+    A cloud without any point gives no information about free space, whatever `empty` says.
+    """
+    points = cloud_points(message)
+    is_unknown = cut.empty == "unknown" or not len(points)
+    points = points[(points[:, 2] >= cut.low_m) & (points[:, 2] <= cut.high_m)]
+    distance = np.hypot(points[:, 0], points[:, 1])
+    near = (distance >= cut.range_min_m) & (distance <= cut.range_max_m)
+    step = 2.0 * math.pi / cut.beams
+    bearing = np.arctan2(points[near, 1], points[near, 0])
+    beam = np.floor((bearing + math.pi) / step).astype(np.int64) % cut.beams
+    ranges = np.full(cut.beams, np.inf)
+    np.minimum.at(ranges, beam, distance[near])
+    if is_unknown:
+        ranges[np.isinf(ranges)] = np.nan
+    return Scan(
+        stamp_ns=stamp_ns(message) or received_ns,
+        ranges=ranges.astype(np.float32),
+        angle_min=-math.pi + step / 2.0,
+        angle_increment=step,
+        range_min=cut.range_min_m,
+        range_max=cut.range_max_m,
+        sensor=sensor,
+    )
+
+
+def cloud_points(message: Any) -> NDArray[np.float64]:
+    """x, y, z (N, 3) of a sensor_msgs/PointCloud2, metres, sensor frame, without points that are not finite.
+
+    Raises RecordingError if the cloud lacks these fields, or has fewer bytes than its header declares.
+    """
+    rows, columns, step = message.height, message.width, message.point_step
+    if not rows * columns:
+        return np.empty((0, 3))  # an empty cloud may have neither fields nor a row_step
+    fields = {f.name: f for f in message.fields}
+    order = ">" if message.is_bigendian else "<"
+    row_step = message.row_step or columns * step  # some drivers write 0
+    data = np.asarray(message.data, np.uint8)
+    if not {"x", "y", "z"} <= set(fields):
+        raise RecordingError(f"a point cloud with the fields {', '.join(fields) or 'none'}; expected x, y and z")
+    if row_step < columns * step or data.size < rows * row_step:
+        raise RecordingError(f"a point cloud of {rows} x {columns} points in {data.size} bytes")
+    axes = []
+    for name in ("x", "y", "z"):
+        kind = np.dtype(order + POINT_FIELD_TYPES.get(fields[name].datatype, "V1"))
+        if kind.kind == "V" or fields[name].offset + kind.itemsize > step:
+            raise RecordingError(f"a point cloud whose field '{name}' cannot be read")
+        view = np.ndarray((rows, columns), kind, data.tobytes(), fields[name].offset, (row_step, step))
+        axes.append(view.astype(np.float64).reshape(-1))
+    points = np.stack(axes, axis=1)
+    return points[np.isfinite(points).all(axis=1)]
 
 
 class RosRecording(FramedRecording):
     """A recording of ROS messages.
 
-    Every LaserScan topic is a sensor; a PointCloud2 topic is read where the options name it, with the slice to cut from
-    it.
+    Every LaserScan topic is a sensor; a PointCloud2 topic is read if the options name it, and give the slice to cut
+    from it. Messages are decoded by the definitions in rosbags, never by code made from the definitions in the
+    recording.
     """
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
-        """Raises RecordingError where rosbags is not installed."""
-        from gridtrack.recordings.ros_decoding import RosDecoder
-
+        """Raises RecordingError if rosbags is not installed."""
         super().__init__(path, options)
-        self._decoder = RosDecoder()
+        try:
+            import rosbags.typesys  # noqa: F401
+            from rosbags.serde import SerdeError
+        except ImportError:
+            raise RecordingError("reading ROS recordings needs rosbags: pip install 'gridtrack[ros]'") from None
+        self._errors = (SerdeError, struct.error, ValueError, IndexError, UnicodeDecodeError)
+
+    @cached_property
+    def _ros1(self) -> Any:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        store = get_typestore(Stores.ROS1_NOETIC)
+        for kind in TRANSFORMS:  # the packages of transforms are not in this store
+            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
+        return store
+
+    @cached_property
+    def _ros2(self) -> Any:
+        from rosbags.typesys import Stores, get_typestore
+
+        return get_typestore(Stores.LATEST)
+
+    @contextmanager
+    def _decoded(self, message: EncodedMessage) -> Iterator[Any]:
+        """The decoded message. Raises DamageError if decoding it, or using it inside the block, fails."""
+        try:
+            if message.encoding == "ros1":
+                yield self._ros1.deserialize_ros1(message.data, message.kind)
+            elif message.encoding == "cdr":
+                yield self._ros2.deserialize_cdr(message.data, message.kind)
+            else:
+                raise RecordingError(f"'{message.topic}' is encoded as '{message.encoding}'; expected ros1 or cdr")
+        except self._errors as error:
+            raise DamageError(f"corrupt: a message of {message.topic} cannot be decoded ({error})") from None
 
     def content_of(self, message: EncodedMessage) -> Content | None:
-        """What a message holds, from its topic and type."""
+        """As in every recording with frames."""
         if message.kind in (LASER_SCAN, POINT_CLOUD):
             return "scan"
         if message.kind in TRANSFORMS:
@@ -49,17 +182,17 @@ class RosRecording(FramedRecording):
         return "pose" if message.kind in POSES else None
 
     def is_read(self, message: EncodedMessage) -> bool:
-        """Whether the scans of a topic are read: point clouds only where the options name it."""
+        """Whether the scans of a topic are read: point clouds only if the options name the topic."""
         return super().is_read(message) and (message.kind == LASER_SCAN or self.options.topic is not None)
 
     def frame_of(self, message: EncodedMessage) -> str:
-        """The frame of a scan. Raises DamageError."""
-        with self._decoder.decoded(message) as decoded:
+        """As in every recording with frames."""
+        with self._decoded(message) as decoded:
             return str(decoded.header.frame_id)
 
     def transforms_of(self, message: EncodedMessage) -> Iterable[StampedTransform]:
-        """The transforms of a message, or its pose; `child` is empty where it does not name one. DamageError."""
-        with self._decoder.decoded(message) as decoded:
+        """As in every recording with frames."""
+        with self._decoded(message) as decoded:
             if message.kind in TRANSFORMS:
                 for t in decoded.transforms:
                     transform = transform_of(t.transform.translation, t.transform.rotation)
@@ -70,11 +203,11 @@ class RosRecording(FramedRecording):
                 yield _stamped(message, decoded, getattr(decoded, "child_frame_id", ""), transform)
 
     def scan_of(self, message: EncodedMessage) -> FramedScan:
-        """A scan and its frame. Raises DamageError."""
+        """As in every recording with frames."""
         sensor = self.sensor_of(message.topic)
-        with self._decoder.decoded(message) as decoded:
+        with self._decoded(message) as decoded:
             if not stamp_ns(decoded):
-                self.warn(f"topic '{message.topic}': no stamps in its headers, the time of reception is used")
+                self.warn(f"topic '{message.topic}': its headers have no stamps, the time of reception is used")
             frame = str(decoded.header.frame_id)
             if message.kind == LASER_SCAN:
                 return FramedScan(message.topic, frame, scan_of_laser(decoded, sensor, message.received_ns))
@@ -85,5 +218,5 @@ class RosRecording(FramedRecording):
 
 
 def _stamped(message: EncodedMessage, decoded: Any, child: str, transform: SE3 | None) -> StampedTransform:
-    """A transform with the stamp of its header, or of reception where the header has none."""
+    """A transform with the stamp of its header, or else of its reception."""
     return StampedTransform(stamp_ns(decoded) or message.received_ns, decoded.header.frame_id, child, transform)

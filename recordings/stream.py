@@ -10,25 +10,26 @@ from copy import copy
 from functools import cached_property
 from itertools import count, islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Points, window_about
 from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ, Scan
 from gridtrack.recordings import Recording, open_recording
-from gridtrack.recordings.cell_labels import check_labels, labelled_returns
-from gridtrack.recordings.observation import Observation, frame_of
-from gridtrack.recordings.recorded_time import RecordedTime
+from gridtrack.recordings.observation import Observation, check_labels, frame_of, labelled_returns
 from gridtrack.recordings.recording_info import Stretch, stretch_text
-from gridtrack.recordings.resample import Tick, resample_scans
-from gridtrack.recordings.sensor_poses import SensorPoses
-from gridtrack.recordings.several_sensors import missing_scans, slow_sensor
-from gridtrack.recordings.stretches import parse_stretch, stretch_of, ticks_in
+from gridtrack.recordings.resample import SensorPoses, Tick, resample_scans
+from gridtrack.recordings.stretches import RecordedTime, parse_stretch, stretch_of
+from gridtrack.recordings.survey import Survey
 
 MAX_EMPTY_FRAMES = 6000
 """Limit of the empty frames in one gap: ten minutes at 10 Hz."""
+SLOW_SENSOR_RATIO = 1.5
+"""A sensor is slow if its period is more than this many times the shortest one."""
 
 
 def open_stream(
@@ -37,15 +38,14 @@ def open_stream(
     grid: GridSpec | None = None,
     rate_hz: float | None = None,
     points: Points = "centres",
-    topic: str | None = None,
-    strict: bool = False,
+    **options: Any,
 ) -> GridStream:
     """The stream of `RECORDING` or `RECORDING@STRETCH`; grid and rate default to those of the recording.
 
-    Raises RecordingError.
+    `options` are those of open_recording. Raises RecordingError, PluginError and ConfigurationError.
     """
     path, stretch = parse_stretch(str(text))
-    recording = open_recording(path, topic=topic, strict=strict)
+    recording = open_recording(path, **options)
     return GridStream(recording, stretch, grid=grid, rate_hz=rate_hz, points=points)
 
 
@@ -53,8 +53,8 @@ class GridStream:
     """A stretch of a recording as frames; every iteration starts at the first frame.
 
     The stamp of frame k of a recording is k periods after its first scan, in every stretch: a stretch is a slice of
-    the whole. The window lies about the first sensor: its axes are the world's, and it follows the sensor by whole
-    cells. Where that has no scans, it moves as the other sensors do. `points` of the frames are the centres of the
+    the whole. The window is centred on the first sensor: its axes are the world's, and it follows the sensor by whole
+    cells. In a gap of that sensor it moves like the other sensors. `points` of the frames are the centres of the
     occupied cells, the same for every tracker, or with "raw" the returns of the laser.
     """
 
@@ -77,7 +77,7 @@ class GridStream:
         self.period_ns = round(1e9 / _rate(recording, rate_hz))
         self.period_s = self.period_ns / 1e9
         self.stretch_s, self.name = stretch_of(recording, stretch)
-        self._ticks = ticks_in(self.stretch_s, survey.last_ns - survey.first_ns, self.period_ns)
+        self._ticks = _ticks_in(self.stretch_s, survey.last_ns - survey.first_ns, self.period_ns)
         if not self._ticks:
             raise RecordingError(f"{self.name}: no frame at {1 / self.period_s:g} Hz in this stretch")
         recording.check_poses()
@@ -85,8 +85,8 @@ class GridStream:
         self.gaps = self._count_gaps()
         if len(survey.sensors) > 1:
             stamps_ns = survey.first_ns + np.arange(self._ticks.start, self._ticks.stop) * self.period_ns
-            slow = () if rate_hz or info.rate_hz else slow_sensor(survey)
-            for text in (*missing_scans(survey, stamps_ns, self.period_s, self.stretch_s), *slow):
+            slow = () if rate_hz or info.rate_hz else _slow_sensor(survey)
+            for text in (*_missing_scans(survey, stamps_ns, self.period_s, self.stretch_s), *slow):
                 recording.notify(text)
         self._degrade: Callable[[Scan], Scan] | None = None
 
@@ -120,16 +120,16 @@ class GridStream:
         return any(scan.scene is not None for scan in islice(self.recording.scans(), len(self.recording.survey.poses)))
 
     def observations(self) -> Iterator[Observation]:
-        """The frames with the scans they were made of. For the referee only: no tracker receives one.
+        """The frames with their scans. For the referee only: no tracker receives one.
 
-        The window follows the poses as they are recorded, also where the scans are degraded.
+        The window follows the recorded poses, even if the scans are degraded.
         """
         return self._observed(self._resampled(), self._ticks.start)
 
     def arriving(self) -> Iterator[Observation]:
-        """The observations of a recording that is still being written, from its first scan on to the end of the file.
+        """The observations of a recording that is still being written, from its first scan to the end of the file.
 
-        Each comes as soon as the scans for it are read. Raises RecordingError for a gap that is too long.
+        Each is yielded as soon as its scans are read. Raises RecordingError for a gap that is too long.
         """
         return self._observed(self._arriving())
 
@@ -153,7 +153,7 @@ class GridStream:
             yield tick
 
     def _observed(self, ticks: Iterable[Tick], first: int = 0) -> Iterator[Observation]:
-        """The observations of `ticks` from the tick `first` of the recording on."""
+        """The observations of `ticks`, beginning with tick `first` of the recording."""
         survey = self.recording.survey
         sensor_poses = SensorPoses(survey.poses)
         reference_T_world = SE2()
@@ -168,7 +168,7 @@ class GridStream:
             yield self._observation(tick, poses, window, reference_T_world)
 
     def _resampled(self) -> Iterator[Tick]:
-        """The ticks of the stretch; where a sensor moves, also those since the last that has a scan of each sensor."""
+        """The ticks of the stretch; if a sensor moves, also those since the last tick with a scan of each sensor."""
         survey, ticks = self.recording.survey, self._ticks
         if survey.moves:
             stamps_ns = survey.first_ns + np.arange(ticks.start + 1) * self.period_ns
@@ -184,7 +184,7 @@ class GridStream:
     def _observation(
         self, tick: Tick, poses: Mapping[str, SE2], world_T_grid: SE2, reference_T_world: SE2
     ) -> Observation:
-        """The observation of a tick; `poses` of all sensors, also those without a scan."""
+        """The observation of a tick; `poses` has all sensors, even those without a scan."""
         scans = tick.scans if self._degrade is None else {s: self._degrade(scan) for s, scan in tick.scans.items()}
         placed = {**poses, **{sensor: scan.world_T_sensor for sensor, scan in scans.items()}}
         grid_T_sensor = {
@@ -197,7 +197,7 @@ class GridStream:
 
     @cached_property
     def first_move_s(self) -> float | None:
-        """When the window first moves in the stretch, seconds since the first scan; None where it never does."""
+        """The time of the window's first motion in the stretch, seconds since the first scan; None without motion."""
         if not self.recording.survey.moves:
             return None
         observations = self.observations()
@@ -205,13 +205,13 @@ class GridStream:
         return next((one.time_s for one in observations if one.frame.world_T_grid != window), None)
 
     def before(self, most: int) -> Iterator[Observation]:
-        """The observations of the recording directly before the stretch, at most `most`. For the referee only."""
+        """At most `most` observations directly before the stretch. For the referee only."""
         earlier = copy(self)
         earlier._ticks = range(max(0, self._ticks.start - most), self._ticks.start)
         return earlier.observations() if earlier._ticks else iter(())
 
     def labelled(self) -> Iterator[LabelledFrame]:
-        """The frames with the classes of their occupied cells, for training. A tracker in a trial receives none.
+        """The frames with the classes of their occupied cells, for training. A tracker in a trial receives no labels.
 
         Raises RecordingError for a label without a class.
         """
@@ -221,7 +221,7 @@ class GridStream:
             yield LabelledFrame(observation.frame, cells, labels)
 
     def all_observations(self) -> Iterator[Observation]:
-        """Those of the whole recording on the same grid and period, without the frames in the longest gaps."""
+        """The observations of the whole recording on the same grid and period, except in the longest gaps."""
         survey, period_s = self.recording.survey, self.period_s
         long_gaps = (survey.gaps(MAX_EMPTY_FRAMES * self.period_ns) - survey.first_ns) / 1e9
         starts = [0.0, *(end_s - period_s for _, end_s in long_gaps)]
@@ -246,7 +246,7 @@ class GridStream:
                 )
 
     def _count_gaps(self) -> int:
-        """Gaps of a sensor longer than two periods within the stretch; a warning about those of a sensor alone."""
+        """The number of gaps in the stretch longer than two periods; with a single sensor they are a warning."""
         survey = self.recording.survey
         start_ns = survey.first_ns + self._ticks[0] * self.period_ns
         end_ns = survey.first_ns + self._ticks[-1] * self.period_ns
@@ -266,6 +266,15 @@ class GridStream:
         return len(gaps)
 
 
+def _ticks_in(stretch_s: Stretch, duration_ns: int, period_ns: int) -> range:
+    """Numbers of the ticks in the stretch: its start included, its end excluded unless the recording ends there."""
+    start_s, end_s = stretch_s
+    end = duration_ns // period_ns + 1
+    if end_s is not None and round(end_s * 1e9) < duration_ns:
+        end = min(end, -(-round(end_s * 1e9) // period_ns))
+    return range(-(-round(start_s * 1e9) // period_ns), end)
+
+
 def _rate(recording: Recording, rate_hz: float | None) -> float:
     rate = rate_hz or recording.info.rate_hz or recording.survey.rate_hz
     if rate is None:
@@ -276,7 +285,7 @@ def _rate(recording: Recording, rate_hz: float | None) -> float:
 
 
 def frame_digest(frame: GridFrame) -> bytes:
-    """A hash of the content of a frame, 32 bytes: equal for two trackers that received the same frame."""
+    """A hash of the content of a frame, 32 bytes, to check that two trackers received the same frame."""
     digest = hashlib.blake2b(digest_size=32)
     pose = frame.world_T_grid
     digest.update(struct.pack("<qddd", frame.stamp_ns, pose.x, pose.y, pose.theta))
@@ -290,3 +299,30 @@ def frame_digest(frame: GridFrame) -> bytes:
     ):
         digest.update(np.ascontiguousarray(array, kind).tobytes())
     return digest.digest()
+
+
+def _missing_scans(survey: Survey, stamps_ns: NDArray[np.int64], period_s: float, stretch_s: Stretch) -> Iterator[str]:
+    """A line for each sensor that has no scan for some of the frames at `stamps_ns` (n,)."""
+    for name, sensor in survey.sensors.items():
+        missing = sensor.missing(stamps_ns, period_s * 1e9)
+        if missing.any():
+            first_s = (stamps_ns[missing.argmax()] - survey.first_ns) / 1e9
+            yield (
+                f"sensor '{name}': no scan within {period_s / 2:g} s of {missing.sum()} of"
+                f" {len(missing)} frames in {stretch_text(stretch_s)}, the first at {first_s:.2f} s; they are"
+                " made from the scans of the other sensors"
+            )
+
+
+def _slow_sensor(survey: Survey) -> Iterator[str]:
+    """A line if the slowest sensor, which sets the rate of the frames, is so slow that other scans are not used."""
+    periods_s = {name: sensor.period_s for name, sensor in survey.sensors.items() if sensor.period_s}
+    if len(periods_s) < 2:
+        return
+    slow, fast = (end(periods_s, key=periods_s.__getitem__) for end in (max, min))
+    if periods_s[slow] > SLOW_SENSOR_RATIO * periods_s[fast]:
+        yield (
+            f"the slowest sensor sets the rate of the frames: '{slow}' has {1 / periods_s[slow]:.3g} scans a second,"
+            f" '{fast}' {1 / periods_s[fast]:.3g}; --rate {1 / periods_s[fast]:.3g} makes more frames, most of them"
+            f" without '{slow}'"
+        )

@@ -1,15 +1,21 @@
-"""Stretches: parts of a recording, as texts of the command line and as seconds."""
+"""Stretches: parts of a recording as text on the command line, in seconds, and as recorded time."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gridtrack.common.errors import RecordingError, did_you_mean
-from gridtrack.common.names import NAME_RULE, is_name
+from gridtrack.common.files import NAME_RULE, is_name
+from gridtrack.common.remote_files import fetched_file, is_url
 from gridtrack.recordings.recording import Recording
 from gridtrack.recordings.recording_info import Stretch, stretch_text
+
+WALL_CLOCK_FROM_NS = 946_684_800 * 1_000_000_000
+"""The year 2000. Later stamps are times of day; earlier ones come from a simulation, or a clock that starts at 0."""
 
 
 def parse_stretch(text: str) -> tuple[Path, Stretch | str | None]:
@@ -63,7 +69,7 @@ def stretch_of(recording: Recording, stretch: Stretch | str | None) -> tuple[Str
     else:
         name, runs, (start_s, end_s) = f"{recording.name}@{stretch_text(stretch)}", "", stretch
     if not duration_s:
-        raise RecordingError(f"{name}{runs}: the recording is a single scan, of which there are no stretches")
+        raise RecordingError(f"{name}{runs}: the recording is a single scan, which has no stretches")
     if start_s > duration_s or (end_s is not None and end_s > math.ceil(duration_s)):
         long = f"{duration_s:.1f} s long" + (f" ({recording.damage})" if recording.damage else "")
         raise RecordingError(f"{name}{runs}: the recording is {long}: name a range inside it ({_whole(recording)})")
@@ -75,10 +81,45 @@ def _whole(recording: Recording) -> str:
     return f"{recording.path}@{stretch_text((0.0, recording.survey.whole_s))}"
 
 
-def ticks_in(stretch_s: Stretch, duration_ns: int, period_ns: int) -> range:
-    """Numbers of the ticks in the stretch: its start included, its end excluded unless the recording ends there."""
-    start_s, end_s = stretch_s
-    end = duration_ns // period_ns + 1
-    if end_s is not None and round(end_s * 1e9) < duration_ns:
-        end = min(end, -(-round(end_s * 1e9) // period_ns))
-    return range(-(-round(start_s * 1e9) // period_ns), end)
+def fetched(text: str, note: Callable[[str], None]) -> str:
+    """RECORDING[@RANGE] with a local copy in place of a URL; other texts are returned unchanged.
+
+    The copy lies in `$XDG_CACHE_HOME/gridtrack/recordings` under the file's own name. It is fetched again when the file
+    has changed; `note` receives a line before that. Raises StoreError.
+    """
+    if not is_url(text):
+        return text
+    url, stretch = _without_stretch(text)
+    return f"{fetched_file(url, 'recordings', note)}{stretch}"
+
+
+def _without_stretch(text: str) -> tuple[str, str]:
+    """The URL, and `@RANGE` after its last part or nothing."""
+    folder, slash, last = text.rpartition("/")
+    name, at, stretch = last.rpartition("@")
+    return (f"{folder}{slash}{name}", f"{at}{stretch}") if at else (text, "")
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTime:
+    """Time at one `site`: stamps from `start_ns` to `end_ns` (excluded), first recorded in the file `source_sha256`."""
+
+    source_sha256: str
+    site: str
+    start_ns: int
+    end_ns: int
+
+    def overlaps(self, other: RecordedTime) -> bool:
+        """Whether both have a moment in common."""
+        return self.common(other) is not None
+
+    def common(self, other: RecordedTime) -> RecordedTime | None:
+        """The intersection with `other`, or None.
+
+        Stamps of one source are compared; stamps of one site too if they are times of day: a file that another program
+        cut has another hash, and two lasers at one site see the same traffic.
+        """
+        on_wall_clock = min(self.start_ns, other.start_ns) >= WALL_CLOCK_FROM_NS
+        comparable = self.source_sha256 == other.source_sha256 or (self.site == other.site and on_wall_clock)
+        start_ns, end_ns = max(self.start_ns, other.start_ns), min(self.end_ns, other.end_ns)
+        return replace(self, start_ns=start_ns, end_ns=end_ns) if comparable and start_ns < end_ns else None

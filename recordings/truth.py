@@ -1,4 +1,4 @@
-"""Rasterised ground truth: the cells that the outlines of a scene pass through, and the cells wholly inside them."""
+"""Rasterised ground truth: the cells on the outlines of a scene, and the cells inside them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class TruthGrid:
     """The true state and class of every cell.
 
     `cover` (M, M) uint8: FREE, OUTLINE or INTERIOR. `labels` (M, M) uint8: the class of each outline cell, UNLABELLED
-    elsewhere. `bodies` (M, M) int32: the object of the scene that each outline cell is of, -1 elsewhere.
+    elsewhere. `bodies` (M, M) int32: the index of the object of each outline cell, -1 elsewhere.
     """
 
     cover: NDArray[np.uint8]
@@ -36,9 +36,9 @@ class TruthGrid:
 def truth_grid(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> TruthGrid:
     """The true state of each cell of a grid at the pose `world_T_grid`. Raises RecordingError.
 
-    A cell in which any outline has length is OUTLINE, even inside another outline. Where several outlines pass through
-    it, it is of a road user rather than of a static outline, and of the last object in the scene. INTERIOR cells are
-    wholly inside one outline and on none.
+    A cell is OUTLINE if an outline passes through it (touching a corner or edge is not enough), even inside another
+    outline. Of several outlines in a cell the last object of the scene counts, and objects before static outlines.
+    INTERIOR cells are wholly inside an outline, and on none.
     """
     outlines = [*scene.static, *(body.outline for body in scene.objects)]
     poses = [SE2()] * len(scene.static) + [body.world_T_object for body in scene.objects]
@@ -46,13 +46,13 @@ def truth_grid(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> TruthGrid:
     cover, outline = _drawn(grid, world_T_grid, outlines, poses)
     return TruthGrid(
         cover,
-        np.array([*labels, UNLABELLED], np.uint8)[outline],  # -1 is the last one
+        np.array([*labels, UNLABELLED], np.uint8)[outline],  # -1 is UNLABELLED
         np.maximum(outline - len(scene.static), -1),
     )
 
 
 def static_cells(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> Mask:
-    """Cells (M, M) that a static outline passes through. Raises RecordingError."""
+    """Cells (M, M) on a static outline. Raises RecordingError."""
     cover, _ = _drawn(grid, world_T_grid, scene.static, [SE2()] * len(scene.static))
     cells: Mask = cover == OUTLINE
     return cells
@@ -61,9 +61,9 @@ def static_cells(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> Mask:
 def _drawn(
     grid: GridSpec, world_T_grid: SE2, outlines: Sequence[Outline], poses: Sequence[SE2]
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
-    """The cover (M, M) of `outlines`, each given in its own frame, and the outline (M, M) of each cell, -1 for none.
+    """The cover (M, M) of `outlines`, and the index (M, M) of the outline on each cell, -1 for none.
 
-    `poses` are world_T_outline.
+    Each outline is given in its own frame; `poses` are world_T_outline.
     """
     cover, outline = np.full(grid.shape, FREE, np.uint8), np.full(grid.shape, -1, np.int32)
     if outlines:
@@ -76,12 +76,12 @@ def _drawn(
 def placed_outlines(
     outlines: Sequence[Outline], poses: Sequence[SE2], grid: GridSpec, world_T_grid: SE2
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The corners (N, 2) of all outlines, in cells of the grid as (x, y), and where each outline starts (K + 1,).
+    """The corners (N, 2) of all outlines, (x, y) in cells of the grid, and the first corner of each outline (K + 1,).
 
     Each outline is given in its own frame; `poses` are world_T_outline. Raises RecordingError.
     """
     sizes = np.array([len(outline) for outline in outlines])
-    with np.errstate(invalid="ignore"):  # corners that are not finite raise an error below
+    with np.errstate(invalid="ignore"):  # non-finite corners raise an error below
         corners = _transformed(
             np.concatenate(outlines).astype(np.float64), np.repeat(_coefficients(poses), sizes, axis=0)
         )
@@ -104,9 +104,9 @@ def _transformed(points: NDArray[np.float64], pose: NDArray[np.float64]) -> NDAr
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fill(corners, starts, cover):  # type: ignore[no-untyped-def]
-    """Mark as INTERIOR the cells whose centres lie inside an outline (even-odd rule), row by row.
+    """Mark the cells with their centre inside an outline (even-odd rule) as INTERIOR, row by row.
 
-    Correct for cells that no outline passes through; `_trace` then marks the others.
+    Correct for cells that are on no outline; `_trace` marks the others afterwards.
     """
     size = cover.shape[0]
     crossings = np.empty(corners.shape[0])
@@ -133,7 +133,7 @@ def _fill(corners, starts, cover):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _trace(corners, starts, cover, outline, crossed):  # type: ignore[no-untyped-def]
-    """Mark as OUTLINE the cells that outlines pass through, and by which, later ones over earlier ones."""
+    """Mark the cells on outlines as OUTLINE, with the index of the outline; later outlines replace earlier ones."""
     size = cover.shape[0]
     for polygon in range(starts.size - 1):
         first, last = starts[polygon], starts[polygon + 1]
@@ -147,7 +147,7 @@ def _trace(corners, starts, cover, outline, crossed):  # type: ignore[no-untyped
             cross(x0, y0, x1 - x0, y1 - y0, size, crossed)
             left, right, bottom, top = min(left, x1), max(right, x1), min(bottom, y1), max(top, y1)
             x0, y0 = x1, y1
-        # one cell more on each side: rounding may have put an edge on a border into the next cell
+        # one more cell on each side: rounding may move an edge on a border into the next cell
         for row in range(max(math.floor(bottom) - 1, 0), min(math.floor(top) + 2, size)):
             for column in range(max(math.floor(left) - 1, 0), min(math.floor(right) + 2, size)):
                 if crossed[row * size + column]:

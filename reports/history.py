@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
+import io
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import TYPE_CHECKING
 
-from gridtrack.common.errors import printable
+from gridtrack.common.errors import ConfigurationError, printable
 from gridtrack.evaluation.regression.history import HistoryEntry
 from gridtrack.evaluation.regression.speed import CALLS
-from gridtrack.reports.figures import Axis, document
-from gridtrack.reports.page import TEMPLATES
-from gridtrack.reports.recording_section import TRACKER_COLOURS
+from gridtrack.reports.print_figures import SETTINGS
+from gridtrack.reports.styles import FLOOR_GREYS, TRACKER_COLOURS, look_of
 from gridtrack.reports.verdict_text import band_text
 
-PANEL_HEIGHT, GAP, LEFT, RIGHT, FOOT = 130, 46, 56, 24, 30
-LEAST_WIDTH, STEP = 420, 26
-"""Width of the smallest panel, and from one entry to the next, in SVG user units."""
-LINE, CHARACTER = 16, 6.5
-"""Height of a line of the legend, and width of a character in it."""
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+HISTORY_PANEL_INCHES, LEAST_INCHES, ENTRY_INCHES = 1.7, 6.0, 0.3
+"""Height of a panel, width of the smallest figure, and the width of an entry."""
 DRAWN_STRATA = ("dynamic", "in-motion", "visible", "occluded")
 """Strata with a panel of F1 in the middle step band; any other score has one once it was worse."""
 FLOORS = ("persistence", "static-map", "blank")
 """Rows in the greys of the report: a history has no roles."""
 MAX_LABELS = 24
 SHORT_COMMIT = 7
-SOFT, HAIR = "#5f646b", "#e2e3e5"
+SOFT = "#5f646b"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +40,7 @@ class Point:
     standing: str
     low: float
     high: float
-    told: str
+    title: str
 
 
 Panel = tuple[str, Mapping[str, Mapping[int, Point]]]
@@ -46,20 +49,50 @@ Panel = tuple[str, Mapping[str, Mapping[int, Point]]]
 
 def history_svg(entries: Sequence[HistoryEntry]) -> str:
     """A panel for each F1 of the middle step band, for each other score that was worse at any of the `entries`, the
-    oldest first, and for the time of each call."""
+    oldest first, and for the time of each call. Raises ConfigurationError where matplotlib is not installed."""
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ConfigurationError("a drawing needs matplotlib: pip install 'gridtrack[figures]'") from None
     panels = [panel for panel in (*_score_panels(entries), *_time_panels(entries)) if panel[1]]
     colours = _colours(dict.fromkeys(name for _, lines in panels for name in lines))
-    width = max(LEAST_WIDTH, STEP * len(entries))
-    x = Axis(-0.5, len(entries) - 0.5, LEFT, LEFT + width)
-    signs = ("x: worse", "line: worse in any score", "dashed: not measured")
-    legend = list(_legend([*colours, *signs], {**colours, **dict.fromkeys(signs, SOFT)}, width))
-    top = LINE * len(legend) + 30
-    foot = top + len(panels) * (PANEL_HEIGHT + GAP)
-    parts = [*legend]
-    for number, (title, lines) in enumerate(panels):
-        parts.append(_panel(top + number * (PANEL_HEIGHT + GAP), title, x, lines, entries, colours))
-    parts.append(_commits(foot - GAP + 16, x, entries))
-    return document(LEFT + width + RIGHT, foot + FOOT, parts, 11)
+    titles = _Titles()
+    with matplotlib.rc_context(SETTINGS), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # a name in a script that the font lacks is drawn as boxes
+        width = max(LEAST_INCHES, ENTRY_INCHES * len(entries))
+        figure = Figure((width, HISTORY_PANEL_INCHES * len(panels) + 1.0), layout="constrained")
+        axes = figure.subplots(max(len(panels), 1), sharex=True, squeeze=False)[:, 0]
+        for axis, (title, lines) in zip(axes, panels, strict=False):
+            axis.set_title(title, fontsize=8, fontweight="bold", loc="left", parse_math=False)
+            _draw_verdicts(axis, entries, titles)
+            for name, line in lines.items():
+                _draw_line(axis, line, name, colours[name], entries, titles)
+        _name_commits(axes[-1], entries)
+        _add_legend(figure, colours)
+        written = io.StringIO()
+        figure.savefig(written, format="svg", metadata={"Date": None, "Creator": "gridtrack"})
+    return titles.added_to(written.getvalue())
+
+
+class _Titles:
+    """Titles of drawn things, which a browser shows at the pointer: matplotlib writes ids alone."""
+
+    def __init__(self) -> None:
+        self._titles: list[str] = []
+
+    def id_of(self, title: str) -> str:
+        """The id of a thing with this title."""
+        self._titles.append(title)
+        return f"title-{len(self._titles) - 1}"
+
+    def added_to(self, svg: str) -> str:
+        """The drawing with its titles."""
+        return re.sub(
+            r'<g id="title-(\d+)">',
+            lambda one: f"{one[0]}<title>{escape(printable(self._titles[int(one[1])]))}</title>",
+            svg,
+        )
 
 
 def _score_panels(entries: Sequence[HistoryEntry]) -> Iterator[Panel]:
@@ -76,8 +109,8 @@ def _score_panels(entries: Sequence[HistoryEntry]) -> Iterator[Panel]:
             point = Point(row.value, row.standing, row.value, row.value, f"{row.label} {row.value:.4f}")
             lines.setdefault(printable(row.label), {})[at] = point
     for (score, stratum, band), lines in drawn.items():
-        lower = "" if score == "F1" else " (lower is better)"
-        yield f"{_score_name(score, stratum, band)}{lower}", lines
+        lower = any(row.score == score and row.lower_is_better for _, row in scores)
+        yield f"{_score_name(score, stratum, band)}{' (lower is better)' if lower else ''}", lines
 
 
 def _score_name(score: str, stratum: str, band: str) -> str:
@@ -89,93 +122,53 @@ def _time_panels(entries: Sequence[HistoryEntry]) -> Iterator[Panel]:
         times: dict[str, dict[int, Point]] = {}
         for at, entry in enumerate(entries):
             for time in (one for one in entry.speed if one.call == call):
-                told = f"{time.label} takes {time.ratio:.3f} times as long as {time.against}"
+                title = f"{time.label} takes {time.ratio:.3f} times as long as {time.against}"
                 low, high = (time.ratio if end is None else end for end in (time.low, time.high))
-                times.setdefault(printable(time.label), {})[at] = Point(time.ratio, time.standing, low, high, told)
+                times.setdefault(printable(time.label), {})[at] = Point(time.ratio, time.standing, low, high, title)
         yield f"time of {call}, as a multiple of that of the base or the reference", times
 
 
-def _panel(
-    top: float,
-    title: str,
-    x: Axis,
-    lines: Mapping[str, Mapping[int, Point]],
-    entries: Sequence[HistoryEntry],
-    colours: Mapping[str, str],
-) -> str:
-    points = [point for line in lines.values() for point in line.values()]
-    low, high = min(point.low for point in points), max(point.high for point in points)
-    room = max(0.1 * (high - low), min(0.005, 0.1 * high)) or 0.005
-    y = Axis(low - room, high + room, top + PANEL_HEIGHT, top)
-    parts = [f'<text x="{LEFT}" y="{top - 8}" font-weight="bold">{escape(title)}</text>']
-    for tick in (low, high) if y(low) - y(high) > LINE else (high,):
-        parts.append(f'<path d="M{x.start} {y(tick)}H{x.end}" stroke="{HAIR}"/>')
-        parts.append(f'<text x="{x.start - 6}" y="{y(tick) + 4}" text-anchor="end">{tick:.4f}</text>')
-    parts += [_upright(entry, f"M{x(at)} {top}v{PANEL_HEIGHT}") for at, entry in enumerate(entries)]
-    for name, line in lines.items():
-        parts += _line(line, x, y, entries, colours[name])
-    return "".join(parts)
-
-
-def _upright(entry: HistoryEntry, path: str) -> str:
-    """A line from top to bottom of a panel, in every panel: what was worse, broken where nothing was measured."""
-    if entry.verdict == "no worse":
-        return ""
-    measured = entry.verdict == "worse"
-    told = _worse_text(entry) if measured else "; ".join(entry.reasons)
-    look = f'stroke="{SOFT}"' if measured else f'stroke="{SOFT}" stroke-dasharray="2 3"'
-    title = escape(printable(f"{_name(entry)}: {entry.verdict}: {told}"))
-    return f'<path d="{path}" {look}><title>{title}</title></path>'
+def _draw_verdicts(axis: Axes, entries: Sequence[HistoryEntry], titles: _Titles) -> None:
+    """A line from top to bottom in every panel where a run was worse; broken where nothing was measured."""
+    for at, entry in enumerate(entries):
+        if entry.verdict != "no worse":
+            measured = entry.verdict == "worse"
+            text = _worse_text(entry) if measured else "; ".join(entry.reasons)
+            line = axis.axvline(at, color=SOFT, linewidth=0.8, linestyle="solid" if measured else "dashed")
+            line.set_gid(titles.id_of(f"{_name(entry)}: {entry.verdict}: {text}"))
 
 
 def _worse_text(entry: HistoryEntry) -> str:
-    """What was worse, by tracker; an entry has no scores of single recordings, and no recoveries."""
+    """The scores and times that were worse, by tracker; an entry has no scores of single recordings, and no
+    recoveries."""
     found: dict[str, list[str]] = {}
     for row in (one for one in entry.scores if one.standing == "worse"):
         found.setdefault(row.label, []).append(_score_name(row.score, row.stratum, row.band))
     for time in (one for one in entry.speed if one.standing == "worse"):
         found.setdefault(time.label, []).append(f"time of {time.call}")
-    told = [f"{label} in {' and '.join(names)}" for label, names in found.items()]
-    return "; ".join(told) or "a tracker on one recording, or its recoveries"
+    worse = [f"{label} in {' and '.join(names)}" for label, names in found.items()]
+    return "; ".join(worse) or "a tracker on one recording, or its recoveries"
 
 
-def _line(line: Mapping[int, Point], x: Axis, y: Axis, entries: Sequence[HistoryEntry], colour: str) -> Iterator[str]:
+def _draw_line(
+    axis: Axes, line: Mapping[int, Point], name: str, colour: str, entries: Sequence[HistoryEntry], titles: _Titles
+) -> None:
     """One line, its intervals, and a mark for each entry: a disc, and a cross where the run was worse there."""
-    path = " ".join(f"{x(at)},{y(point.value)}" for at, point in line.items())
-    yield f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="1.5"/>'
+    axis.plot(list(line), [point.value for point in line.values()], color=colour, linewidth=1.2)
     for at, point in line.items():
         if point.low < point.high:
-            yield f'<path d="M{x(at)} {y(point.low)}V{y(point.high)}" stroke="{colour}" opacity="0.5"/>'
-        title = f"<title>{escape(printable(f'{_name(entries[at])}: {point.told}, {point.standing}'))}</title>"
-        if point.standing == "worse":
-            cross = f"M{x(at) - 5} {y(point.value) - 5}l10 10m0 -10l-10 10"
-            yield f'<path d="{cross}" stroke="{colour}" stroke-width="3">{title}</path>'
-        else:
-            yield f'<circle cx="{x(at)}" cy="{y(point.value)}" r="3" fill="{colour}">{title}</circle>'
+            axis.vlines(at, point.low, point.high, color=colour, alpha=0.5, linewidth=1.0)
+        marker = "x" if point.standing == "worse" else "o"
+        (mark,) = axis.plot(at, point.value, marker, color=colour, markersize=7 if marker == "x" else 4, mew=1.8)
+        mark.set_gid(titles.id_of(f"{_name(entries[at])}: {point.title}, {point.standing}"))
+    axis.grid(axis="y", linewidth=0.4, alpha=0.5)
 
 
-def _legend(names: Sequence[str], colours: Mapping[str, str], width: float) -> Iterator[str]:
-    """The names in their colours, in as many lines as they take."""
-    line, left = 0, float(LEFT)
-    rows: list[list[str]] = [[]]
-    for name in names:
-        needed = CHARACTER * (len(name) + 2)
-        if left + needed > LEFT + width and rows[line]:
-            line, left = line + 1, float(LEFT)
-            rows.append([])
-        rows[line].append(f'<tspan x="{left:g}" fill="{colours[name]}">{escape(name)}</tspan>')
-        left += needed
-    for number, row in enumerate(rows):
-        yield f'<text y="{LINE * (number + 1)}" font-weight="bold">{"".join(row)}</text>'
-
-
-def _commits(top: float, x: Axis, entries: Sequence[HistoryEntry]) -> str:
+def _name_commits(axis: Axes, entries: Sequence[HistoryEntry]) -> None:
     """The commit below each entry, of long histories below every few."""
-    every = -(-len(entries) // MAX_LABELS)
-    return "".join(
-        f'<text transform="translate({x(at) - 3} {top}) rotate(40)" fill="{SOFT}">{escape(_name(entries[at]))}</text>'
-        for at in range(0, len(entries), every)
-    )
+    shown = range(0, len(entries), -(-len(entries) // MAX_LABELS) or 1)
+    axis.set_xticks(list(shown), [_name(entries[at]) for at in shown], rotation=40, ha="right", color=SOFT)
+    axis.set_xlim(-0.5, max(len(entries), 1) - 0.5)
 
 
 def _name(entry: HistoryEntry) -> str:
@@ -183,15 +176,28 @@ def _name(entry: HistoryEntry) -> str:
     return f"{entry.commit[:SHORT_COMMIT]}{'+' if entry.changed else ''}" if entry.commit else entry.recorded[:8]
 
 
+def _add_legend(figure: Figure, colours: Mapping[str, str]) -> None:
+    """The names in their colours, and the signs."""
+    from matplotlib.lines import Line2D
+
+    lines = [Line2D([], [], color=colour, marker="o", markersize=4) for colour in colours.values()]
+    signs = [
+        Line2D([], [], color=SOFT, marker="x", linestyle=""),
+        Line2D([], [], color=SOFT),
+        Line2D([], [], color=SOFT, linestyle="dashed"),
+    ]
+    names = [*colours, "worse", "worse in any score", "not measured"]
+    legend = figure.legend([*lines, *signs], names, loc="outside upper left", ncols=4, frameon=False)
+    for text in legend.get_texts():
+        text.set_parse_math(False)
+
+
 def _colours(names: Iterable[str]) -> dict[str, str]:
     """The colours of the lines, those of the report: greys for the floor, and again from the first after the last."""
-    css = (TEMPLATES / "page.css").read_text("utf-8")
     found: dict[str, str] = {}
     trackers = 0
     for name in names:
-        style = f"f{FLOORS.index(name)}" if name in FLOORS else f"t{trackers % TRACKER_COLOURS}"
+        style = f"f{FLOORS.index(name) % FLOOR_GREYS}" if name in FLOORS else f"t{trackers % TRACKER_COLOURS}"
         trackers += name not in FLOORS
-        colour = re.search(rf"--{style}: (#[0-9a-f]{{3,6}})", css)
-        assert colour is not None
-        found[name] = colour[1]
+        found[name] = look_of(style)[0]
     return found

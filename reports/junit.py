@@ -1,4 +1,4 @@
-"""JUnit XML: of the regression gate a test case for each comparison, of a run one for each trial."""
+"""JUnit XML: of a run a test case for each trial; and the elements of any such file."""
 
 from __future__ import annotations
 
@@ -6,42 +6,10 @@ from collections.abc import Sequence
 from xml.etree import ElementTree
 
 from gridtrack.common.errors import printable
-from gridtrack.evaluation.regression.recoveries import RecoveryRow
-from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow
-from gridtrack.evaluation.regression.verdict import AnyRow, Verdict
 from gridtrack.reports.chosen_scores import ExportedTable
 from gridtrack.reports.notices import outcome_text
-from gridtrack.reports.verdict_text import place_of, rule_of, second_text, sentence_of
 
-SUITE = "gridtrack regress"
 REPORT_SUITE = "gridtrack report"
-
-
-def junit_of(verdict: Verdict) -> str:
-    """A test case for each tracker, score, stratum and step band, for each collapse, each tracker that recovered from
-    failures, and each speed. A worse one is a failure; the output of each has the smallest fall that would be one."""
-    rows, failures = verdict.decisive, len(verdict.worse)
-    skipped = sum(row.verdict == "nothing to find" for row in rows)
-    suite = _suite(tests=len(rows), failures=failures, errors=0, skipped=skipped)
-    for row in rows:
-        case = _case(suite, row.label, _case_name(row))
-        sentence = printable(f"{sentence_of(row)}{second_text(verdict, row)}")
-        if verdict.standing_of(row) == "worse":
-            ElementTree.SubElement(case, "failure", message=sentence)
-        elif row.verdict == "nothing to find":
-            ElementTree.SubElement(case, "skipped", message="no cell was occupied")
-        if row.verdict != "nothing to find":
-            ElementTree.SubElement(case, "system-out").text = sentence
-    ElementTree.SubElement(suite, "system-out").text = printable("; ".join([rule_of(verdict), *verdict.notes]))
-    return _xml(suite)
-
-
-def junit_of_unmeasured(reasons: Sequence[str]) -> str:
-    """A test case with an error for each reason why nothing was measured."""
-    suite = _suite(tests=len(reasons), failures=0, errors=len(reasons), skipped=0)
-    for number, reason in enumerate(reasons, 1):
-        ElementTree.SubElement(_case(suite, "run", f"measured {number}"), "error", message=printable(reason))
-    return _xml(suite)
 
 
 def junit_of_tables(exported: Sequence[ExportedTable]) -> str:
@@ -49,35 +17,28 @@ def junit_of_tables(exported: Sequence[ExportedTable]) -> str:
     output of each has its scores."""
     cases = [(one.table, row) for one in exported if not one.table.pooled for row in one.table.rows]
     failures = sum(row.group == "unranked" for _, row in cases)
-    suite = _suite(REPORT_SUITE, tests=len(cases), failures=failures, errors=0, skipped=0)
+    suite = junit_suite(REPORT_SUITE, tests=len(cases), failures=failures, errors=0, skipped=0)
     for table, row in cases:
-        case = _case(suite, row.name, table.recording)
+        case = junit_case(suite, row.name, table.recording)
         if row.group == "unranked":
             ElementTree.SubElement(case, "failure", message=printable(outcome_text(row)))
         scores = [f"{c.group} {c.heading}: {cell.text}" for c, cell in zip(table.columns, row.cells, strict=True)]
         ElementTree.SubElement(case, "system-out").text = printable("; ".join(scores))
-    return _xml(suite)
+    return xml_of(suite)
 
 
-def _suite(name: str = SUITE, **counts: int) -> ElementTree.Element:
+def junit_suite(name: str, **counts: int) -> ElementTree.Element:
+    """A test suite with the numbers of its cases: `tests`, `failures`, `errors`, `skipped`."""
     return ElementTree.Element("testsuite", {"name": name} | {name: str(count) for name, count in counts.items()})
 
 
-def _case(suite: ElementTree.Element, label: str, name: str) -> ElementTree.Element:
+def junit_case(suite: ElementTree.Element, label: str, name: str) -> ElementTree.Element:
+    """A new test case of a tracker in the suite."""
     classname = f"{suite.get('name')}.{printable(label)}"
     return ElementTree.SubElement(suite, "testcase", classname=classname, name=printable(name))
 
 
-def _case_name(row: AnyRow) -> str:
-    if isinstance(row, SpeedRow):
-        return f"speed of {row.call}"
-    if isinstance(row, TurnsRow):
-        return f"speed of {row.call} in turns with {row.base}"
-    if isinstance(row, RecoveryRow):
-        return "recoveries"
-    return f"{f'{row.recording}: ' if row.recording else ''}{row.score}, {place_of(row)}"
-
-
-def _xml(suite: ElementTree.Element) -> str:
+def xml_of(suite: ElementTree.Element) -> str:
+    """The file of a suite."""
     ElementTree.indent(suite)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(suite, encoding="unicode") + "\n"

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from gridtrack.common.errors import MAX_LINE_CHARS
-from gridtrack.evaluation.results.trial_summary import TrialSummary
+from gridtrack.evaluation.runs.summary import TrialSummary
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow, joined_names, outcome_words
 
@@ -24,20 +24,20 @@ class Notice:
 
 
 def notices_of(runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable]) -> list[Notice]:
-    """Every notice: first what failed, with the reason, then what else is serious, then the rest. Raises RunError."""
+    """Every notice: first failures with their reasons, then other serious ones, then the rest. Raises RunError."""
     serious = [*_of_trials(tables), *_of_ends(runs), *_of_parity(tables)]
     return list(dict.fromkeys([*serious, *_of_code(runs), *_of_runs(runs), *_of_intervals(tables)]))
 
 
 def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
     """A line for each row that is not ranked and each reason; where recordings are pooled, one for all of them."""
-    told: set[str] = set()
+    known: set[str] = set()
     found: dict[tuple[str, str], list[str]] = defaultdict(list)
     for table in sorted(tables, key=lambda table: not table.pooled):
-        for row in (one for one in table.rows_in("unranked") if one.key not in told):
+        for row in (one for one in table.rows_in("unranked") if one.key not in known):
             why = "; ".join([*failures_of(row.trials), _scored(row)]) if table.pooled else outcome_text(row)
             found[row.name, why].append("" if table.pooled or len(tables) == 1 else table.recording)
-            told |= {row.key} if table.pooled else set()
+            known |= {row.key} if table.pooled else set()
     for (name, why), recordings in found.items():
         where = f" on {_counted(recordings, len(tables))}" if any(recordings) else ""
         yield Notice(f"{name}{where}: {why}", serious=True)
@@ -89,20 +89,20 @@ def _of_code(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
 
 
 def _of_runs(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
-    """What the runs say; texts that differ in nothing but the recording that they name are one, and so are those of
+    """The notices of the runs; texts that differ only in the name of a recording become one, and so do equal texts of
     several runs."""
-    told_by: dict[str, list[str]] = defaultdict(list)
+    runs_with: dict[str, list[str]] = defaultdict(list)
     for run in runs:
         described = run.summary.recordings.items()
         names = {name for recording, one in described for name in (recording, one.stretch) if name}
         for text in _joined(run.summary.notices, names, len(run.recordings)):
-            told_by[text].append(run.name)
-    for text, told in told_by.items():
-        yield Notice(_before(told, runs) + text)
+            runs_with[text].append(run.name)
+    for text, names_of_runs in runs_with.items():
+        yield Notice(_before(names_of_runs, runs) + text)
 
 
 def _joined(texts: Iterable[str], names: Collection[str], of_run: int) -> Iterator[str]:
-    """`texts`, those alike but for one of the `names` joined to one; the run has `of_run` recordings."""
+    """`texts`, where texts that differ in one of the `names` are joined; the run has `of_run` recordings."""
     alike: dict[tuple[str, str], list[str]] = defaultdict(list)
     for text in texts:
         before, name, after = _around_name(text, names)
@@ -126,9 +126,7 @@ def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
     pooled = [table for table in tables if table.pooled]
     for table in pooled or tables:
         complete = [row for row in table.rows if row.group != "unranked"]
-        for run, interval in dict.fromkeys(
-            (row.run, s.interval) for row in complete for s in row.trial.strata.values() if s.interval
-        ):
+        for run, interval in dict.fromkeys((row.run, row.trial.interval) for row in complete if row.trial.interval):
             without[run, interval].append(table.recording)
     for (run, interval), recordings in without.items():
         yield Notice(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -10,27 +12,39 @@ from markupsafe import Markup
 
 from gridtrack.common.files import write_text
 from gridtrack.reports.answer import answer_of
-from gridtrack.reports.changes import changes_of
-from gridtrack.reports.chosen_recordings import chosen_runs, tables_of_page
-from gridtrack.reports.meanings import meanings
+from gridtrack.reports.differences import (
+    DifferenceTable,
+    TrainingsTable,
+    difference_table,
+    trainings_across,
+    trainings_table,
+)
 from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.page_data import page_data
 from gridtrack.reports.pictures import scale_png
+from gridtrack.reports.player import players_of
 from gridtrack.reports.priors import priors_of
-from gridtrack.reports.probability_curves import probability_curves
-from gridtrack.reports.recording_section import players_of, section_of, styles_of
-from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, read_runs
-from gridtrack.reports.run_description import facts_of, provenance_of, title_of
+from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, chosen_runs, read_runs
+from gridtrack.reports.run_description import changes_of, provenance_of, run_facts, title_of
+from gridtrack.reports.score_figures import score_figures
 from gridtrack.reports.scripts import data_in_page, joined_script, json_in_page, policy_of
-from gridtrack.reports.table import headline_tables, main_tables
+from gridtrack.reports.strata_tables import StrataTable, strata_tables
+from gridtrack.reports.styles import TEMPLATES, page_css, styles_of
+from gridtrack.reports.table import HeadlineTable, headline_tables, main_tables
 
 PAGE_BYTES = 24_000_000
-"""The most that the data of a page have: what the scores leave is for moments, so that a page stays below 25 MB."""
+"""The most bytes of data of a page: moments get the share that scores leave, so that a page stays below 25 MB."""
+MOST_VALUES = 2_500_000
+"""Values of all curves on a page. One takes five bytes, so that half of a page of 25 MB is left for moments."""
 LEFT_OUT = (
     "{} of {} recordings are not on this page, which would be too large: it has those on which the trackers differ"
     " most. gridtrack report RUN --recordings NAME,... shows others, and --format csv has the scores of all"
 )
-TEMPLATES = Path(__file__).parent / "templates"
+FIGURES = Path(__file__).parents[1] / "docs" / "figures.md"
+"""Part of the package too."""
+_REMARK = re.compile(r" \(\[[^\]]*\]\([^)]*\)\)")
+"""A link in parentheses: it has no words of the sentence."""
+_MARKUP = re.compile(r"\[([^\]]*)\]\([^)]*\)|`([^`]*)`|\*([^*]*)\*")
 
 
 def render_report(runs: Sequence[Path], out: Path | None = None, recordings: str = "") -> Path:
@@ -56,11 +70,11 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
     every = headline_tables(runs)
     tables, left_out = tables_of_page(every)
     styles = styles_of(runs)
-    curves, unreadable = probability_curves(runs, tables)
+    figures, unreadable = score_figures(runs, tables)
     priors, unread = priors_of(runs, tables, styles)
-    scores = {**page_data(runs, tables, styles, curves), "priors": priors}
+    scores = {**page_data(runs, tables, styles, figures), "priors": priors}
     players, damaged = players_of(runs, tables, PAGE_BYTES - len(data_in_page(scores)))
-    css, script = (TEMPLATES / "page.css").read_text("utf-8"), joined_script()
+    script = joined_script()
     return (
         _environment()
         .get_template("page.html.j2")
@@ -68,7 +82,7 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
             title=title_of(runs),
             answers=[answer_of(run) for run in runs],
             changes=changes_of(runs) if len(runs) > 1 else (),
-            runs=[(run, facts_of(run, {table.recording for table in tables}), provenance_of(run)) for run in runs],
+            runs=[(run, run_facts(run, {table.recording for table in tables}), provenance_of(run)) for run in runs],
             notices=[Notice(text, serious=True) for text in (*damaged, *unreadable, *unread)]
             + ([Notice(LEFT_OUT.format(left_out, sum(not table.pooled for table in every)))] if left_out else [])
             + notices_of(runs, every),
@@ -77,11 +91,11 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
             styles=styles,
             meanings=meanings(),
             scale=scale_png(),
-            css=Markup(css),  # a file of this package, no text of a run
+            css=Markup(page_css()),  # a file of this package, no text of a run
             script=script,
             data=data_in_page({**scores, "players": [player.data["recording"] for player in players]}),
             moments=[json_in_page(player.data) for player in players],
-            policy=Markup(policy_of([script], [css])),
+            policy=Markup(policy_of([script], [page_css()])),
         )
     )
 
@@ -101,9 +115,79 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["score"] = _score
+    environment.globals["undefined"] = UNDEFINED
     return environment
 
 
-def _score(value: float | None, digits: int = 3) -> str:
-    return UNDEFINED if value is None else f"{value:.{digits}f}"
+@dataclass(frozen=True)
+class Section:
+    """The tables of one recording; tests of differences are only on the page of one run."""
+
+    table: HeadlineTable
+    differences: DifferenceTable | None
+    trainings: TrainingsTable | None
+    strata: tuple[StrataTable, ...]
+
+
+def section_of(runs: Sequence[ReportedRun], table: HeadlineTable) -> Section:
+    """The tables of one recording."""
+    run = runs[0] if len(runs) == 1 else None
+    return Section(
+        table=table,
+        differences=difference_table(run, table.recording) if run else None,
+        trainings=trainings_table(run, table.recording) if run else trainings_across(runs, table),
+        strata=tuple(strata_tables(table, run)),
+    )
+
+
+def tables_of_page(tables: Sequence[HeadlineTable]) -> tuple[list[HeadlineTable], int]:
+    """The tables that fit on a page, in their order, and the number of the others.
+
+    The pooled one comes first, then the recordings on which the trackers differ most in the decisive score. One table
+    is on the page whatever its size.
+    """
+    kept: set[str] = set()
+    values = 0
+    for table in sorted(tables, key=lambda table: (not table.pooled, -_range(table))):
+        values += sum(len(curve) for row in table.rows for _, curve in row.trial.curves())
+        if kept and values > MOST_VALUES:
+            break
+        kept.add(table.recording)
+    return [table for table in tables if table.recording in kept], len(tables) - len(kept)
+
+
+def _range(table: HeadlineTable) -> float:
+    """The difference between the best and the worst of the complete trials."""
+    at = table.columns.index(table.decisive)
+    rows = (*table.rows_in("ranked"), *table.rows_in("floor"))
+    scores = [value for row in rows if (value := row.cells[at].value) is not None]
+    return max(scores) - min(scores) if scores else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """The section `name` of docs/figures.md: its heading and its paragraphs, without markup, links and pictures."""
+
+    name: str
+    heading: str
+    paragraphs: tuple[str, ...]
+
+
+def meanings() -> list[Meaning]:
+    """The sections of docs/figures.md, one for each figure and table of the page, as text that needs no link."""
+    _, *sections = re.split(r"^## ", FIGURES.read_text("utf-8"), flags=re.MULTILINE)
+    return [_meaning(section) for section in sections]
+
+
+def _meaning(section: str) -> Meaning:
+    heading, _, text = section.partition("\n")
+    paragraphs = (" ".join(one.split()) for one in text.strip().split("\n\n") if not one.startswith("!["))
+    return Meaning(heading.lower().replace(" ", "-"), heading, tuple(map(_plain, paragraphs)))
+
+
+def _plain(text: str) -> str:
+    """Markdown without its links, code and emphasis."""
+    text = _REMARK.sub("", text)
+    while (plain := _MARKUP.sub(lambda found: next(filter(None, found.groups()), ""), text)) != text:
+        text = plain
+    return text

@@ -1,4 +1,4 @@
-"""What the page's scripts know of the runs, as JSON: one key for each thing that they show."""
+"""The data of the page's scripts, as JSON: one key for each thing that they show."""
 
 from __future__ import annotations
 
@@ -6,81 +6,48 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.results.trial_summary import StratumScores, TrialSummary, better_direction
-from gridtrack.evaluation.results.values import Curve
-from gridtrack.reports.conditions import condition_texts, conditions_of
-from gridtrack.reports.label_budget import label_budget_of
-from gridtrack.reports.moment_packing import level_colours
-from gridtrack.reports.probability_curves import ProbabilityCurves
+from gridtrack.evaluation.runs.result_files import Curve
+from gridtrack.evaluation.runs.summary import Estimate, Estimates
+from gridtrack.reports.differences import groups_of
+from gridtrack.reports.measurements import condition_texts, conditions_of, times_of
+from gridtrack.reports.moments import level_colours
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.table import HeadlineTable, TableColumn, TableRow
-from gridtrack.reports.tiers import tiers_of
-from gridtrack.reports.times import times_of
-
-PAGE_SCORES = {
-    "pr_auc": "PR-AUC",
-    "f1": "F1",
-    "precision": "Precision",
-    "recall": "Recall",
-    "nll": "Log loss, nats",
-    "brier": "Brier score",
-    "ece": "Calibration error",
-    "ece_above_1_percent": "Calibration error, p ≥ 1 %",
-    "f1_at_half": "F1 at 0.5",
-    "f1_at_visible": "F1, threshold of visible cells",
-    "f1_label_free": "F1, label-free threshold",
-    "fss_1": "FSS, 1 cell",
-    "fss_3": "FSS, 3 cells",
-    "fss_5": "FSS, 5 cells",
-    "fss_9": "FSS, 9 cells",
-    "soft_iou": "Soft IoU",
-    "beam_error": "Beam error, m",
-    "beam_error_median": "Median beam error, m",
-    "beam_bias": "Beam bias, m",
-    "flow_error": "Flow error, m/s",
-    "flow_speed": "True speed where flow is given, m/s",
-    "flow_coverage": "Cells with flow",
-    "energy_score": "Energy score",
-    "energy_spread": "Spread of futures",
-    "share_of_oracle": "Share of the oracle, F1",
-    "share_of_oracle_nll": "Share of the oracle, log loss",
-    "brier_reliability": "Brier: reliability",
-    "brier_resolution": "Brier: resolution",
-    "brier_uncertainty": "Brier: uncertainty",
-    "threshold": "Threshold",
-}
-"""Scores that a reader can choose, and their names."""
+from gridtrack.reports.score_figures import Figures
+from gridtrack.reports.table import HeadlineTable, TableRow
 
 
 def page_data(
     runs: Sequence[ReportedRun],
     tables: Sequence[HeadlineTable],
     styles: Mapping[str, str],
-    curves: Mapping[tuple[str, str], ProbabilityCurves],
+    figures: Mapping[tuple[str, str], Figures],
 ) -> dict[str, Any]:
-    """The data of the page but the recordings that have a player, `players`, and what `priors.py` has, `priors`.
+    """The data of the page except the recordings that have a player, `players`, and `priors`.
 
     `trackers`: the key of every row as `label`, its name in the first table that has it and its style (CSS classes), in
-    the order of `styles`. `scores`: those that any row has. `headline`: what is shown first. `recordings`: for each the
-    horizons, the rows in the order of the table with a curve for each stratum and score, its times, scores under other
-    conditions, classes, `label_budget` and `bins` (of `curves`), the tiers by "score/stratum/step", and why there may
-    be none. `conditions`: their names. `level_colours`: those of the cells of moments.
+    the order of `styles`. `scores`: the descriptions of those that any row has, as in summary.json. `headline`: the
+    score, cells and horizon that are shown first. `recordings`: for each the horizons, classes and the rows in the
+    order of the table, with their estimates by stratum, score and output as in summary.json, `figures`, times, scores
+    under other conditions, and `label_budget`; the groups of rows that do not differ significantly, by
+    "score.output/stratum/step", and why there may be none. `conditions`: their names. `level_colours`: those of the
+    cells of moments.
     """
     first = tables[0].decisive
     names = {row.key: row.name for table in reversed(tables) for row in table.rows}
-    recordings = [_recording(runs, table, styles, curves) for table in tables]
-    rows = [row for recording in recordings for row in recording["rows"]]
-    had = {score for row in rows for curves in row["strata"].values() for score in curves} | {first.score}
+    recordings = [_recording(runs, table, styles, figures) for table in tables]
+    strata = [scores for one in recordings for row in one["rows"] for scores in row["strata"].values()]
+    had = {score for scores in strata for score in scores} | {first.score.name}
+    described = {score.name: score for table in tables for score in (*table.scores, first.score)}
     return {
         "trackers": [
             {"label": label, "name": names.get(label, label), "style": style} for label, style in styles.items()
         ],
-        "scores": [
-            {"key": key, "name": name, "better": better_direction(key)}
-            for key, name in PAGE_SCORES.items()
-            if key in had
-        ],
-        "headline": {"stratum": first.stratum, "score": first.score, "ahead_s": tables[0].horizons_s[first.step]},
+        "scores": [score.model_dump(exclude={"about"}) for name, score in described.items() if name in had],
+        "headline": {
+            "stratum": first.stratum,
+            "score": first.name,
+            "ahead_s": tables[0].horizons_s[first.step],
+        },
         "recordings": recordings,
         "conditions": condition_texts(tables),
         "level_colours": level_colours(),
@@ -91,76 +58,75 @@ def _recording(
     runs: Sequence[ReportedRun],
     table: HeadlineTable,
     styles: Mapping[str, str],
-    curves: Mapping[tuple[str, str], ProbabilityCurves],
+    figures: Mapping[tuple[str, str], Figures],
 ) -> dict[str, Any]:
-    grids = {run.summary.recordings[table.recording].grid for run in runs if table.recording in run.summary.recordings}
+    described = [run.summary.recordings[table.recording] for run in runs if table.recording in run.summary.recordings]
+    grids = {one.grid for one in described}
     grid = grids.pop() if len(grids) == 1 else ""
-    first = next(column for column in table.columns if column.score == "f1")
+    period_ms = round((table.horizons_s[1] - table.horizons_s[0]) * 1e3, 3)
+    step = next(column.step for column in table.columns if column.key == table.headline)
     return {
         "name": table.recording,
         "horizons_s": list(table.horizons_s),
-        "period_ms": _period_ms(table),
+        "period_ms": period_ms,
         "cell_m": GridSpec.parse(grid).cell_m if grid else None,
-        "conditions_ahead": first.heading,
-        "conditions_ahead_s": table.horizons_s[first.step],
+        "classes": list(described[0].classes),
+        "conditions_ahead_s": table.horizons_s[step],
         "rows": [
-            _row(row, styles[row.key], table, first)
-            | {
-                "bins": curves.get((table.recording, row.name)),
-                "label_budget": label_budget_of(runs, table, row),
+            {
+                "name": row.name,
+                "label": row.key,
+                "style": styles[row.key],
+                "group": row.group,
+                "outcome": row.outcome,
+                "strata": _strata(row, len(table.horizons_s)),
+                "figures": figures.get((table.recording, row.name), {}),
+                "latency": times_of(row.trial, period_ms),
+                "conditions": conditions_of(row.trial, step),
+                "label_budget": _label_budget(runs, table, row),
             }
             for row in table.rows
         ],
-        "tiers": _tiers(runs[0], table.recording) if len(runs) == 1 else {},
+        "groups": _groups(runs[0], table.recording) if len(runs) == 1 else {},
         "untested": _why_untested(runs, table),
     }
 
 
-def _period_ms(table: HeadlineTable) -> float:
-    return round((table.horizons_s[1] - table.horizons_s[0]) * 1e3, 3)
+def _strata(row: TableRow, steps: int) -> dict[str, Any]:
+    """The estimates by stratum, score and output, to five digits; without those that are defined nowhere."""
+    found = {stratum: _scores(scores, steps) for stratum, scores in row.trial.strata.items()}
+    return {stratum: scores for stratum, scores in found.items() if scores}
 
 
-def _row(row: TableRow, style: str, table: HeadlineTable, conditions_at: TableColumn) -> dict[str, Any]:
-    return {
-        "name": row.name,
-        "label": row.key,
-        "style": style,
-        "group": row.group,
-        "outcome": row.outcome,
-        "strata": {name: _curves(scores, len(table.horizons_s)) for name, scores in row.trial.strata.items()},
-        "latency": times_of(row.trial, _period_ms(table)),
-        "conditions": conditions_of(row.trial, conditions_at),
-        "classes": _classes(row.trial),
+def _scores(scores: Estimates, steps: int) -> dict[str, Any]:
+    found = {
+        score: {name: _estimate(one, steps) for name, one in outputs.items() if _is_defined(one.value)}
+        for score, outputs in scores.items()
     }
+    return {score: outputs for score, outputs in found.items() if outputs}
 
 
-def _classes(trial: TrialSummary) -> dict[str, Any] | None:
-    """Names of the classes, and confusion matrices by visibility and step; None where there are none."""
-    kinds = trial.semantics.kinds if trial.semantics else {}
-    found = {name: {str(one.step): one.cells for one in scores.confusion} for name, scores in kinds.items()}
-    known = {name: by_step for name, by_step in found.items() if by_step}
-    return {"names": trial.semantics.classes, "confusion": known} if trial.semantics and known else None
-
-
-def _curves(scores: StratumScores, steps: int) -> dict[str, list[float | None]]:
-    """The scores that are defined anywhere, with the ends of their intervals as `_low` and `_high`."""
-    names = (score + end for score in PAGE_SCORES for end in ("", "_low", "_high"))
-    found: dict[str, Curve | None] = {name: getattr(scores, name, None) for name in names}
+def _estimate(estimate: Estimate, steps: int) -> dict[str, Any]:
+    curves = {"value": estimate.value, "low": estimate.low, "high": estimate.high}
     return {
         name: [None if value is None else float(f"{value:.5g}") for value in curve[:steps]]
-        for name, curve in found.items()
-        if curve is not None and any(value is not None for value in curve)
+        for name, curve in curves.items()
+        if curve is not None and _is_defined(curve)
     }
 
 
-def _tiers(run: ReportedRun, recording: str) -> dict[str, Any]:
+def _is_defined(curve: Curve) -> bool:
+    return any(value is not None for value in curve)
+
+
+def _groups(run: ReportedRun, recording: str) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for family in run.summary.pairs:
         if family.recordings == recording:
-            key = f"{family.score}/{family.stratum}/{family.step}"
+            key = f"{family.score}.{family.output}/{family.stratum}/{family.step}"
             one = found.setdefault(key, {"pairs": 0, "units": family.units, "groups": []})
             one["pairs"] += len(family.pairs)
-            one["groups"] += tiers_of(family)
+            one["groups"] += groups_of(family)
     return found
 
 
@@ -169,5 +135,24 @@ def _why_untested(runs: Sequence[ReportedRun], table: HeadlineTable) -> str:
     if len(runs) > 1:
         return "rows of several runs"
     complete = [row.trial for row in table.rows if row.group in ("ranked", "floor")]
-    why = next((scores.interval for trial in complete for scores in trial.strata.values() if scores.interval), "")
+    why = next((trial.interval for trial in complete if trial.interval), "")
     return why or ("no two complete rows" if len(complete) < 2 else "no test of this score, stratum and horizon")
+
+
+def _label_budget(runs: Sequence[ReportedRun], table: HeadlineTable, row: TableRow) -> dict[str, Any] | None:
+    """The labelled `scans` that the weights of a row learned its classes from, and its `method`.
+
+    `method`: the tracker with its options and points, alike in rows that differ in their weights alone. None where the
+    number of scans is not known, or pooled recordings differ in it.
+    """
+    run = next(run for run in runs if row.run in (run.name, ""))
+    names = run.recordings if table.pooled else (table.recording,)
+    scans = {used.labelled_scans for name in names if (used := run.record.weights.get(f"{row.label}@{name}"))}
+    return {"scans": scans.pop(), "method": _method_of(row)} if len(scans) == 1 and None not in scans else None
+
+
+def _method_of(row: TableRow) -> str:
+    entry = row.entry
+    options = [f"{name}={value}" for name, value in sorted(entry.options.items())]
+    points = ["points=raw"] if entry.points == "raw" else []
+    return f"{entry.tracker}:{','.join(options + points)}" if options or points else entry.tracker

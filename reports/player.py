@@ -1,4 +1,5 @@
-"""The player of one recording: kept forecasts of every tracker, as many moments as its share of the page allows."""
+"""The player of one recording: kept forecasts of every tracker, as many moments as its share of the page allows, and
+one moment as still pictures for pages without scripts."""
 
 from __future__ import annotations
 
@@ -7,14 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gridtrack.evaluation.results.columns import SCORES_TABLE
-from gridtrack.evaluation.results.recording import RecordingIdentity
-from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, SamplesError, read_samples
-from gridtrack.reports.moment_choice import ChosenMoment, FrameScore, frame_scores, moments_in_order
-from gridtrack.reports.moment_packing import TrackerPlanes, pack_moment
-from gridtrack.reports.run import ReportError
+import numpy as np
+
+from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.evaluation.referee.samples import SAMPLES, Sample, SamplesError, read_samples
+from gridtrack.evaluation.runs.run_record import RUN_FILE, RecordingIdentity
+from gridtrack.reports.moments import (
+    ChosenMoment,
+    FrameScore,
+    TrackerPlanes,
+    frame_scores,
+    moments_in_order,
+    pack_moment,
+)
+from gridtrack.reports.pictures import frame_png, probability_png
+from gridtrack.reports.run import ReportedRun, ReportError
 from gridtrack.reports.scripts import json_in_page
-from gridtrack.reports.still import Still, still_of
 from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableRow
 
 OBJECTS_SHOWN = 60
@@ -22,11 +31,61 @@ OBJECTS_SHOWN = 60
 
 
 @dataclass(frozen=True)
+class Picture:
+    """One grid as a PNG data address, and its description in words; `png` is empty where there is no picture."""
+
+    png: str
+    words: str
+
+
+@dataclass(frozen=True)
+class Still:
+    """The input, the frame observed at one horizon, and each tracker's forecast of it.
+
+    `sensors`: their positions in the input, cells from its upper left corner. In the observed frame, which has the
+    same window, a sensor may have moved on.
+    """
+
+    grid: GridSpec
+    when: str
+    horizon: str
+    input: Picture
+    sensors: tuple[tuple[float, float], ...]
+    observed: Picture
+    forecasts: tuple[tuple[TableRow, Picture], ...]
+
+
+@dataclass(frozen=True)
 class Player:
-    """What the page shows of one recording's kept forecasts: `data` for the script, and a picture without it."""
+    """The kept forecasts of one recording on the page: `data` for the script, and a picture for pages without it."""
 
     data: dict[str, Any]
     still: Still
+
+
+def players_of(
+    runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable], budget: int
+) -> tuple[tuple[Player, ...], tuple[str, ...]]:
+    """The player of each recording that kept forecasts, and notices of files that could not be read.
+
+    The recordings share `budget` bytes for their moments, and have one moment each whatever it is.
+    There are none on the page of several runs. Raises ReportError.
+    """
+    if len(runs) > 1:
+        return (), ()
+    (run,) = runs
+    players: list[Player] = []
+    notices: list[str] = []
+    single = [table for table in tables if not table.pooled]
+    for table in single:
+        folders = {row.label: run.trial_folder(row.label, table.recording) for row in table.rows}
+        described = run.record.configuration.recordings.get(table.recording)
+        if described is None:
+            raise ReportError(f"{run.path / RUN_FILE}: does not describe {table.recording}; compare again")
+        player, unreadable = player_of(table, folders, described, budget // len(single))
+        players += [player] if player else []
+        notices += unreadable
+    return tuple(players), tuple(notices)
 
 
 def player_of(
@@ -50,7 +109,7 @@ def player_of(
     if not steps:
         return None, notices
     decisive = min(range(len(steps)), key=lambda h: abs(steps[h] - table.decisive.step))
-    scores = {row.label: frame_scores(folders[row.label] / SCORES_TABLE.file, steps) for row in trackers}
+    scores = {row.label: frame_scores(folders[row.label], steps) for row in trackers}
     order = _order(complete, samples, {label: by_step[steps[decisive]] for label, by_step in scores.items()})
     if not order:
         return None, notices
@@ -71,7 +130,7 @@ def player_of(
         "kept": len(reference),
         "moments": moments,
     }
-    still_at = next((one.stamp_ns for one in order if one.reason == "telling"), order[0].stamp_ns)
+    still_at = next((one.stamp_ns for one in order if one.reason == "different"), order[0].stamp_ns)
     kept_then = {label: kept.get(still_at) for label, kept in samples.items()}
     still = still_of(trackers, kept_then, decisive, time_of(still_at), described.horizons_s[steps[decisive]])
     return Player(data, still), notices
@@ -132,8 +191,8 @@ def _refuse_others(samples: Mapping[str, Mapping[int, Sample]], first: Sample) -
 
 def _thresholds(row: TableRow, steps: Sequence[int]) -> list[float]:
     """The threshold of cells in motion at each step; 0.5 where the trial has none."""
-    scores = row.trial.strata.get(MAIN_STRATUM)
-    found = [None if scores is None else scores.at("threshold", step) for step in steps]
+    curve = row.trial.thresholds.get(MAIN_STRATUM)
+    found = [None if curve is None else curve[step] for step in steps]
     return [0.5 if value is None else value for value in found]
 
 
@@ -174,3 +233,41 @@ def _objects(sample: Sample | None) -> list[list[float]]:
     """Track, x, y, heading, length, width, vx, vy of each object."""
     objects = () if sample is None else sample.objects[:OBJECTS_SHOWN]
     return [[one.track, *(round(value, 2) for value in (*one.box, *one.velocity))] for one in objects]
+
+
+def still_of(
+    trackers: Sequence[TableRow], samples: Mapping[str, Sample | None], h: int, now_s: float, horizon_s: float
+) -> Still:
+    """The pictures of one moment at horizon `h`, `horizon_s` ahead; `samples` has at least one sample, by label."""
+    seen = next(sample for sample in samples.values() if sample is not None)
+    now, horizon = f"{now_s:.1f} s", f"{horizon_s:.3g} s"
+    visible, occupied = seen.observed_visible[h], seen.observed_occupied[h]
+    return Still(
+        seen.grid,
+        now,
+        horizon,
+        _frame_picture(f"Input at {now}", seen.visible, seen.occupied),
+        _sensors(seen),
+        _frame_picture(f"Observed {horizon} after {now}", visible, occupied),
+        tuple((row, _forecast_picture(row.name, samples.get(row.label), h, now, horizon)) for row in trackers),
+    )
+
+
+def _frame_picture(title: str, visible: Mask, occupied: Mask) -> Picture:
+    words = f"{title}: {visible.sum()} cells visible, {occupied.sum()} of them occupied"
+    return Picture(frame_png(visible, occupied), words)
+
+
+def _forecast_picture(name: str, sample: Sample | None, h: int, now: str, horizon: str) -> Picture:
+    if sample is None:
+        return Picture("", f"{name} has no forecast at {now}")
+    expected = float(sample.forecast[h].sum())
+    words = f"{name}: forecast for {horizon} after {now}, {expected:.0f} cells expected to be occupied"
+    return Picture(probability_png(sample.forecast[h]), words)
+
+
+def _sensors(sample: Sample) -> tuple[tuple[float, float], ...]:
+    """Positions of the sensors inside the picture: cells, x from the left and y from the top."""
+    cells = (sample.origins - np.array(sample.grid.origin, np.float32)) / np.float32(sample.grid.cell_m)
+    size = sample.grid.size
+    return tuple((round(x, 1), round(size - y, 1)) for x, y in cells.tolist() if 0 <= x <= size and 0 <= y <= size)

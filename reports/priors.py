@@ -1,4 +1,4 @@
-"""What trackers expect of a place before they see it, beside what the recording shows there, packed for the page.
+"""What trackers expect of a place before they see it, beside what the recording shows, packed for the page.
 
 A plane is M x M bytes, rows from the bottom up, deflated, as base64: the logarithm of a probability from LEAST to 1 in
 PRIOR_LEVELS steps, 0 for LEAST and below, and NEVER_SEEN for a cell that was never visible.
@@ -14,16 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 from numpy.typing import NDArray
+from pyarrow import ArrowException, parquet
 
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.results.columns import PRIOR_TABLE
+from gridtrack.evaluation.runs.prior_pass import PRIOR_COLUMNS, PRIOR_FILE
 from gridtrack.reports.run import ReportedRun, ReportError
 from gridtrack.reports.table import HeadlineTable
 
 LEAST = 1e-3
-"""Probabilities are told apart from here on, as log losses are."""
+"""Lower probabilities are shown as this one, as in the log loss."""
 PRIOR_LEVELS, NEVER_SEEN = 254, 255
 
 
@@ -48,7 +48,7 @@ def priors_of(
         grid = run.summary.recordings[table.recording].grid
         found: dict[str, PriorOfPlace] = {}
         for row in table.rows:
-            path = run.trial_folder(row.label, table.recording) / PRIOR_TABLE.file
+            path = run.trial_folder(row.label, table.recording) / PRIOR_FILE
             if grid and path.is_file():
                 try:
                     found[row.label] = read_prior(path, GridSpec.parse(grid).size)
@@ -75,17 +75,26 @@ def priors_of(
 def read_prior(path: Path, size: int) -> PriorOfPlace:
     """The prior of a trial on a grid of `size` cells a side. Raises ReportError."""
     try:
-        rows = pl.read_parquet(path, columns=list(PRIOR_TABLE.names), n_rows=size**2 + 1, glob=False)
-        row, column, visible, occupied, probability = (rows[name].to_numpy() for name in PRIOR_TABLE.names)
-    except (pl.exceptions.PolarsError, OSError) as error:
+        with parquet.ParquetFile(path) as file:
+            rows = file.metadata.num_rows
+            table = file.read(columns=list(PRIOR_COLUMNS)) if rows == size**2 else None
+    except (ArrowException, OSError) as error:
         raise ReportError(f"{path}: cannot be read as a prior ({str(error).splitlines()[0]}); run it again") from None
-    expected = np.indices((size, size)).reshape(2, -1)
-    in_order = len(rows) == size**2 and (row == expected[0]).all() and (column == expected[1]).all()
-    if not in_order or not ((probability >= 0) & (probability <= 1) & (occupied >= 0) & (occupied <= visible)).all():
+    if table is None or not _is_of_grid(columns := [table.column(name).to_numpy() for name in PRIOR_COLUMNS], size):
         raise ReportError(f"{path}: not the prior of a grid of {size} x {size} cells; run it again")
+    _, _, visible, occupied, probability = columns
     with np.errstate(invalid="ignore"):
         recorded = (occupied / visible).astype(np.float32)
     return PriorOfPlace(probability.astype(np.float32).reshape(size, size), recorded.reshape(size, size))
+
+
+def _is_of_grid(columns: Sequence[NDArray[Any]], size: int) -> bool:
+    """Whether the columns have every cell of the grid in order, with possible counts and probabilities."""
+    row, column, visible, occupied, probability = columns
+    expected = np.indices((size, size)).reshape(2, -1)
+    in_order = (row == expected[0]).all() and (column == expected[1]).all()
+    possible = (probability >= 0) & (probability <= 1) & (occupied >= 0) & (occupied <= visible)
+    return bool(in_order and possible.all())
 
 
 def pack(probability: NDArray[np.float32]) -> str:

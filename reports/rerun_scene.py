@@ -18,8 +18,8 @@ from gridtrack.common.errors import ConfigurationError, printable
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.common.scene import UNLABELLED
-from gridtrack.evaluation.scoring.sample_objects import HEIGHT_M, KeptObject
-from gridtrack.recordings.scene_messages import CLASS_COLOURS
+from gridtrack.evaluation.referee.samples import HEIGHT_M, KeptObject
+from gridtrack.recordings.native_messages import CLASS_COLOURS
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -50,7 +50,7 @@ def rerun_scene(path: Path, name: str, identity: str) -> Iterator[RerunScene]:
     if not rerun.is_enabled(recording=stream):
         raise ConfigurationError("the environment variable RERUN switches Rerun off: unset it")
     partial, strict = path.with_name(path.name + ".partial"), rerun.strict_mode()
-    partial.touch()  # where no file can be written, this line tells why, as OSError
+    partial.touch()  # raises OSError where no file can be written
     try:
         rerun.set_strict_mode(True)  # an error is raised, not printed
         stream.save(partial)

@@ -2,21 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.results.run_record import RUN_FILE, RunRecord, read_run_record
-from gridtrack.evaluation.results.summary import ALL_RECORDINGS, SUMMARY_FILE, RunSummary, read_summary
-from gridtrack.evaluation.results.trial_record import read_trial_record
-from gridtrack.evaluation.results.trial_summary import PooledSummary, ScopeSummary, TrialSummary
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.common.errors import ConfigurationError, GridtrackError, did_you_mean
+from gridtrack.evaluation.runs.finished import FinishedTrial
+from gridtrack.evaluation.runs.result_files import Curve, RunError
+from gridtrack.evaluation.runs.run_record import RUN_FILE, RunRecord, read_run_record
+from gridtrack.evaluation.runs.summary import (
+    ALL_RECORDINGS,
+    SUMMARY_FILE,
+    Estimate,
+    Estimates,
+    OutputDescription,
+    RunSummary,
+    ScopeSummary,
+    ScoreDescription,
+    TrackerDifference,
+    TrackerSummary,
+    TrialSummary,
+    read_summary,
+)
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 UNDEFINED = "–"
 """Shown where a score is undefined."""
+THRESHOLD = ScoreDescription(
+    name="threshold",
+    title="Threshold",
+    about="Cells with at least this probability are called occupied.",
+    outputs=(OutputDescription(name="threshold", title="Threshold"),),
+)
+"""The threshold of each step, which is shown as a score is."""
 
 
 class ReportError(GridtrackError):
@@ -25,10 +45,7 @@ class ReportError(GridtrackError):
 
 @dataclass(frozen=True)
 class ReportedRun:
-    """A run's folder, read; `name` is the run's name on the page.
-
-    Where recordings are pooled, `summary` has all of them together as the first of its recordings.
-    """
+    """A run's folder, read; `name` is the run's name on the page; `summary` as of `shown_summary`."""
 
     path: Path
     name: str
@@ -45,6 +62,10 @@ class ReportedRun:
         """Names of the recordings themselves."""
         return tuple(name for name in self.summary.recordings if not self.is_pooled(name))
 
+    def differences_on(self, recording: str) -> list[TrackerDifference]:
+        """The comparisons of trackers with a reference on a recording, or on all pooled."""
+        return [one for one in self.summary.differences if one.recordings == recording]
+
     def identity_of(self, recording: str) -> Any:
         """What decides the scores on one recording, its hash among them: equal for runs of the same frames."""
         recordings = self.record.configuration.recordings
@@ -58,7 +79,7 @@ class ReportedRun:
         return folder
 
     def code_of(self, label: str) -> tuple[str, ...]:
-        """SHA-256 of the code that a tracker's trials ran with, each once, in their order; none where it is not known.
+        """SHA-256 of the code of a tracker's trials, each once, in their order; none where it is not known.
 
         Raises RunError.
         """
@@ -67,7 +88,7 @@ class ReportedRun:
         return tuple(dict.fromkeys(one.code_sha256 for one in records if one is not None and one.code_sha256))
 
     def scored_trials(self) -> dict[tuple[str, str], FinishedTrial]:
-        """The trials of which something was scored, by label and recording. Raises RunError and ReportError."""
+        """The trials with scored frames, by label and recording. Raises RunError and ReportError."""
         found = {}
         for label, row in self.summary.trackers.items():
             for name in (name for name in self.recordings if name in row.recordings):
@@ -94,8 +115,7 @@ def read_runs(paths: Sequence[Path]) -> tuple[ReportedRun, ...]:
 
 def _read_run(path: Path, name: str) -> ReportedRun:
     record, summary = read_results(path)
-    pooled = summary.has_pooled
-    return ReportedRun(path, name, with_pooled(summary) if pooled else summary, record, pooled)
+    return ReportedRun(path, name, shown_summary(summary), record, summary.has_pooled)
 
 
 def read_results(path: Path) -> tuple[RunRecord, RunSummary]:
@@ -117,10 +137,25 @@ def read_results(path: Path) -> tuple[RunRecord, RunSummary]:
     return record, summary
 
 
-def with_pooled(summary: RunSummary) -> RunSummary:
-    """The summary with all recordings together as the first of its recordings."""
+def shown_summary(summary: RunSummary) -> RunSummary:
+    """The summary with thresholds as one more score, and where recordings are pooled, with all of them together as the
+    first of its recordings."""
+    pooled = summary.has_pooled
+    trackers = {label: _shown_row(row, pooled) for label, row in summary.trackers.items()}
+    scores = (*summary.scores, THRESHOLD) if summary.scores else ()
+    return summary.model_copy(
+        update={
+            "scores": scores,
+            "recordings": ({ALL_RECORDINGS: _together(summary)} if pooled else {}) | summary.recordings,
+            "trackers": trackers,
+        }
+    )
+
+
+def _together(summary: RunSummary) -> Any:
+    """The description of all recordings."""
     described = list(summary.recordings.values())
-    together = described[0].model_copy(
+    return described[0].model_copy(
         update={
             "stretch": f"{len(described)} recordings",
             "horizons_s": summary.pooled_horizons_s or described[0].horizons_s,
@@ -129,16 +164,73 @@ def with_pooled(summary: RunSummary) -> RunSummary:
             "parity": all(one.parity for one in described),
         }
     )
+
+
+def _shown_row(row: TrackerSummary, pooled: bool) -> TrackerSummary:
+    trials = dict(row.recordings)
+    if pooled and row.pooled is not None:  # nothing was timed of it
+        fields = {name: getattr(row.pooled, name) for name in ScopeSummary.model_fields}
+        trials = {ALL_RECORDINGS: TrialSummary(**fields), **trials}
+    return row.model_copy(update={"recordings": {name: _with_thresholds(trial) for name, trial in trials.items()}})
+
+
+def _with_thresholds(trial: TrialSummary) -> TrialSummary:
+    strata = {name: scores | _threshold(trial.thresholds.get(name, ())) for name, scores in trial.strata.items()}
+    return trial.model_copy(update={"strata": strata})
+
+
+def _threshold(curve: Curve) -> Estimates:
+    known = any(value is not None for value in curve)
+    return {THRESHOLD.name: {THRESHOLD.lead.name: Estimate(value=curve)}} if known else {}
+
+
+def chosen_runs(runs: Sequence[ReportedRun], recordings: str) -> tuple[ReportedRun, ...]:
+    """The runs with only the recordings that match one of `recordings`, each alone and nothing pooled.
+
+    `recordings`: patterns as of file names, separated by commas; empty: the runs as they are. A run without any of
+    them is left out. Raises ConfigurationError for a pattern that matches nothing.
+    """
+    if not recordings:
+        return tuple(runs)
+    names = list(dict.fromkeys(name for run in runs for name in run.recordings))
+    chosen = names_matching(recordings, names, "--recordings", "recording")
+    return tuple(_with_recordings(run, chosen) for run in runs if chosen.intersection(run.recordings))
+
+
+def _with_recordings(run: ReportedRun, chosen: Set[str]) -> ReportedRun:
+    described = {name: one for name, one in run.summary.recordings.items() if name in chosen}
     trackers = {
-        label: row.model_copy(update={"recordings": {ALL_RECORDINGS: _as_trial(row.pooled), **row.recordings}})
-        for label, row in summary.trackers.items()
-        if row.pooled is not None
+        label: row.model_copy(update={"recordings": {name: row.recordings[name] for name in own}, "pooled": None})
+        for label, row in run.summary.trackers.items()
+        if (own := [name for name in described if name in row.recordings])
     }
-    return summary.model_copy(
-        update={"recordings": {ALL_RECORDINGS: together, **summary.recordings}, "trackers": trackers}
-    )
+    summary = run.summary.model_copy(update={"recordings": described, "trackers": trackers})
+    return replace(run, summary=summary, pooled=False)
 
 
-def _as_trial(pooled: PooledSummary) -> TrialSummary:
-    """The pooled scores in the form of one trial's: nothing was timed of it."""
-    return TrialSummary(**{name: getattr(pooled, name) for name in ScopeSummary.model_fields})
+def names_matching(patterns: str, names: Collection[str], option: str, noun: str) -> set[str]:
+    """The `names` that match one of `patterns`, as of file names and separated by commas.
+
+    Raises ConfigurationError, with the `option` and the `noun` of the names, for a pattern that matches nothing.
+    """
+    found: set[str] = set()
+    for pattern in (part.strip() for part in patterns.split(",")):
+        matching = {name for name in names if fnmatchcase(name, pattern)}
+        if not matching:
+            raise ConfigurationError(f"{option} '{pattern}': no such {noun}: {did_you_mean(pattern, names)}")
+        found |= matching
+    return found
+
+
+def output_name(score: ScoreDescription, output: OutputDescription) -> str:
+    """The name of an output as users write it: `f1` of the leading output, else `f1.recall`."""
+    return score.name if output.name == score.lead.name else f"{score.name}.{output.name}"
+
+
+def scores_of(runs: Sequence[ReportedRun]) -> dict[str, ScoreDescription]:
+    """The scores of all runs by name, in the order of the first run that has each."""
+    found: Mapping[str, ScoreDescription] = {
+        score.name: score for run in reversed(runs) for score in run.summary.scores
+    }
+    order = dict.fromkeys(score.name for run in runs for score in run.summary.scores)
+    return {name: found[name] for name in order}

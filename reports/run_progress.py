@@ -1,26 +1,34 @@
-"""The progress of a run: bars on a terminal, plain lines elsewhere; both with the time left for all trials."""
+"""The progress of a run on standard error: bars on a terminal and plain lines elsewhere, with the time left for all
+trials; of a followed recording a table that changes in place, and elsewhere a line every few seconds."""
 
 from __future__ import annotations
 
+import math
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
 from rich.console import Console
+from rich.live import Live
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
+from rich.table import Table
 
 from gridtrack.common.errors import printable
-from gridtrack.evaluation.results.trial_record import TrialRecord
-from gridtrack.trackers.progress import duration_text
+from gridtrack.evaluation.runs.live_scores import LiveRow, LiveStatus
+from gridtrack.evaluation.runs.trial_record import TrialRecord
+from gridtrack.trackers.training.progress import duration_text
 
 RUNNING_LINE_EVERY_S = 30.0
 """Without a terminal, time between two lines about a trial that is still running."""
 STARTING = "starting; trackers with compiled code compile it in their first start on a machine, which takes minutes"
 MIN_SHARE = 0.01
 """Share of the frames that must be delivered before the time left is estimated."""
+SHOW_EVERY_S = 0.5
+SHOW_LINE_EVERY_S = 10.0
+"""Without a terminal, time between two lines."""
 
 
 class RunProgress:
@@ -42,7 +50,7 @@ class RunProgress:
         """Of each trial that is planned, has started or has ended in this run."""
         self._ended: set[str] = set()
         self._starting: dict[str, tuple[float, threading.Timer]] = {}
-        """Of each trial that has received no frame yet, when it was started, and what tells so if it takes long."""
+        """Of each trial without a frame yet, its start, and the timer of the message about a long start."""
         self._then = ""
         self._delivered: dict[str, int] = {}
         self._began_s = self._last_line_s = time.monotonic()
@@ -144,3 +152,70 @@ class RunProgress:
 
     def _overall(self) -> str:
         return ", ".join(filter(None, (self._all_text(), self._left())))
+
+
+class LiveTable:
+    """A LiveObserver, for standard error. A context manager."""
+
+    def __init__(self, console: Console | None = None) -> None:
+        self._console = console or Console(stderr=True)
+        self._live = Live(console=self._console, auto_refresh=False, transient=True)
+        self._shown_s = -math.inf
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._live.stop()
+
+    def note(self, text: str) -> None:
+        """Print one line."""
+        self._console.print(escape(printable(text)), highlight=False, soft_wrap=True)
+
+    def update(self, status: Callable[[], LiveStatus]) -> None:
+        """Show `status()`, unless the table was shown a moment ago."""
+        terminal = self._console.is_terminal
+        if time.monotonic() - self._shown_s < (SHOW_EVERY_S if terminal else SHOW_LINE_EVERY_S):
+            return
+        self._shown_s = time.monotonic()
+        if terminal:
+            self._live.update(live_table(status()), refresh=True)
+        else:
+            self.note(live_line(status()))
+
+
+def live_table(status: LiveStatus) -> Table:
+    """The status as a table, a row for each tracker."""
+    table = Table(title=_time_text(status), title_justify="left", box=None, pad_edge=False)
+    table.add_column("tracker")
+    for heading in (status.score, "forecasts", "missed", "newest forecast"):
+        table.add_column(heading, justify="right")
+    for row in status.rows:
+        table.add_row(escape(printable(row.label)), _f1_text(row), str(row.forecasts), str(row.missed), _age_text(row))
+    return table
+
+
+def live_line(status: LiveStatus) -> str:
+    """The status as one line."""
+    rows = (f"{row.label} {_f1_text(row)}, {row.missed} missed" for row in status.rows)
+    return f"{_time_text(status)}; {status.score}: {'; '.join(rows)}"
+
+
+def _time_text(status: LiveStatus) -> str:
+    return f"{status.time_s:.1f} s, {status.behind_s:.1f} s behind the newest frame read"
+
+
+def _f1_text(row: LiveRow) -> str:
+    return "-" if math.isnan(row.f1) else f"{row.f1:.3f}"
+
+
+def _age_text(row: LiveRow) -> str:
+    if row.ended:
+        return "ended"
+    if row.age_frames is None:
+        return "-"
+    return "in time" if row.age_frames == 0 else f"{row.age_frames} frames old"

@@ -1,4 +1,4 @@
-"""The headline table of page and terminal: one row per tracker, with the main scores of a comparison."""
+"""The main table of page, terminal and exports: one row per tracker, with the main scores of a comparison."""
 
 from __future__ import annotations
 
@@ -7,22 +7,25 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
-from gridtrack.common.horizons import nearest_step
-from gridtrack.evaluation.results.summary import TrackerSummary
-from gridtrack.evaluation.results.trial_summary import TrialSummary
-from gridtrack.evaluation.statistics.score_intervals import HEADLINE_HORIZONS_S, HEADLINE_STRATA
+from gridtrack.common.grid import nearest_step
+from gridtrack.evaluation.runs.finished import HEADLINE_HORIZONS_S, HEADLINE_STRATA
+from gridtrack.evaluation.runs.summary import (
+    NO_ESTIMATE,
+    OutputDescription,
+    PointEstimate,
+    ScoreDescription,
+    TrackerSummary,
+    TrialSummary,
+)
 from gridtrack.reports.markdown import cell_text, markdown_table
-from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError
+from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, output_name, scores_of
 
-FORGIVING = "fss_5"
-"""The score that forgives a few cells in the table: the others are in a section of their own."""
-FORGIVING_NAME = "FSS, 5 cells"
 DETAIL_HORIZON_S = 1.0
 """The horizon of the other scores, by which the rows are sorted too."""
 MAIN_STRATUM = HEADLINE_STRATA[0]
 """The stratum of the other scores, by which the rows are sorted too."""
 STANDING = "standing"
-"""A stratum outside the headline family: F1 at the detail horizon is a column beside the others."""
+"""A stratum outside the headline tests: the headline score at the detail horizon is a column beside the others."""
 
 LEAK = "learned from these frames"
 """The mark of a row whose weights learned from frames that it is scored on."""
@@ -34,51 +37,77 @@ frames that they learned from."""
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A score at one step: its headings, its name in summary.json, and the better direction (1, -1; 0: neither)."""
+    """An output of a score in one stratum at one step, and its headings."""
 
     group: str
     heading: str
     stratum: str
-    score: str
+    score: ScoreDescription
+    output: OutputDescription
     step: int
-    better: int = 1
 
     @property
-    def score_name(self) -> str:
-        """Its name in a sentence."""
-        return "PR-AUC" if self.score == "pr_auc" else "F1"
+    def name(self) -> str:
+        """The output as users write it."""
+        return output_name(self.score, self.output)
 
-    def of(self, trial: TrialSummary) -> float | None:
-        """Its value for one trial; None where it is undefined."""
-        scores = trial.strata.get(self.stratum)
-        return None if scores is None else scores.at(self.score, self.step)
+    @property
+    def key(self) -> tuple[str, str]:
+        """The names of the score and output."""
+        return self.score.name, self.output.name
 
-    def interval_of(self, trial: TrialSummary) -> tuple[float, float] | None:
-        """The confidence interval of an F1, PR-AUC or FSS; None where there is none, and for every other score."""
-        scores = trial.strata.get(self.stratum)
-        if scores is None or self.score not in ("f1", "pr_auc", FORGIVING):
-            return None
-        low, high = (scores.at(f"{self.score}_{end}", self.step) for end in ("low", "high"))
-        return None if low is None or high is None else (low, high)
+    @property
+    def better(self) -> int:
+        """1 where a higher value is better, -1 where a lower one is, else 0."""
+        return self.output.direction
+
+    @property
+    def title(self) -> str:
+        """The title in a sentence: `log loss`, but `F1`."""
+        title = self.output.title
+        return title[:1].lower() + title[1:] if title[1:2].islower() else title
+
+    @property
+    def title_with_article(self) -> str:
+        """`a log loss`, `an F1`: of an abbreviation by the sound of its first letter."""
+        vowels = "aeiou" if self.title[1:2].islower() else "AEFHILMNORSX"
+        return f"{'an' if self.title[:1] in vowels else 'a'} {self.title}"
+
+    def cell(self, trial: TrialSummary) -> TableCell:
+        """The cell of one trial."""
+        return TableCell(trial.at(self.stratum, *self.key, self.step), self.output.decimals)
 
 
 @dataclass(frozen=True)
 class TableCell:
-    """One score, its confidence interval, and whether it is the best of its column among complete trials."""
+    """One score with its confidence interval, and whether it is the best of its column among complete trials."""
 
-    value: float | None
+    estimate: PointEstimate = NO_ESTIMATE
+    decimals: int = 3
     best: bool = False
-    interval: tuple[float, float] | None = None
+
+    @property
+    def value(self) -> float | None:
+        """The value; None where it is undefined."""
+        return self.estimate.value
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """The interval; None where there is none."""
+        return self.estimate.interval
 
     @property
     def text(self) -> str:
-        """Three decimals, or a dash where the score is undefined."""
-        return UNDEFINED if self.value is None else f"{self.value:.3f}"
+        """The value to the score's decimals, or a dash where it is undefined."""
+        return UNDEFINED if self.value is None else f"{self.value:.{self.decimals}f}"
 
     @property
     def interval_text(self) -> str:
         """The interval in brackets; empty where there is none."""
-        return "" if self.interval is None else f"[{self.interval[0]:.3f}, {self.interval[1]:.3f}]"
+        if self.interval is None:
+            return ""
+        low, high = (f"{end:.{self.decimals}f}" for end in self.interval)
+        return f"[{low}, {high}]"
 
 
 def outcome_words(trial: TrialSummary) -> str:
@@ -157,6 +186,10 @@ class HeadlineTable:
     rows: tuple[TableRow, ...]
     decisive: TableColumn
     """The column that rows are sorted by."""
+    headline: tuple[str, str]
+    """The names of the headline score and its output."""
+    scores: tuple[ScoreDescription, ...]
+    """The scores that any run has."""
     comparable: bool
     """Whether all rows are scored on the same frames: only then the best are marked."""
     pooled: bool
@@ -172,11 +205,16 @@ class HeadlineTable:
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
         """The headings of the groups of columns, and the number of columns in each."""
-        return tuple((group, len(list(columns))) for group, columns in groupby(self.columns, key=lambda c: c.group))
+        return grouped(self.columns)
 
     def rows_in(self, group: RowGroup) -> tuple[TableRow, ...]:
         """The rows of one group."""
         return tuple(row for row in self.rows if row.group == group)
+
+
+def grouped(columns: Sequence[TableColumn]) -> tuple[tuple[str, int], ...]:
+    """The headings of the groups of columns, and the number of columns in each."""
+    return tuple((group, len(list(own))) for group, own in groupby(columns, key=lambda column: column.group))
 
 
 def headline_tables(runs: Sequence[ReportedRun]) -> tuple[HeadlineTable, ...]:
@@ -192,29 +230,49 @@ def main_tables(tables: Sequence[HeadlineTable]) -> Sequence[HeadlineTable]:
 
 def _headline_table(runs: Sequence[ReportedRun], recording: str) -> HeadlineTable:
     shown = [run for run in runs if recording in run.summary.recordings]
-    intervals, forgiving = (_has_any(shown, recording, score) for score in ("f1_low", FORGIVING))
     horizons_s = _common_horizons(shown, recording)
-    columns = tuple(_columns(horizons_s, intervals, forgiving))
-    decisive = next(i for i, column in enumerate(columns) if column.step == columns[-1].step)
-    rows = [
-        _table_row(run.name if len(runs) > 1 else "", label, entry, entry.recordings[recording], columns)
+    entries = [
+        (run.name if len(runs) > 1 else "", label, entry, entry.recordings[recording])
         for run in shown
         for label, entry in run.summary.trackers.items()
         if recording in entry.recordings
     ]
-    order, labels = ("ceiling", "ranked", "floor", "unranked"), list(dict.fromkeys(row.label for row in rows))
-    rows.sort(
-        key=lambda row: (
-            order.index(row.group),
-            -_or_least(row.cells[decisive].value),
-            labels.index(row.label),
-        )
-    )
+    columns = tuple(_columns(shown, [trial for *_, trial in entries], horizons_s))
+    decisive = next(column for column in columns if column.step == columns[-1].step)
+    rows = [
+        TableRow(run, label, entry, trial, _group_of(entry, trial), tuple(column.cell(trial) for column in columns))
+        for run, label, entry, trial in entries
+    ]
     comparable = _same_frames(shown, recording)
-    pooled = any(run.is_pooled(recording) for run in shown)
     if comparable:
         rows = list(with_best(rows, columns))
-    return HeadlineTable(recording, columns, tuple(rows), columns[decisive], comparable, pooled, horizons_s)
+    return HeadlineTable(
+        recording,
+        columns,
+        tuple(_sorted(rows, columns.index(decisive), decisive.better)),
+        decisive,
+        _headline_of(shown),
+        tuple(scores_of(shown).values()),
+        comparable,
+        any(run.is_pooled(recording) for run in shown),
+        horizons_s,
+    )
+
+
+def _sorted(rows: Sequence[TableRow], at: int, better: int) -> list[TableRow]:
+    """The rows by group, and from the best down in the column `at`; equal ones in their order."""
+    order, labels = ("ceiling", "ranked", "floor", "unranked"), list(dict.fromkeys(row.label for row in rows))
+
+    def place(row: TableRow) -> tuple[int, bool, float, int]:
+        value = row.cells[at].value
+        return order.index(row.group), value is None, -better * (value or 0.0), labels.index(row.label)
+
+    return sorted(rows, key=place)
+
+
+def _headline_of(runs: Sequence[ReportedRun]) -> tuple[str, str]:
+    score, _, output = runs[0].summary.headline.partition(".")
+    return score, output
 
 
 def _common_horizons(runs: Sequence[ReportedRun], recording: str) -> tuple[float, ...]:
@@ -234,53 +292,67 @@ def _same_frames(runs: Sequence[ReportedRun], recording: str) -> bool:
     return all(stretch.parity for stretch, _ in described) and described.count(described[0]) == len(described)
 
 
-def _has_any(runs: Sequence[ReportedRun], recording: str, curve: str) -> bool:
-    """Whether any row has this curve: intervals it has from LEAST_UNITS statistical units on."""
-    trials = [
-        e.recordings[recording] for run in runs for e in run.summary.trackers.values() if recording in e.recordings
-    ]
-    return any(getattr(scores, curve) is not None for trial in trials for scores in trial.strata.values())
-
-
-def _columns(horizons_s: Sequence[float], intervals: bool, forgiving: bool) -> Iterator[TableColumn]:
-    """F1 at the headline horizons (at the last horizon where the run reaches none), and the other scores at one.
+def _columns(
+    runs: Sequence[ReportedRun], trials: Sequence[TrialSummary], horizons_s: Sequence[float]
+) -> Iterator[TableColumn]:
+    """The headline score at the headline horizons (at the last horizon where the run reaches none), and at one horizon
+    the lead of every other tested score.
 
     Without intervals a score that needs no threshold is first: few frames choose a threshold poorly.
     """
+    scores = scores_of(runs)
+    name, output_of = _headline_of(runs)
+    headline = scores.get(name, _unscored(name, output_of))
+    output = next(one for one in headline.outputs if one.name == output_of)
     period_s = horizons_s[1] - horizons_s[0]
     wanted = [nearest_step(h, period_s) for h in HEADLINE_HORIZONS_S]
     steps = sorted({step for step in wanted if 0 < step < len(horizons_s)}) or [len(horizons_s) - 1]
-    if not intervals:
-        for step in steps:
-            heading = horizon_text(horizons_s[step])
-            yield TableColumn(f"PR-AUC, {MAIN_STRATUM}", heading, MAIN_STRATUM, "pr_auc", step)
+    detail = nearest_step(DETAIL_HORIZON_S, period_s)
+    detail = detail if detail in steps else steps[0]
+    others = [one for one in scores.values() if one.name != name and one.lead.tested and _is_given(trials, one)]
+    intervals = any(_has_interval(trial, name, output_of) for trial in trials)
+    first = next((one for one in others if not one.thresholded), None)
+    if first is not None and headline.thresholded and not intervals:
+        yield from _over_horizons(MAIN_STRATUM, first, first.lead, steps, horizons_s)
     for stratum in HEADLINE_STRATA:
-        for step in steps:
-            yield TableColumn(f"F1, {stratum}", horizon_text(horizons_s[step]), stratum, "f1", step)
-    step = nearest_step(DETAIL_HORIZON_S, period_s)
-    step = step if step in steps else steps[0]
-    yield TableColumn(f"F1, {STANDING}", horizon_text(horizons_s[step]), STANDING, "f1", step)
-    group = f"{MAIN_STRATUM}, {horizon_text(horizons_s[step])}"
-    yield TableColumn(group, "precision", MAIN_STRATUM, "precision", step, 0)
-    yield TableColumn(group, "recall", MAIN_STRATUM, "recall", step, 0)
-    if intervals:
-        yield TableColumn(group, "PR-AUC", MAIN_STRATUM, "pr_auc", step)
-    if forgiving:
-        yield TableColumn(group, FORGIVING_NAME, MAIN_STRATUM, FORGIVING, step)
-    yield TableColumn(group, "log loss", MAIN_STRATUM, "nll", step, -1)
-    yield TableColumn(group, "Brier", MAIN_STRATUM, "brier", step, -1)
+        yield from _over_horizons(stratum, headline, output, steps, horizons_s)
+    yield from _over_horizons(STANDING, headline, output, [detail], horizons_s)
+    group = f"{MAIN_STRATUM}, {horizon_text(horizons_s[detail])}"
+    explaining = [(headline, one) for one in headline.outputs if not one.better and _is_given(trials, headline, one)]
+    leads = [(one, one.lead) for one in others if one is not first or intervals or not headline.thresholded]
+    for score, one in (*explaining, *leads):
+        yield TableColumn(group, one.heading, MAIN_STRATUM, score, one, detail)
+
+
+def _over_horizons(
+    stratum: str, score: ScoreDescription, output: OutputDescription, steps: Sequence[int], horizons_s: Sequence[float]
+) -> Iterator[TableColumn]:
+    for step in steps:
+        yield TableColumn(f"{output.title}, {stratum}", horizon_text(horizons_s[step]), stratum, score, output, step)
+
+
+def _unscored(name: str, output: str) -> ScoreDescription:
+    """The headline score of a run in which nothing was scored."""
+    title = name.upper()
+    return ScoreDescription(
+        name=name, title=title, outputs=(OutputDescription(name=output, title=title, better="higher"),)
+    )
+
+
+def _is_given(trials: Sequence[TrialSummary], score: ScoreDescription, output: OutputDescription | None = None) -> bool:
+    """Whether any trial has the output (None: the lead) in the main stratum."""
+    name = (output or score.lead).name
+    return any(trial.estimate(MAIN_STRATUM, score.name, name) is not None for trial in trials)
+
+
+def _has_interval(trial: TrialSummary, score: str, output: str) -> bool:
+    found = (trial.estimate(stratum, score, output) for stratum in trial.strata)
+    return any(one is not None and one.low is not None for one in found)
 
 
 def horizon_text(horizon_s: float) -> str:
     """A horizon as in the headings."""
     return f"{horizon_s:.3g} s"
-
-
-def _table_row(
-    run: str, label: str, entry: TrackerSummary, trial: TrialSummary, columns: Sequence[TableColumn]
-) -> TableRow:
-    cells = tuple(TableCell(column.of(trial), interval=column.interval_of(trial)) for column in columns)
-    return TableRow(run, label, entry, trial, _group_of(entry, trial), cells)
 
 
 def _group_of(entry: TrackerSummary, trial: TrialSummary) -> RowGroup:
@@ -289,17 +361,14 @@ def _group_of(entry: TrackerSummary, trial: TrialSummary) -> RowGroup:
     return "ceiling" if entry.ceiling else "floor" if entry.floor else "ranked"
 
 
-def _or_least(value: float | None) -> float:
-    return -1.0 if value is None else value
-
-
 def with_best(rows: Sequence[TableRow], columns: Sequence[TableColumn]) -> Iterator[TableRow]:
     """Mark the best complete trials of each column; values that are equal to the digits shown are equally good."""
     best: list[str | None] = []
     for i, column in enumerate(columns):
-        values = [v for row in rows if row.group in ("ranked", "floor") and (v := row.cells[i].value) is not None]
+        known = [row.cells[i] for row in rows if row.group in ("ranked", "floor") and row.cells[i].value is not None]
         pick = max if column.better > 0 else min
-        best.append(TableCell(pick(values)).text if len(values) > 1 and column.better else None)
+        texts = [cell.text for cell in known]
+        best.append(pick(texts, key=float) if len(known) > 1 and column.better else None)
     for row in rows:
         cells = (replace(cell, best=cell.text == top) for cell, top in zip(row.cells, best, strict=True))
         yield row if row.group in ("unranked", "ceiling") else replace(row, cells=tuple(cells))

@@ -12,13 +12,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from gridtrack.common.errors import printable, printable_lines
-from gridtrack.evaluation.statistics.score_intervals import HEADLINE_STRATA
+from gridtrack.evaluation.runs.finished import HEADLINE_STRATA
 from gridtrack.reports.answer import answer_of
-from gridtrack.reports.differences import DifferenceTable, difference_table
+from gridtrack.reports.differences import SIGNIFICANT_VERDICTS, DifferenceTable, difference_table
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import HeadlineTable, headline_tables, main_tables
-from gridtrack.reports.tiers import TOLD_APART
 
 GROUP_STYLES = {"ceiling": "italic", "ranked": "", "floor": "dim", "unranked": "yellow"}
 CHANCE = "°"
@@ -28,7 +27,7 @@ UNBOUNDED_WIDTH = 10_000
 
 
 def print_result(run: Path) -> None:
-    """Print what decides: the main result in a sentence, a row for each tracker, and the lines of the answer.
+    """Print the main result in a sentence, a row for each tracker, and the lines of the answer.
 
     The table is formatted on a terminal, and Markdown elsewhere. All scores are in the report. Raises RunError and
     ReportError.
@@ -58,7 +57,7 @@ def _print_line(console: Console, text: str) -> None:
 
 
 def _columns(table: HeadlineTable, differences: DifferenceTable | None) -> Iterator[tuple[str, list[str]]]:
-    """A heading and a text for each row: the score that decides, and F1 of the other strata at its horizon."""
+    """A heading and a text for each row: the decisive score, and at its horizon the headline score of other strata."""
     decisive = table.decisive
     names = (f"{row.name} ({row.outcome})" if row.group == "unranked" else row.name for row in table.rows)
     yield "tracker", list(names)
@@ -67,27 +66,30 @@ def _columns(table: HeadlineTable, differences: DifferenceTable | None) -> Itera
     yield f"{decisive.group} {decisive.heading}", scores
     if differences:
         paired = _decisive_differences(differences, table)
-        yield f"F1 less {printable(differences.reference)}", [paired.get(row.label, "") for row in table.rows]
+        yield (
+            f"{differences.headline} less {printable(differences.reference)}",
+            [paired.get(row.label, "") for row in table.rows],
+        )
     for at, column in enumerate(table.columns):
-        beside = column.score == "f1" and column.stratum in HEADLINE_STRATA and column.step == decisive.step
+        beside = column.key == table.headline and column.stratum in HEADLINE_STRATA and column.step == decisive.step
         if beside and column is not decisive:
             yield column.group, [row.cells[at].text for row in table.rows]
     frames = [row.frames for row in table.rows]
-    if len(set(frames)) > 1:  # else the line below the table says how many
+    if len(set(frames)) > 1:  # else the answer has their number
         yield "frames", frames
 
 
 def _decisive_differences(differences: DifferenceTable, table: HeadlineTable) -> dict[str, str]:
-    """The difference of F1 of the cells that decide, at that horizon, by tracker; the report says why one lacks."""
+    """The difference of the headline score in the decisive column's stratum and horizon, by tracker."""
     horizon_s = table.horizons_s[table.decisive.step]
     nearest = min(
         (at for at, (stratum, _) in enumerate(differences.columns) if stratum == table.decisive.stratum),
         key=lambda at: abs(differences.columns[at][1] - horizon_s),
     )
     found = {}
-    for row in (one for one in differences.rows if one.score == "F1"):
+    for row in (one for one in differences.rows if one.leads):
         cell = row.cells[nearest] if row.cells else None
-        mark = "" if cell is None or cell.verdict in TOLD_APART else CHANCE
+        mark = "" if cell is None or cell.verdict in SIGNIFICANT_VERDICTS else CHANCE
         found[row.tracker] = "not compared" if cell is None else f"{cell.value}{mark} {cell.interval}"
     return found
 

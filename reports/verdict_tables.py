@@ -1,29 +1,37 @@
-"""The verdict of the regression gate in rows: Markdown tables for a pull request, and data for a script."""
+"""The verdict of the regression gate in rows: Markdown tables for a pull request, data for a script, and JUnit XML."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
+from gridtrack.common.errors import printable
 from gridtrack.evaluation.regression.judging import VerdictRow
-from gridtrack.evaluation.regression.speed import SpeedRow
+from gridtrack.evaluation.regression.recoveries import RecoveryRow
+from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow
 from gridtrack.evaluation.regression.verdict import AnyRow, SecondLook, Standing, Verdict
+from gridtrack.reports.junit import junit_case, junit_suite, xml_of
 from gridtrack.reports.markdown import escaped, markdown_table
 from gridtrack.reports.run import UNDEFINED
 from gridtrack.reports.verdict_text import (
     NO_COLLAPSE,
     amount_text,
     band_text,
+    place_of,
     rule_of,
     score_text,
     second_lines,
+    second_text,
+    sentence_of,
     turns_texts,
     unchanged_labels,
 )
 
+SUITE = "gridtrack regress"
 MAX_TABLE_ROWS = 40
 """Further rows of a table are counted and not shown."""
 _HEADINGS = (
@@ -129,7 +137,7 @@ def _section(title: str, headings: Sequence[str], rows: Sequence[Any], cells: An
 def _row_cells(row: VerdictRow) -> list[str]:
     sizes = [amount_text(row, value) for value in (row.fall, row.smallest, row.margin)]
     values = [score_text(row.baseline), score_text(row.run), *sizes, score_text(row.spread)]
-    return [row.label, row.score, row.stratum, band_text(row.band), *values]
+    return [row.label, row.name, row.stratum, band_text(row.band), *values]
 
 
 def _speed_cells(row: SpeedRow) -> list[str]:
@@ -138,10 +146,47 @@ def _speed_cells(row: SpeedRow) -> list[str]:
 
 def _verdict_text(verdict: Verdict, row: VerdictRow) -> str:
     standing = verdict.standing_of(row)
-    if row.criterion in {"large", "collapse"}:
-        return f"{standing} ({row.criterion})"
+    if row.criterion == "collapse":
+        return f"{standing} (collapse)"
     return standing if row.verdict == "worse" or not row.recording else NO_COLLAPSE
 
 
 def _p_value_text(row: VerdictRow) -> str:
     return UNDEFINED if row.p is None else f"{row.p:.4f}"
+
+
+def junit_of(verdict: Verdict) -> str:
+    """A test case for each tracker, score, stratum and step band, for each collapse, each tracker that recovered from
+    failures, and each speed. A worse one is a failure; the output of each has the smallest fall that would be one."""
+    rows, failures = verdict.decisive, len(verdict.worse)
+    skipped = sum(row.verdict == "nothing to find" for row in rows)
+    suite = junit_suite(SUITE, tests=len(rows), failures=failures, errors=0, skipped=skipped)
+    for row in rows:
+        case = junit_case(suite, row.label, _case_name(row))
+        sentence = printable(f"{sentence_of(row)}{second_text(verdict, row)}")
+        if verdict.standing_of(row) == "worse":
+            ElementTree.SubElement(case, "failure", message=sentence)
+        elif row.verdict == "nothing to find":
+            ElementTree.SubElement(case, "skipped", message="no cell was occupied")
+        if row.verdict != "nothing to find":
+            ElementTree.SubElement(case, "system-out").text = sentence
+    ElementTree.SubElement(suite, "system-out").text = printable("; ".join([rule_of(verdict), *verdict.notes]))
+    return xml_of(suite)
+
+
+def junit_of_unmeasured(reasons: Sequence[str]) -> str:
+    """A test case with an error for each reason why nothing was measured."""
+    suite = junit_suite(SUITE, tests=len(reasons), failures=0, errors=len(reasons), skipped=0)
+    for number, reason in enumerate(reasons, 1):
+        ElementTree.SubElement(junit_case(suite, "run", f"measured {number}"), "error", message=printable(reason))
+    return xml_of(suite)
+
+
+def _case_name(row: AnyRow) -> str:
+    if isinstance(row, SpeedRow):
+        return f"speed of {row.call}"
+    if isinstance(row, TurnsRow):
+        return f"speed of {row.call} in turns with {row.base}"
+    if isinstance(row, RecoveryRow):
+        return "recoveries"
+    return f"{f'{row.recording}: ' if row.recording else ''}{row.name}, {place_of(row)}"

@@ -8,16 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from gridtrack.common.errors import printable
-from gridtrack.evaluation.regression.criteria import COLLAPSE, LARGE_MARGINS
-from gridtrack.evaluation.regression.judging import Criterion, VerdictRow
+from gridtrack.evaluation.regression.judging import COLLAPSE, Criterion, VerdictRow
 from gridtrack.evaluation.regression.measurement import BANDS, Baseline
 from gridtrack.evaluation.regression.recoveries import RecoveryRow
 from gridtrack.evaluation.regression.rows import paired_rows
-from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
 from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow
 from gridtrack.evaluation.regression.verdict import AnyRow, Verdict
-from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
-from gridtrack.evaluation.statistics.training_spread import value_of
+from gridtrack.evaluation.scores.registry import built_in
+from gridtrack.evaluation.statistics.jackknife import ALPHA, LEAST_UNITS
 from gridtrack.reports.run import UNDEFINED
 
 MAX_FALLEN = 3
@@ -29,7 +27,6 @@ REASONS: dict[Criterion, str] = {
     "": "",
     "margin": "",
     "significant": "",
-    "large": ", large whatever its p",
     "collapse": ", a collapse",
 }
 
@@ -72,12 +69,13 @@ def _replaced_lines(replaced: Verdict | str | None) -> list[str]:
 
 
 def _ranges_of(baseline: Baseline) -> Iterator[str]:
-    """How far the runs of a baseline differ, by tracker."""
-    rows = [row for row in paired_rows(baseline, baseline.first) if row.score == "F1"]
+    """How far the runs of a baseline differ in F1, by tracker."""
+    rows = [row for row in paired_rows(baseline, baseline.first, built_in()) if row.key[1] == "f1.f1"]
     for label in baseline.first.trackers:
-        ranges = {np.ptp(np.nan_to_num(value_of(r.trainings.sum(axis=1)))): r for r in rows if r.label == label}
+        own = (row for row in rows if row.label == label)
+        ranges = {float(np.ptp(np.nan_to_num(row.value(row.trainings.sum(axis=1))))): row for row in own}
         widest = max(ranges)
-        where = f"{ranges[widest].region}, {band_text(ranges[widest].band)}"
+        where = f"{ranges[widest].stratum}, {band_text(ranges[widest].band)}"
         yield (
             f"{label}: F1 differs by up to {widest:.4f} ({where})" if widest else f"{label}: F1 is the same in all runs"
         )
@@ -118,7 +116,8 @@ def _change_text(row: AnyRow) -> str:
     significance = "" if row.p is None else f", p {row.p:.4f}"
     spread = "" if row.spread is None else f", spread between trainings {row.spread:.4f}"
     return (
-        f"{row.score} {score_text(row.baseline)} to {score_text(row.run)}, {_fall_text(row)}{significance}{spread}"
+        f"{row.name} {score_text(row.baseline)} to {score_text(row.run)}, "
+        f"{_fall_text(row)}{significance}{spread}"
         f"{REASONS[row.criterion]}"
     )
 
@@ -133,7 +132,7 @@ def _fall_text(row: VerdictRow) -> str:
 
 def _worse_and_better(row: VerdictRow) -> tuple[str, str]:
     """The words for a change to the worse and to the better."""
-    return ("fall", "rise") if row.score == "F1" else ("rise", "fall")
+    return ("fall", "rise") if row.higher_is_better else ("rise", "fall")
 
 
 def _limit_text(row: VerdictRow) -> str:
@@ -152,11 +151,11 @@ def _limit_text(row: VerdictRow) -> str:
 
 def _no_limit_text(row: VerdictRow, worse: str, where: str) -> str:
     """Why no change would have been found, of whatever size."""
-    if row.score == "F1" and not row.baseline:
+    if row.higher_is_better and not row.baseline:
         return "no fall is possible"
     if row.verdict == "worse":
         return f"no {worse} alike in all units could be found"
-    if row.score == "F1" and row.margin >= (row.baseline or 0.0):
+    if row.higher_is_better and row.margin >= (row.baseline or 0.0):
         return f"no fall is beyond the margin of {amount_text(row, row.margin)}"
     return f"no {worse}{where} could be found with so few {'cells' if row.recording else 'units'}"
 
@@ -171,8 +170,7 @@ def second_lines(verdict: Verdict) -> list[str]:
 
 def place_of(row: VerdictRow) -> str:
     """The cells and the step band of a row."""
-    region = f"{row.stratum} cells with a class" if row.score == "class log loss" else row.stratum
-    return f"{region}, {band_text(row.band)}"
+    return f"{row.stratum}, {band_text(row.band)}"
 
 
 def _smallest_found(verdict: Verdict) -> list[str]:
@@ -183,7 +181,7 @@ def _smallest_found(verdict: Verdict) -> list[str]:
         return lines
     worse = {row.label for row in verdict.worse}
     for label in dict.fromkeys(row.label for row in verdict.rows):
-        found = [r for r in verdict.rows if (r.label, r.score) == (label, "F1") and r.verdict != "nothing to find"]
+        found = [r for r in verdict.rows if (r.label, r.score) == (label, "f1.f1") and r.verdict != "nothing to find"]
         if label in worse or not found:
             continue
         best, worst = (choose(found, key=lambda row: row.smallest) for choose in (min, max))
@@ -209,7 +207,7 @@ def rule_of(verdict: Verdict) -> str:
     """The rule of the verdict, in one line."""
     judged = sum(row.verdict != "nothing to find" for row in verdict.rows)
     over = f"{judged} comparisons over {verdict.units} paired unit{'s' if verdict.units != 1 else ''}"
-    collapse = f"or one of more than {COLLAPSE:g} on one recording"
+    collapse = f"or one of more than {COLLAPSE:g} margins on one recording, beyond the noise"
     if verdict.significance:
         trainings = (
             UNKNOWN_SPREAD
@@ -217,13 +215,12 @@ def rule_of(verdict: Verdict) -> str:
             else f"the spread between trainings is that of the {verdict.trainings} runs of the baseline"
         )
         return (
-            f"{over}: worse is a fall in F1, or a rise of a log loss, beyond the margin with p of at most"
-            f" {FAMILY_LEVEL:g}, corrected for all comparisons, one of more than {LARGE_MARGINS:g} margins whatever its"
-            f" p, {collapse}, where the noise is smaller; {trainings}"
+            f"{over}: worse is a change beyond the margin with p of at most {ALPHA:g}, corrected for all comparisons,"
+            f" {collapse}; {trainings}"
         )
     return (
-        f"{over}, too few for significance, which needs {LEAST_UNITS}: worse is a fall in F1, or a rise of a log loss,"
-        f" beyond the margin or the tracker's tolerance, which are 0 unless given, {collapse}; {UNKNOWN_SPREAD}"
+        f"{over}, too few for significance, which needs {LEAST_UNITS}: worse is a change beyond the margin or the"
+        f" tracker's tolerance, which are 0 unless given, {collapse}; {UNKNOWN_SPREAD}"
     )
 
 
@@ -249,7 +246,7 @@ def amount_text(row: VerdictRow, value: float) -> str:
     """A change as margins are given: of F1, or a share of a log loss; none where no change can be found."""
     if not np.isfinite(value):
         return "none"
-    return f"{value:.4f}" if row.score == "F1" else f"{value:.1%}"
+    return f"{value:.1%}" if row.relative else f"{value:.4f}"
 
 
 def score_text(value: float | None) -> str:

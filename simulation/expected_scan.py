@@ -1,14 +1,10 @@
-"""The scan to expect of a known scene: probabilities that each cell is visible, and that it is occupied.
-
-Nothing is drawn. The errors of the beams are independent, so a cell remains unseen if every beam misses it, and the
-probabilities of the beams multiply. For one beam they follow from the distribution of its range: it reaches a cell if
-its range is at least the distance at which it would enter, and ends there if it is below that at which it would leave.
-Many scans with errors drawn at random approach the same probabilities.
-"""
+"""The expected scan of a known scene: probabilities that each cell is visible, and that it is occupied."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numba
@@ -19,24 +15,87 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.raycast import FRACTION_BITS, MAX_COORDINATE_CELLS, clip, directions_of, turned
 from gridtrack.common.scan import Scan
-from gridtrack.simulation.range_errors import RangeErrors
+from gridtrack.common.scene import Scene
+from gridtrack.recordings.observation import reference_pose
+from gridtrack.simulation.laser import sweep
 
+BAND_M = 1.0
+"""Width of a band of true range with one error distribution."""
+MIN_ERRORS = 1000
+"""A band with fewer errors uses the errors of all ranges."""
 PARALLEL = 2.0 ** -(FRACTION_BITS + 1)
-"""A beam whose direction is less than this off a grid line is parallel to it."""
+"""A beam is parallel to a grid line if its direction differs by less than this."""
 CORNER = 1e-11
-"""A beam that passes a corner of a cell at less than this distance, in cells, has no length in the cell beside it."""
+"""A beam that passes the corner of a cell at less than this distance (cells) does not enter the cell beside it."""
+
+
+@dataclass(frozen=True, slots=True)
+class RangeErrors:
+    """Errors (measured minus true range) of one laser, metres, by band of true range.
+
+    The last band is for beams without a true return, with the measured range itself. `values` (N,) float64, ascending
+    within each band: -inf for an invalid range, +inf for a lost return. Band b has `values[starts[b] : ends[b]]`;
+    `starts`, `ends` (bands,) int64.
+    """
+
+    values: NDArray[np.float64]
+    starts: NDArray[np.int64]
+    ends: NDArray[np.int64]
+
+    def bands(self, true_ranges: NDArray[np.float32]) -> NDArray[np.int64]:
+        """The band (B,) of each true range (B,), which is +inf without a surface in range."""
+        last = self.starts.size - 1
+        nearer = np.floor(np.where(np.isfinite(true_ranges), true_ranges, 0.0) / BAND_M).astype(np.int64)
+        return np.where(np.isfinite(true_ranges), np.minimum(nearer, last - 1), last)
+
+
+def measure_range_errors(scans: Iterable[tuple[Scan, Scene]], every: int = 1) -> dict[str, RangeErrors]:
+    """The range errors of each sensor, from every `every`-th of its scans, each with its true scene."""
+    found: dict[str, list[tuple[NDArray[np.float32], NDArray[np.float32]]]] = {}
+    count: Counter[str] = Counter()
+    for scan, scene in scans:
+        if count[scan.sensor] % every == 0:
+            found.setdefault(scan.sensor, []).append((true_ranges(scan, scene), scan.ranges))
+        count[scan.sensor] += 1
+    return {sensor: _by_band(*map(np.concatenate, zip(*pairs, strict=True))) for sensor, pairs in found.items()}
+
+
+def true_ranges(scan: Scan, scene: Scene) -> NDArray[np.float32]:
+    """The ranges (B,) float32, metres, that the laser of `scan` would measure of `scene` without errors."""
+    ranges, _ = sweep(
+        scene, reference_pose(scan), scan.angle_min, scan.angle_increment, scan.ranges.size, scan.range_max
+    )
+    return ranges
+
+
+def _by_band(true: NDArray[np.float32], measured: NDArray[np.float32]) -> RangeErrors:
+    """Sort the errors by band and then by size."""
+    returned = np.isfinite(true)
+    errors = measured.astype(np.float64) - np.where(returned, true, 0.0)
+    errors[np.isnan(errors)] = -np.inf
+    bands = 1 + int(true[returned].max(initial=0.0) // BAND_M)
+    band = np.where(returned, np.where(returned, true, 0.0) // BAND_M, bands).astype(np.int64)
+    order = np.lexsort((errors, band))
+    edges = np.searchsorted(band[order], np.arange(bands + 2))
+    values, starts, ends = errors[order], edges[:-1].copy(), edges[1:].copy()
+    few = ends - starts < MIN_ERRORS
+    few[-1] = False
+    if few.any():
+        starts[few], ends[few] = values.size, values.size + int(returned.sum())
+        values = np.concatenate([values, np.sort(errors[returned])])
+    return RangeErrors(values, starts, ends)
 
 
 @dataclass(frozen=True, slots=True)
 class ExpectedScan:
-    """Probabilities (M, M) float64 that a cell is not visible, and that it is not occupied; those of scans multiply."""
+    """Probabilities (M, M) float64 that a cell is not visible, and not occupied, in any of the scans added."""
 
     unseen: NDArray[np.float64]
     unoccupied: NDArray[np.float64]
 
     @classmethod
     def nothing(cls, grid: GridSpec) -> ExpectedScan:
-        """No scan: no cell is visible."""
+        """Without a scan no cell is visible."""
         return cls(np.ones(grid.shape), np.ones(grid.shape))
 
     def add(
@@ -47,7 +106,7 @@ class ExpectedScan:
         grid: GridSpec,
         grid_T_sensor: SE2,
     ) -> None:
-        """Add a scan with the beams of `scan`, whose ranges are `true_ranges` (B,), metres, with `errors`."""
+        """Add a scan with the beams of `scan`; its ranges are `true_ranges` (B,), metres, with `errors`."""
         band = errors.bands(true_ranges)
         _add_beams(
             np.where(np.isfinite(true_ranges), true_ranges, 0.0).astype(np.float64),
@@ -66,7 +125,7 @@ class ExpectedScan:
         )
 
     def occupied_where_visible(self) -> NDArray[np.float64]:
-        """P(occupied | visible) (M, M); NaN in cells that no beam can reach."""
+        """P(occupied | visible) (M, M); NaN for cells that no beam can reach."""
         visible = 1.0 - self.unseen
         found = np.full(visible.shape, np.nan)
         np.divide(1.0 - self.unoccupied, visible, out=found, where=visible > 0.0)
@@ -77,7 +136,7 @@ class ExpectedScan:
 def _add_beams(base, directions, errors, starts, ends, range_min, range_max, x0, y0, cell_m, unseen, unoccupied, size):  # type: ignore[no-untyped-def]
     """Multiply `unseen` and `unoccupied` by the probabilities of each beam; coordinates in cells.
 
-    The range of beam i is `base[i]` plus one of `errors[starts[i]:ends[i]]`, each as probable as the others.
+    The range of beam i is `base[i]` plus one of `errors[starts[i]:ends[i]]`, all equally probable.
     """
     if not abs(x0) + abs(y0) < MAX_COORDINATE_CELLS:
         return
@@ -91,9 +150,9 @@ def _add_beams(base, directions, errors, starts, ends, range_min, range_max, x0,
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _walk(x0, y0, dx, dy, base, errors, valid, range_max, cell_m, unseen, unoccupied, size):  # type: ignore[no-untyped-def]
-    """Follow one beam from cell to cell (Amanatides and Woo, 1987) until it has no probability left.
+    """Follow one beam from cell to cell (Amanatides and Woo, 1987) until its probability is 0.
 
-    `errors[valid:]` are those of valid ranges; of them `errors[before:]` reach the current cell.
+    `errors[valid:]` give valid ranges, and `errors[before:]` ranges that reach the current cell.
     """
     across_x, across_y = 0.0 if abs(dx) < PARALLEL else dx, 0.0 if abs(dy) < PARALLEL else dy
     reach = range_max / cell_m
@@ -133,26 +192,26 @@ def _walk(x0, y0, dx, dy, base, errors, valid, range_max, cell_m, unseen, unoccu
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _cell(at, along, size):  # type: ignore[no-untyped-def]
-    """Row or column of the coordinate at which a beam enters the grid; on a grid line, of the cell that it enters."""
+    """Row or column of the cell in which a beam enters the grid; on a grid line the cell ahead."""
     cell = math.ceil(at) - 1 if along < 0.0 else math.floor(at)
     return min(max(cell, 0), size - 1)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _exit(start, along, cell):  # type: ignore[no-untyped-def]
-    """Distance in cells at which a beam leaves its row or column `cell`."""
+    """Distance, in cells, at which a beam leaves its row or column `cell`."""
     return np.inf if along == 0.0 else (cell + (along > 0.0) - start) / along
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _beside(start, along, across):  # type: ignore[no-untyped-def]
-    """-1 for a beam along a grid line but for a rounding error: both sides of it are visible, as in `cast_scan`."""
+    """-1 for a beam along a grid line, up to rounding: both sides of it are visible, as in `cast_scan`."""
     return -1 if across == 0.0 and along != 0.0 and start == math.floor(start) and start >= 1.0 else 0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _first_past(errors, first, base, range_max, cell_m, x0, y0, dx, dy, column, row):  # type: ignore[no-untyped-def]
-    """Index of the first of the ascending `errors[first:]` with which the beam does not end in or before a cell."""
+    """Index of the first of the ascending `errors[first:]` with which the beam ends beyond a cell."""
     if _past(base + errors[first], range_max, cell_m, x0, y0, dx, dy, column, row):
         return first
     if not _past(base + errors[-1], range_max, cell_m, x0, y0, dx, dy, column, row):
@@ -169,7 +228,7 @@ def _first_past(errors, first, base, range_max, cell_m, x0, y0, dx, dy, column, 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _past(distance, range_max, cell_m, x0, y0, dx, dy, column, row):  # type: ignore[no-untyped-def]
-    """Whether a beam of this range leaves a cell that it enters, with the arithmetic of `cast_scan`."""
+    """Whether a beam of this range ends beyond a cell that it enters, with the arithmetic of `cast_scan`."""
     if distance > range_max:
         return True
     length = distance / cell_m

@@ -1,4 +1,4 @@
-"""A planar laser in a scene: range and class of each beam, exact and with noise."""
+"""A planar laser in a scene: range and class of each beam, exact and with the errors of a real laser."""
 
 from __future__ import annotations
 
@@ -15,22 +15,122 @@ from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import MAX_ANGLE_RAD, MAX_BEAMS, Scan
 from gridtrack.common.scene import UNLABELLED, Outline, Scene
-from gridtrack.simulation.laser_errors import Hits, LaserErrors, measured
 
 MAX_SCENE_M = 1e6
 """Limit of the coordinates of a laser and of a static outline."""
+TOUCHING = 1e-9
+"""The sensor counts as on a side if its distance to it, as a share of the side's length, is smaller."""
 TICK_M = 2.0**-10
 """Resolution of the ranges. A power of two compresses well."""
 NEAR_RANGE_M = 10.0
 NEAR_NOISE_M, FAR_NOISE_M = 0.03, 0.05
-"""Standard deviation of the range up to NEAR_RANGE_M and beyond it: Hokuyo UTM-30LX, data sheet."""
-TOUCHING = 1e-9
-"""Distance to a side, as a share of its length, below which the sensor is taken to be on the side."""
+"""Standard deviation of ranges up to NEAR_RANGE_M and beyond: data sheet of the Hokuyo UTM-30LX."""
+MIXED_GAP_M = (0.06, 2.0)
+"""Depths of an edge at which a footprint on both sides may give a range in between."""
+FACING_RAD, FACING_SEEN = 0.12, 0.9
+"""Limit of nearly normal incidence, and the probability of a return from glass at it."""
+UNKNOWN_RAD = 0.5
+"""Assumed angle of incidence of a beam without a neighbour on the same outline."""
+GRAZING_RAD, GRAZING_LOST = 1.45, 0.5
+"""Beyond this angle of incidence, and beyond half the range, this share of the returns is lost."""
+DARK_LOST = 0.1
+"""Share of the returns from dark surfaces that are lost within their reach."""
+
+
+class LaserErrors(Settings):
+    """Errors of the ranges of a laser.
+
+    Not modelled: reflections in glass, motion during a revolution, and crosstalk of two lasers.
+    """
+
+    std_m: float = Field(default=0.01, ge=0.0, le=1.0)
+    """Standard deviation of a range at the sensor."""
+    std_per_m: float = Field(default=0.0, ge=0.0, le=0.1)
+    """Increase of the standard deviation per metre of range."""
+    resolution_m: float = Field(default=0.001, gt=0.0, le=0.1)
+    lost: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Probability that a beam has no return although it hits something."""
+    invalid: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Probability that a beam gives no information: NaN."""
+    mixed: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Probability that a beam at an edge gives a range between both surfaces."""
+    glass_seen: float = Field(default=0.3, ge=0.0, le=1.0)
+    """Probability of a return from glass, except at nearly normal incidence."""
+    dark_reach: float = Field(default=0.7, ge=0.0, le=1.0)
+    """Share of the maximum range up to which dark surfaces give returns."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """The exact hits of the B beams of a scan.
+
+    `ranges` (B,) float64, metres, +inf without a hit; `outline` (B,) int32: index of the outline, -1 without a hit.
+    `behind` (B,) float64 and `behind_outline` (B,) are the same without any glass. `glass` (B,) bool: the hit is glass;
+    `dark` (B,) bool: the hit behind any glass is dark.
+    """
+
+    ranges: NDArray[np.float64]
+    outline: NDArray[np.int32]
+    behind: NDArray[np.float64]
+    behind_outline: NDArray[np.int32]
+    glass: NDArray[np.bool_]
+    dark: NDArray[np.bool_]
+
+
+def measured(
+    hits: Hits, errors: LaserErrors, angle_increment: float, range_max: float, random: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """The measured ranges (B,) float32, metres, and the outline (B,) int32 of each; -1 if it is on none.
+
+    The random numbers depend on B only: a change of the scene does not change other beams.
+    """
+    draws = random.random((6, hits.ranges.size))
+    noise = random.standard_normal(hits.ranges.size)
+    incidence = incidences(hits.ranges, hits.outline, angle_increment)
+    pane_seen = draws[0] < np.where(incidence < FACING_RAD, FACING_SEEN, errors.glass_seen)
+    through = hits.glass & ~pane_seen
+    ranges = np.where(through, hits.behind, hits.ranges)
+    outline = np.where(through, hits.behind_outline, hits.outline)
+    dark = hits.dark & ~(hits.glass & pane_seen)
+    lost = draws[1] < errors.lost
+    lost |= dark & ((ranges > errors.dark_reach * range_max) | (draws[2] < DARK_LOST))
+    lost |= (incidence > GRAZING_RAD) & (ranges > range_max / 2.0) & (draws[2] < GRAZING_LOST)
+    mixed_ranges = _mixed(ranges, draws[4])
+    mixed = np.isfinite(mixed_ranges) & (draws[3] < errors.mixed)
+    ranges = np.where(mixed, mixed_ranges, ranges)
+    with np.errstate(invalid="ignore"):
+        noisy = ranges + (errors.std_m + errors.std_per_m * ranges) * np.where(dark, 2.0, 1.0) * noise
+        rounded = np.round(noisy / errors.resolution_m) * errors.resolution_m
+    found = np.clip(rounded, 0.0, math.floor(range_max / errors.resolution_m) * errors.resolution_m)
+    found = np.where(np.isfinite(ranges) & ~lost, found, np.inf)
+    found = np.where(draws[5] < errors.invalid, np.nan, found)
+    return found.astype(np.float32), np.where(np.isfinite(found) & ~mixed, outline, -1).astype(np.int32)
+
+
+def incidences(ranges: NDArray[np.float64], outline: NDArray[np.int32], angle_increment: float) -> NDArray[np.float64]:
+    """The angle of incidence (B,) of each beam, radians, from its neighbours on the same outline; else UNKNOWN_RAD."""
+    step = np.full(ranges.size, np.inf)
+    same = (outline[1:] == outline[:-1]) & (outline[1:] >= 0)
+    difference = np.full(ranges.size - 1, np.inf)
+    np.subtract(ranges[1:], ranges[:-1], out=difference, where=same)
+    step[1:] = np.abs(difference)
+    step[:-1] = np.minimum(step[:-1], np.abs(difference))
+    across = np.where(np.isfinite(ranges), ranges, 1.0) * abs(angle_increment)
+    return np.where(np.isfinite(step), np.arctan2(step, np.maximum(across, 1e-9)), UNKNOWN_RAD)
+
+
+def _mixed(ranges: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The range (B,) of a footprint on the surfaces of this beam and the next one; +inf without an edge."""
+    following = np.append(ranges[1:], ranges[-1:])
+    with np.errstate(invalid="ignore"):
+        gap = following - ranges
+        at_edge = (np.abs(gap) > MIXED_GAP_M[0]) & (np.abs(gap) < MIXED_GAP_M[1])
+        return np.where(at_edge, ranges + share * gap, np.inf)
 
 
 @dataclass(frozen=True, slots=True)
 class SceneSurfaces:
-    """What reflects unlike a wall: static outlines by number, of `glass` or `dark`, and tracks in dark cloth."""
+    """Surfaces other than matt: indices of static outlines of `glass` and `dark` ones, and tracks in dark clothes."""
 
     glass: Set[int] = frozenset()
     dark: Set[int] = frozenset()
@@ -41,7 +141,7 @@ MATT = SceneSurfaces()
 
 
 class Laser(Settings):
-    """A planar laser and its pose in the world or on its carrier; the defaults are those of the Hokuyo UTM-30LX."""
+    """A planar laser and its pose in the world or on its carrier; the defaults are of the Hokuyo UTM-30LX."""
 
     x: float = Field(default=0.0, ge=-MAX_SCENE_M, le=MAX_SCENE_M)
     y: float = Field(default=0.0, ge=-MAX_SCENE_M, le=MAX_SCENE_M)
@@ -53,7 +153,7 @@ class Laser(Settings):
     range_min: float = Field(default=0.1, ge=0.0, le=1e3)
     range_max: float = Field(default=30.0, gt=0.0, le=1e4)
     errors: LaserErrors | None = None
-    """Without them the noise is that of the Hokuyo UTM-30LX, and there are no other errors."""
+    """None: the noise of the Hokuyo UTM-30LX alone."""
 
     @model_validator(mode="after")
     def _check_field_of_view(self) -> Laser:
@@ -63,7 +163,7 @@ class Laser(Settings):
 
     @property
     def pose(self) -> SE2:
-        """`world_T_sensor` of a laser that stands, `carrier_T_sensor` of one that is carried."""
+        """`world_T_sensor`, or `carrier_T_sensor` if the laser is carried."""
         return SE2(self.x, self.y, self.theta)
 
     def scan(
@@ -96,7 +196,7 @@ class Laser(Settings):
         )
 
     def _hits(self, scene: Scene, world_T_sensor: SE2, surfaces: SceneSurfaces) -> Hits:
-        """What the beams hit, and what they would hit without the panes."""
+        """The hits of the beams, with and without glass."""
         poses = _poses(scene, world_T_sensor.inverse())
         outlines = _outlines(scene)
         beams = (self.angle_min, self.angle_increment, self.beams, self.range_max)
@@ -117,11 +217,11 @@ class Laser(Settings):
 def sweep(
     scene: Scene, world_T_sensor: SE2, angle_min: float, angle_increment: float, beams: int, range_max: float
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Ranges (B,) float32 in metres, free of noise, and labels (B,) uint8 of a laser at `world_T_sensor`.
+    """Exact ranges (B,) float32, metres, and labels (B,) uint8 of a laser at `world_T_sensor`.
 
     Beam i has the angle `angle_min + i * angle_increment` (radians, counter-clockwise, sensor frame). A range is the
-    distance to the nearest side of any outline, from outside or inside; +inf, labelled UNLABELLED, where there is none
-    within `range_max`.
+    distance to the nearest side of any outline, from outside or inside; +inf, labelled UNLABELLED, if it is beyond
+    `range_max`.
     """
     ranges, outline = first_hits(
         _outlines(scene), _poses(scene, world_T_sensor.inverse()), angle_min, angle_increment, beams, range_max
@@ -137,8 +237,8 @@ def first_hits(
     beams: int,
     range_max: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """The range (B,) float64 of each beam, metres, +inf without a hit, and the number (B,) int32 of the outline that it
-    hits, -1 without a hit; `poses` (O, 3) are the outlines' x, y, heading in the sensor frame."""
+    """The range (B,) float64 of each beam, metres, +inf without a hit, and the index (B,) int32 of the outline hit,
+    -1 without a hit; `poses` (O, 3) are x, y, heading of the outlines in the sensor frame."""
     nearest = np.full(beams, np.inf)
     hit = np.full(beams, -1, np.int32)
     if len(outlines):
@@ -160,13 +260,13 @@ def _outlines(scene: Scene) -> list[Outline]:
 
 
 def _labels(scene: Scene) -> NDArray[np.uint8]:
-    """The label of each outline, and UNLABELLED as the last, for the index -1: (O + 1,)."""
+    """The label of each outline, and UNLABELLED at the end for the index -1: (O + 1,)."""
     of_objects = [road_user.label for road_user in scene.objects]
     return np.array([*[scene.static_label] * len(scene.static), *of_objects, UNLABELLED], np.uint8)
 
 
 def with_noise(ranges: NDArray[np.float32], range_max: float, random: np.random.Generator) -> NDArray[np.float32]:
-    """`ranges` (B,) with normal noise, rounded to TICK_M, at most `range_max`; infinite ones are not changed."""
+    """`ranges` (B,) with normal noise, rounded to TICK_M, at most `range_max`; infinite ranges stay infinite."""
     std = np.where(ranges <= NEAR_RANGE_M, NEAR_NOISE_M, FAR_NOISE_M)
     ticks = np.round((ranges + std * random.standard_normal(ranges.size)) / TICK_M)
     measured = np.clip(ticks * TICK_M, 0.0, math.floor(range_max / TICK_M) * TICK_M)
@@ -174,7 +274,7 @@ def with_noise(ranges: NDArray[np.float32], range_max: float, random: np.random.
 
 
 def _poses(scene: Scene, sensor_T_world: SE2) -> NDArray[np.float64]:
-    """The pose of each outline, static ones first: (O, 3) as x, y, theta in the sensor frame."""
+    """x, y, heading (O, 3) of each outline in the sensor frame, static ones first."""
     poses = [sensor_T_world] * len(scene.static)
     poses += [sensor_T_world @ road_user.world_T_object for road_user in scene.objects]
     return np.array([(pose.x, pose.y, pose.theta) for pose in poses])
@@ -182,7 +282,7 @@ def _poses(scene: Scene, sensor_T_world: SE2) -> NDArray[np.float64]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _sweep(corners, counts, poses, angle_min, angle_increment, range_max, nearest, hit):  # type: ignore[no-untyped-def]
-    """Lower `nearest` (B,) to the distance of each outline's sides, and set `hit` (B,) to its number accordingly."""
+    """Reduce `nearest` (B,) to the distance of the nearest side, and set `hit` (B,) to the index of its outline."""
     first = 0
     for o in range(counts.size):
         c, s = math.cos(poses[o, 2]), math.sin(poses[o, 2])
@@ -215,7 +315,7 @@ def _side(px, py, qx, qy, angle_min, angle_increment, range_max, o, nearest, hit
     if abs(across) <= TOUCHING * length * length:
         _intersect(0, nearest.size, px, py, ex, ey, angle_min, angle_increment, range_max, o, nearest, hit)
         return
-    # Mirrored for clockwise beams, so that angles always increase with the beam number.
+    # mirrored for clockwise beams: angles always increase with the beam number
     turn = 1.0 if angle_increment >= 0.0 else -1.0
     step = max(abs(angle_increment), 1e-12)
     span = math.atan2(abs(across), px * qx + py * qy)

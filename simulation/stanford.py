@@ -1,9 +1,8 @@
-"""Annotated videos in the format of the Stanford Drone Dataset as tracks: recorded paths under a simulated laser.
+"""Annotations in the format of the Stanford Drone Dataset as tracks: recorded paths for a simulated laser.
 
-One line for each road user in each video frame, separated by spaces: `track xmin ymin xmax ymax frame lost occluded
-generated "Label"`, boxes in pixels, y downwards, 30 frames a second (Robicquet et al., "Learning social etiquette",
-ECCV 2016). Boxes lie along the image's axes, so headings come from the smoothed motion, and bodies have the usual size
-of their class.
+One line per road user and video frame, separated by spaces: `track xmin ymin xmax ymax frame lost occluded generated
+"Label"`, boxes in pixels, y downwards, 30 frames a second (Robicquet et al., "Learning social etiquette", ECCV 2016).
+Boxes are parallel to the image axes: headings come from the smoothed motion, and sizes from the class.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.options import Option, from_text
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.motion import headings, smoothed, unbroken_tracks
@@ -27,7 +28,7 @@ from gridtrack.simulation.tracks import MAX_USERS_PER_FRAME, ONLY_LASER, Tracks,
 
 VIDEO_HZ = 30.0
 SMOOTHING_STEPS = 10.0
-"""A third of a second: removes the jitter of hand-drawn boxes and keeps the motion."""
+"""A third of a second: removes the jitter of hand-drawn boxes but not the motion."""
 STANFORD_CLASSES = ("pedestrian", "cyclist", "car", "bus")
 ROAD_USERS = {
     "Pedestrian": ("pedestrian", 0.3, 0.5),
@@ -45,23 +46,32 @@ MAX_ANNOTATION_LINES, MAX_PIXELS, MAX_FRAME = 5_000_000, 1e6, 5_000_000
 
 
 class Video(Settings):
-    """Values that the annotations do not contain: metres to a pixel, site and rate of the recording, position of the
-    laser, metres, x right and y up from the image's upper left corner."""
+    """Values that the annotations do not contain."""
 
-    scale: float = Field(gt=0.0, le=10.0)
+    scale: Annotated[float, Option(metavar="METRES")] = Field(gt=0.0, le=10.0)
+    """Metres per pixel"""
     site: str = Field(min_length=1)
+    """Site of the recording"""
     rate_hz: float = Field(default=8.0, gt=0.0, le=VIDEO_HZ)
-    grid: str = "100x0.2"
-    laser_at: tuple[float, float] | None = None
-    """None: the position nearest to the median of all paths that every road user stays CLEARANCE_M away from."""
+    """Scans per second"""
+    grid: Annotated[str, Option(metavar="CELLSxMETRES[@X,Y]")] = "100x0.2"
+    """Grid around the laser"""
+    laser_at: Annotated[tuple[float, float] | None, Option(metavar="X,Y"), from_text(lambda text: text.split(","))] = (
+        None
+    )
+    """Position of the laser, metres from the image's upper left corner, x right and y up; default: the position nearest
+    to the median of all paths that is clear of every road user"""
     seed: int = Field(default=0, ge=0)
-    licence: str = ""
-    credit: str = ""
+    """Seed of the range noise"""
+    licence: Annotated[str, Option(metavar="TEXT")] = ""
+    """Licence of the recording"""
+    credit: Annotated[str, Option(metavar="TEXT")] = ""
+    """Authors of the annotations"""
 
 
 @dataclass(frozen=True)
 class _Boxes:
-    """Rows of the file: `track`, `frame` (N,) int64, `box` (N, 4) float64 pixels, `label` (N,) indexes ROAD_USERS."""
+    """Rows of the file: `track`, `frame` (N,) int64, `box` (N, 4) float64, pixels, `label` (N,) index of ROAD_USERS."""
 
     track: NDArray[np.int64]
     frame: NDArray[np.int64]
@@ -167,7 +177,7 @@ def _values(path: Path, number: int, row: list[str]) -> list[float]:
 
 
 def _resting_heading(boxes: _Boxes, rows: slice) -> float:
-    """The heading of a road user that never moves: along the longer side of its box."""
+    """The heading of a road user without motion: along the longer side of its box."""
     left, top, right, bottom = boxes.box[rows.start]
     return math.pi / 2.0 if bottom - top > right - left else 0.0
 
@@ -204,6 +214,6 @@ def _clear_position(path: Path, positions: NDArray[np.float64]) -> tuple[float, 
                 near |= padded[i : i + taken.shape[0], j : j + taken.shape[1]]
     free = low + (np.argwhere(~near) + 0.5) * raster
     if not len(free):
-        raise RecordingError(f"{path}: no position is clear of road users; give that of the laser with --laser-at X,Y")
+        raise RecordingError(f"{path}: no position is clear of road users; give one with --laser-at X,Y")
     best = free[np.argmin(np.linalg.norm(free - np.median(positions, axis=0), axis=1))]
     return round(float(best[0]), 2), round(float(best[1]), 2)

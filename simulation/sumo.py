@@ -1,6 +1,6 @@
-"""Traffic from Eclipse SUMO with pedestrians by JuPedSim: runs the simulation and reads the positions.
+"""Traffic by Eclipse SUMO with pedestrians by JuPedSim: runs the simulation and reads the positions.
 
-SUMO gives the position of the front bumper, and headings in degrees clockwise from north, which are converted to
+SUMO gives the position of the front bumper, and headings in degrees clockwise from north; these are converted to
 radians counter-clockwise from x.
 """
 
@@ -34,16 +34,15 @@ EXIT_TIMEOUT_S = 30.0
 
 
 class SimulationError(GridtrackError):
-    """A simulation that did not run, or whose traffic cannot be used."""
+    """A simulation failed, or its traffic cannot be used."""
 
 
 @dataclass(frozen=True)
 class Movements:
-    """Positions of all road users, sorted by road user and then step.
+    """Positions of all road users, sorted by road user, then step.
 
-    `user` (N,) int64 numbers the road users in the order of their names; `kind` (users,) is the vehicle type of each;
-    `step` (N,) int64 counts from the first; `position` (N, 2) float64 is SUMO's reference point, metres; `heading`
-    (N,) float64, radians.
+    `user` (N,) int64: index of the road user in the order of the names; `kind` (users,): its vehicle type; `step` (N,)
+    int64, from 0; `position` (N, 2) float64: SUMO's reference point, metres; `heading` (N,) float64, radians.
     """
 
     kind: tuple[str, ...]
@@ -54,7 +53,7 @@ class Movements:
 
 
 class TrafficObserver(Protocol):
-    """Observes the traffic while it is simulated, and may act on it, through a TraCI connection to SUMO."""
+    """Observes the traffic during the simulation, and may control it, through a TraCI connection to SUMO."""
 
     every_s: float
 
@@ -74,10 +73,10 @@ def run_sumo(
     seed: int,
     observer: TrafficObserver,
 ) -> Movements:
-    """Simulate from time 0 and return the movements in `span_s`; temporary files are written to `folder`.
+    """The movements in `span_s` of a simulation from time 0; temporary files are written to `folder`.
 
     `routes` is the XML of the demand. The same version and arguments give the same movements. Raises
-    ConfigurationError where SUMO is not installed, SimulationError where it fails.
+    ConfigurationError if SUMO is not installed, SimulationError if it fails.
     """
     demand, output, errors = folder / "demand.rou.xml", folder / "positions.csv", folder / "errors.log"
     demand.write_text(routes)
@@ -129,7 +128,7 @@ def sumo_program(name: str) -> Path:
 
 
 def _simulate(command: list[str], end_s: float, observer: TrafficObserver) -> None:
-    """Run `command` up to `end_s` with an observer. Raises TraCI's errors where SUMO ends before."""
+    """Run `command` up to `end_s` with an observer. Raises TraCI's errors if SUMO ends before."""
     from sumolib.miscutils import getFreeSocketPort
     from traci.exceptions import FatalTraCIError, TraCIException
 
@@ -145,7 +144,7 @@ def _simulate(command: list[str], end_s: float, observer: TrafficObserver) -> No
             traffic.close()
         except (FatalTraCIError, TraCIException):
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(EXIT_TIMEOUT_S)  # SUMO writes its error after it has closed the connection
+                process.wait(EXIT_TIMEOUT_S)  # SUMO closes the connection before it writes its error
             raise
         finally:
             process.kill()
@@ -154,15 +153,15 @@ def _simulate(command: list[str], end_s: float, observer: TrafficObserver) -> No
 
 
 def _connected(process: subprocess.Popen[bytes], port: int) -> Any:
-    """The TraCI connection to the process, once it listens."""
+    """The TraCI connection to the process; waits until it listens."""
     import traci
 
-    with contextlib.redirect_stdout(io.StringIO()):  # it prints every attempt
+    with contextlib.redirect_stdout(io.StringIO()):  # traci prints every attempt
         return traci.connect(port, CONNECTION_TRIES, proc=process, waitBetweenRetries=CONNECTION_WAIT_S)
 
 
 def _first_error(log: Path) -> str:
-    """The first error in SUMO's log, or an empty text."""
+    """The first error in SUMO's log; empty without any."""
     lines = log.read_text().splitlines() if log.is_file() else []
     return next((line for line in lines if line.startswith("Error")), "")
 

@@ -1,4 +1,4 @@
-"""Tracks: the pose of every road user in each frame, and the lasers that watch them, from which scans are rendered."""
+"""Tracks: the pose of every road user in each frame, and the lasers, from which scans are rendered."""
 
 from __future__ import annotations
 
@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 from pydantic import Field, field_serializer, field_validator
 
 from gridtrack.common.config import Settings
+from gridtrack.common.files import NAME_RULE, is_name
 from gridtrack.common.geometry import SE2
-from gridtrack.common.names import NAME_RULE, is_name
 from gridtrack.common.scan import MIN_RATE_HZ, Scan
 from gridtrack.common.scene import UNLABELLED, Outline, Scene, SceneObject
 from gridtrack.recordings.recording_info import RecordingInfo
-from gridtrack.simulation.bodies import body_outline
+from gridtrack.simulation.bodies import Walker, body_outline, outlines_of
 from gridtrack.simulation.laser import MATT, MAX_SCENE_M, Laser, SceneSurfaces
-from gridtrack.simulation.motion import unbroken_tracks
-from gridtrack.simulation.odometry import WheelOdometry
-from gridtrack.simulation.walkers import Walker, outlines_of
+from gridtrack.simulation.motion import WheelOdometry, unbroken_tracks
 
 MAX_FRAMES, MAX_USERS_PER_FRAME = 5_000_000, 1000
 HALF_TURN_MRAD = 3141
@@ -28,15 +26,15 @@ MAX_OUTLINES, MAX_OUTLINE_CORNERS = 1000, 1000
 MAX_LASERS = 8
 MAX_WALKERS = 5000
 ONLY_LASER = "scan"
-"""The name of the laser of a recording that has one."""
+"""The name of the laser if there is only one."""
 
 Corner = tuple[float, float]
 
 
 class Carrier(Settings):
-    """The road user that carries the lasers, through all frames; no laser sees it, and it is not in the true scene.
+    """The road user that carries the lasers in all frames; it is neither in the scans nor in the true scene.
 
-    Without `odometry` the recorded poses are the true ones.
+    Without `odometry` the true poses are recorded.
     """
 
     track: int = Field(ge=0)
@@ -44,9 +42,9 @@ class Carrier(Settings):
 
 
 class World(Settings):
-    """What the lasers see at their height: people as walkers, and surfaces unlike a wall's.
+    """The scene at the height of the lasers: people as walkers, and surfaces other than matt.
 
-    `walkers` are tracks by number, of a person each; `glass` and `dark` number static outlines.
+    `walkers` are the persons by track number; `glass` and `dark` are indices of static outlines.
     """
 
     plane_m: float = Field(ge=0.02, le=3.0)
@@ -66,10 +64,10 @@ class World(Settings):
 
 
 class TracksInfo(Settings):
-    """The input of a recording besides its tracks.
+    """The input of a rendered recording besides its tracks.
 
-    `lasers` have the poses `world_T_sensor`, or with a carrier `carrier_T_sensor`; `static` outlines are corners in
-    metres, world frame, counter-clockwise; `noise_seed` seeds the lasers' noise.
+    The poses of `lasers` are `world_T_sensor`, or with a carrier `carrier_T_sensor`. `static` outlines are corners in
+    metres, world frame, counter-clockwise. `noise_seed` seeds the noise of the lasers.
     """
 
     recording: RecordingInfo
@@ -80,10 +78,10 @@ class TracksInfo(Settings):
     static: tuple[tuple[Corner, ...], ...] = Field(default=(), max_length=MAX_OUTLINES)
     static_class: str | None = None
     made_with: dict[str, str] = Field(default_factory=dict)
-    """Versions of the programs that made the tracks."""
+    """Versions of the simulation programs."""
     carrier: Carrier | None = None
     world: World | None = None
-    """Without it every road user has the outline of its class, at any height."""
+    """None: every road user has the outline of its class, at any height."""
 
     @field_validator("lasers")
     @classmethod
@@ -104,7 +102,7 @@ class TracksInfo(Settings):
 
 @dataclass(frozen=True)
 class Tracks:
-    """Road users over time, row by row in the order of frame and track.
+    """Road users over time, one row for each frame and track, sorted by frame, then track.
 
     `frame` and `track` (N,) int64; `label` (N,) int64 indexes `info.recording.classes`; `pose` (N, 3) float64 is x, y,
     heading of the body's centre, world frame; `size` (N, 2) float64 its length and width; metres and radians.
@@ -123,19 +121,19 @@ class Tracks:
         static = tuple(np.array(outline, np.float32) for outline in self.info.static)
         static_label = classes.index(self.info.static_class) if self.info.static_class else UNLABELLED
         seen = self.without_carrier()
-        walking = seen._walking()
+        outlines = seen._walker_outlines()
         starts = np.searchsorted(seen.frame, np.arange(self.info.frames + 1)).tolist()
         for first, end in itertools.pairwise(starts):
             columns = (column[first:end].tolist() for column in (seen.track, seen.label, seen.pose, seen.size))
             objects = tuple(
                 SceneObject(track, label, SE2(*pose), outline)
                 for row, track, label, pose, size in zip(range(first, end), *columns, strict=True)
-                for outline in walking.get(row) or (body_outline(classes[label], *size),)
+                for outline in outlines.get(row) or (body_outline(classes[label], *size),)
             )
             yield Scene(static, static_label, objects)
 
-    def _walking(self) -> dict[int, tuple[Outline, ...]]:
-        """The outlines of walkers, by row."""
+    def _walker_outlines(self) -> dict[int, tuple[Outline, ...]]:
+        """The outlines of walkers by row."""
         world = self.info.world
         if world is None:
             return {}
@@ -152,8 +150,10 @@ class Tracks:
         return found
 
     def scans(self) -> Iterator[Scan]:
-        """The scans of each frame, in the order of the lasers; their noise depends on the seed, the frame number and
-        the number of the laser only."""
+        """The scans of each frame, in the order of the lasers.
+
+        Their noise depends on the seed, the frame number and the index of the laser only.
+        """
         info = self.info
         period_ns = round(1e9 / info.rate_hz)
         true = {name: self.sensor_poses(name).tolist() for name in info.lasers}
@@ -169,14 +169,14 @@ class Tracks:
                 yield scan
 
     def sensor_poses(self, name: str) -> NDArray[np.float64]:
-        """The true pose `world_T_sensor` of a laser in each frame: (frames, 3) x, y, heading."""
+        """The true pose `world_T_sensor` of a laser in each frame: x, y, heading (frames, 3)."""
         laser = self.info.lasers[name]
         if self.info.carrier is None:
             return np.broadcast_to([laser.x, laser.y, laser.theta], (self.info.frames, 3))
         return _mounted(self.pose[self.track == self.info.carrier.track], laser)
 
     def _recorded_poses(self) -> dict[str, list[list[float]]]:
-        """The recorded poses of each laser where they are not the true ones."""
+        """The recorded poses of each laser, if they differ from the true ones."""
         carrier = self.info.carrier
         if carrier is None or carrier.odometry is None:
             return {}
@@ -184,11 +184,11 @@ class Tracks:
         return {name: _mounted(recorded, laser).tolist() for name, laser in self.info.lasers.items()}
 
     def without_carrier(self) -> Tracks:
-        """The rows of the road users that a laser can see."""
+        """The rows of the road users except the carrier."""
         return self if self.info.carrier is None else self.where(self.track != self.info.carrier.track)
 
     def where(self, kept: NDArray[np.bool_]) -> Tracks:
-        """The rows (N,) that are kept."""
+        """The rows marked by `kept` (N,)."""
         return replace(
             self,
             frame=self.frame[kept],
@@ -199,7 +199,7 @@ class Tracks:
         )
 
     def rounded(self) -> Tracks:
-        """The tracks with the resolution of the file."""
+        """The tracks rounded to the resolution of the file."""
         heading = np.arctan2(np.sin(self.pose[:, 2]), np.cos(self.pose[:, 2]))
         heading_mrad = np.clip(np.round(heading * 1000.0), -HALF_TURN_MRAD, HALF_TURN_MRAD)
         whole = np.column_stack([np.round(self.pose[:, :2] * 100.0), heading_mrad])
@@ -208,6 +208,6 @@ class Tracks:
 
 
 def _mounted(bodies: NDArray[np.float64], laser: Laser) -> NDArray[np.float64]:
-    """The poses (n, 3) of a laser on bodies with the poses (n, 3)."""
+    """The poses (n, 3) of a laser mounted on bodies with the poses (n, 3)."""
     poses = (SE2(*body) @ laser.pose for body in bodies.tolist())
     return np.array([(pose.x, pose.y, pose.theta) for pose in poses])

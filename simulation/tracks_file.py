@@ -1,9 +1,4 @@
-"""Tracks as a file: what a recording is rendered from.
-
-A Parquet file with one row for each road user in each frame, integers in the unit of measurement in the column's name,
-and the rest of the recording (TracksInfo) as JSON in its metadata. An hour of a busy junction takes about two
-megabytes.
-"""
+"""The file of simulated tracks, from which a recording is rendered."""
 
 from __future__ import annotations
 
@@ -18,13 +13,16 @@ from numpy.typing import NDArray
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.files import atomic_write
 from gridtrack.common.untrusted import parse_json
+from gridtrack.recordings.formats.native import write_native
 from gridtrack.simulation.tracks import MAX_USERS_PER_FRAME, ONLY_LASER, Tracks, TracksInfo
 
 STANDING_SCHEMA, TRACKS_SCHEMA, WORLD_SCHEMA = 1, 2, 3
-"""Of a file with one laser that stands, of one with several lasers or a carrier, and of a world's, with walkers,
-surfaces and lasers' errors."""
+"""Schema of a file with one standing laser, with several lasers or a carrier, and of a world with walkers, surfaces and
+laser errors."""
 METADATA_KEY = b"gridtrack.tracks"
+SIMULATED_SUFFIXES = (".tracks", ".mcap")
 TRACK_COLUMNS = {
     "frame": pa.int32(),
     "track": pa.int32(),
@@ -37,13 +35,13 @@ TRACK_COLUMNS = {
 }
 MAX_TRACK_ROWS = 5_000_000
 MAX_RENDERED_BEAMS = 1_000_000_000
-"""Limit of the beams in all frames together: the rendered recording of a small file must not fill the disk."""
+"""Limit of the beams of all frames: the rendering of a small file must not fill the disk."""
 MAX_INTERSECTIONS = 1_000_000_000
-"""Limit of the beams of a frame times the corners of the static outlines: a frame is rendered within seconds."""
+"""Limit of the beams of a frame times the corners of the static outlines, so that a frame renders within seconds."""
 
 
 def write_tracks(file: BinaryIO, tracks: Tracks) -> None:
-    """Write `tracks`, positions to the centimetre and headings to the milliradian; same input, same bytes.
+    """Write `tracks` with positions in centimetres and headings in milliradians; same input, same bytes.
 
     Rows are sorted by track, so that successive numbers differ little and take a byte or two.
     """
@@ -83,7 +81,7 @@ def _metadata(info: TracksInfo) -> dict[str, Any]:
     del values["world"]
     for laser in values["lasers"].values():
         if laser.pop("errors") is not None:
-            raise RecordingError("a laser with errors of its own needs a world: its plane and walkers")
+            raise RecordingError("a laser with errors needs a world: its plane and walkers")
     if info.carrier is None and list(info.lasers) == [ONLY_LASER]:
         one = {"laser" if name == "lasers" else name: value for name, value in values.items() if name != "carrier"}
         return {"schema": STANDING_SCHEMA} | one | {"laser": values["lasers"][ONLY_LASER]}
@@ -91,7 +89,7 @@ def _metadata(info: TracksInfo) -> dict[str, Any]:
 
 
 def read_tracks(path: Path) -> Tracks:
-    """The tracks of an untrusted file. Raises RecordingError for one that is damaged or exceeds a limit."""
+    """The tracks of an untrusted file. Raises RecordingError if it is damaged or exceeds a limit."""
     try:
         with pq.ParquetFile(path) as file:
             info = _read_info(path, file)
@@ -116,7 +114,7 @@ def read_tracks(path: Path) -> Tracks:
 
 
 def _read_info(path: Path, file: pq.ParquetFile) -> TracksInfo:
-    """The metadata of the file, read before any of its columns is decompressed."""
+    """The metadata of the file, read before any column is decompressed."""
     about = (file.schema_arrow.metadata or {}).get(METADATA_KEY)
     if about is None or file.metadata.num_rows > MAX_TRACK_ROWS:
         reason = "not a file of tracks" if about is None else f"more than {MAX_TRACK_ROWS} rows"
@@ -127,7 +125,7 @@ def _read_info(path: Path, file: pq.ParquetFile) -> TracksInfo:
     try:
         values = parse_json(about)
     except ValueError as error:
-        raise RecordingError(f"{path}: its metadata are not JSON that can be read ({str(error)[:80]})") from None
+        raise RecordingError(f"{path}: its metadata are not valid JSON ({str(error)[:80]})") from None
     schema = values.pop("schema", None) if isinstance(values, dict) else None
     if schema not in (STANDING_SCHEMA, TRACKS_SCHEMA, WORLD_SCHEMA):
         readable = f"{STANDING_SCHEMA} to {WORLD_SCHEMA}"
@@ -138,7 +136,7 @@ def _read_info(path: Path, file: pq.ParquetFile) -> TracksInfo:
 
 
 def _check_rows(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.int64]]) -> None:
-    """Raise RecordingError for rows that are not a scene."""
+    """Raise RecordingError for rows that cannot be rendered."""
     frame, track = columns["frame"], columns["track"]
     classes = info.recording.classes
     if info.static_class is not None and info.static_class not in classes:
@@ -158,15 +156,19 @@ def _check_rows(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.int6
     if info.world is not None:
         numbers = info.world.glass | info.world.dark
         beyond = [number for number in numbers if not 0 <= number < len(info.static)]
-        _raise_if(path, "glass or a dark surface that is no static outline", bool(beyond))
+        _raise_if(path, "a glass or dark surface without a static outline", bool(beyond))
     if info.carrier is not None and not np.array_equal(frame[track == info.carrier.track], np.arange(info.frames)):
         raise RecordingError(f"{path}: damaged (the carrier of the lasers is not in every frame)")
-    if not frame.size:
-        return
+    if frame.size:
+        _check_values(path, info, columns)
+
+
+def _check_values(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.int64]]) -> None:
+    frame, track, classes = columns["frame"], columns["track"], info.recording.classes
     _raise_if(path, f"a frame outside 0 to {info.frames - 1}", frame.min() < 0 or frame.max() >= info.frames)
     _raise_if(path, "a track below 0", track.min() < 0)
-    _raise_if(path, f"a class beyond the {len(classes)} that it names", columns["class"].max() >= len(classes))
-    _raise_if(path, "a body without extent", min(columns["length_cm"].min(), columns["width_cm"].min()) < 1)
+    _raise_if(path, f"a class above {len(classes) - 1}", columns["class"].max() >= len(classes))
+    _raise_if(path, "a body of size 0", min(columns["length_cm"].min(), columns["width_cm"].min()) < 1)
     _raise_if(path, "a track twice in one frame", ((np.diff(frame) == 0) & (np.diff(track) == 0)).any())
     _raise_if(
         path,
@@ -178,3 +180,26 @@ def _check_rows(path: Path, info: TracksInfo, columns: dict[str, NDArray[np.int6
 def _raise_if(path: Path, fault: str, found: bool | np.bool_) -> None:
     if found:
         raise RecordingError(f"{path}: damaged ({fault})")
+
+
+def check_suffix(out: Path) -> None:
+    """Raise RecordingError if the suffix is neither .tracks nor .mcap; for use before a long simulation."""
+    if out.suffix not in SIMULATED_SUFFIXES:
+        raise RecordingError(f"{out}: a simulated recording is a .tracks or .mcap file")
+
+
+def write_recording(out: Path, tracks: Tracks) -> None:
+    """Write `tracks` as .tracks, or their scans as .mcap; both give the same scans.
+
+    Same tracks, same bytes. Raises RecordingError; `out` is then unchanged.
+    """
+    check_suffix(out)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(out) as file:
+            if out.suffix == ".tracks":
+                write_tracks(file, tracks)
+            else:
+                write_native(file, tracks.info.recording, tracks.scans())
+    except OSError as error:
+        raise RecordingError(f"{out}: cannot be written ({error.strerror})") from None

@@ -1,4 +1,4 @@
-"""Checks of simulated traffic: presence and motion in the window, gridlock, collisions with walls and the lasers."""
+"""Checks of simulated traffic: presence and motion in the window, gridlock, collisions with walls and lasers."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from gridtrack.simulation.tracks import ONLY_LASER, Tracks
 
 MOVING_M_S = 0.3
 STRIDE = 4
-"""Cells are counted in every STRIDE-th frame."""
+"""Moving cells are counted in every STRIDE-th frame."""
 GRIDLOCK_S = 240.0
-"""Longer than any queue at a signal: more than two signal cycles of the junction."""
+"""More than two signal cycles of the junction: longer than any queue at a signal."""
 
 
 @dataclass(frozen=True)
 class ClassTraffic:
-    """One class in the window: the share of frames with at least one road user of it, with at least one moving, and the
-    outline cells of moving ones per minute of frames."""
+    """One class in the window: the share of frames with at least one road user of the class, with at least one moving,
+    and the outline cells of moving ones per minute."""
 
     name: str
     present: float
@@ -43,17 +43,17 @@ class Traffic:
     faults: tuple[str, ...]
 
     def __str__(self) -> str:
-        lines = [f"{self.minutes:g} minutes; the longest that a vehicle stands: {self.longest_stand_s:.1f} s"]
+        lines = [f"{self.minutes:g} minutes; longest standing time of a vehicle: {self.longest_stand_s:.1f} s"]
         lines += [
             f"{c.name}: in {c.present:.1%} of frames, moving in {c.moving:.1%},"
-            f" {c.moving_cells_per_minute:.0f} moving cells a minute"
+            f" {c.moving_cells_per_minute:.0f} moving cells per minute"
             for c in self.classes
         ]
         return "\n".join(lines + [f"fault: {fault}" for fault in self.faults])
 
 
 def check_traffic(tracks: Tracks) -> Traffic:
-    """Check `tracks`, in the window of its recording, which follows the first laser."""
+    """Check `tracks` in the window of its recording, which follows the first laser."""
     lasers = {name: tracks.sensor_poses(name) for name in tracks.info.lasers}
     faults = _through_walls(tracks)
     tracks = tracks.without_carrier()
@@ -78,14 +78,14 @@ def check_traffic(tracks: Tracks) -> Traffic:
 
 
 def _by_track(tracks: Tracks) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Rows in the order of track and frame, and which of them directly follows the row before."""
+    """Row indices sorted by track and frame (N,), and whether each row follows the one before it without a gap (N,)."""
     order = np.lexsort((tracks.frame, tracks.track))
     track, frame = tracks.track[order], tracks.frame[order]
     return order, np.concatenate([[False], (np.diff(track) == 0) & (np.diff(frame) == 1)])
 
 
 def _speeds(tracks: Tracks) -> NDArray[np.float64]:
-    """Metres per second since the frame before, (N,); in a track's first frame that of its second."""
+    """Speed (N,), m/s, since the frame before; in the first frame of a track the speed of the second frame."""
     order, follows = _by_track(tracks)
     step = np.diff(tracks.pose[order, :2], axis=0, prepend=tracks.pose[order[:1], :2])
     speed = np.hypot(step[:, 0], step[:, 1]) * tracks.info.rate_hz
@@ -98,14 +98,14 @@ def _speeds(tracks: Tracks) -> NDArray[np.float64]:
 
 
 def _in_window(tracks: Tracks, grid: GridSpec, windows: list[SE2]) -> NDArray[np.bool_]:
-    """Whether the centre of the body is in the window of its frame, (N,)."""
+    """Whether the centre of each body is in the window of its frame, (N,)."""
     corners = np.array([(window.x, window.y) for window in windows])
     _, inside = grid.cells_of(tracks.pose[:, :2] - corners[tracks.frame])
     return inside
 
 
 def _longest_stand(tracks: Tracks, speed: NDArray[np.float64]) -> tuple[float, str]:
-    """The longest continuous stand of a vehicle, seconds, and a text with the vehicle, its position and the frame."""
+    """The longest time that a vehicle stands, seconds, and a text with the vehicle, its position and the frame."""
     classes = tracks.info.recording.classes
     order, follows = _by_track(tracks)
     walks = [i for i, name in enumerate(classes) if name == "pedestrian"]
@@ -132,7 +132,7 @@ def _moving_cells(tracks: Tracks, moving: NDArray[np.bool_], grid: GridSpec, win
 
 
 def _through_walls(tracks: Tracks) -> list[str]:
-    """A line for each class with a body's corner inside a static outline."""
+    """A line for each class with a corner of a body inside a static outline."""
     hit = np.zeros(len(tracks.frame), np.bool_)
     for rows, outline in _bodies(tracks):
         corners = _transformed(outline, tracks.pose[rows])
@@ -142,8 +142,8 @@ def _through_walls(tracks: Tracks) -> list[str]:
 
 
 def _on_the_laser(tracks: Tracks, name: str, poses: NDArray[np.float64]) -> list[str]:
-    """A line for each class with a body that covers a laser, whose `poses` (frames, 3) are given, or is nearer to it
-    than its minimum range."""
+    """A line for each class with a body that covers the laser at `poses` (frames, 3), or is nearer to it than its
+    minimum range."""
     hit = np.zeros(len(tracks.frame), np.bool_)
     for rows, outline in _bodies(tracks):
         x, y, heading = tracks.pose[rows].T
@@ -169,7 +169,7 @@ def _fault_lines(tracks: Tracks, hit: NDArray[np.bool_], where: str) -> list[str
 
 
 def _bodies(tracks: Tracks) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """The rows (n,) of each distinct body, and its outline (N, 2) in its own frame."""
+    """The rows (n,) of each distinct body, and its outline (N, 2), body frame."""
     classes = tracks.info.recording.classes
     kinds, kind = np.unique(np.column_stack([tracks.label, tracks.size]), axis=0, return_inverse=True)
     for k, (label, length, width) in enumerate(kinds.tolist()):
@@ -185,7 +185,7 @@ def _transformed(outline: NDArray[np.float64], pose: NDArray[np.float64]) -> NDA
 
 
 def inside(points: NDArray[np.float64], outline: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which points (P, 2) lie inside a closed outline (N, 2), by the number of its sides to their right."""
+    """Which of `points` (P, 2) are inside a closed outline (N, 2) by the even-odd rule, (P,)."""
     low, high = outline.min(axis=0), outline.max(axis=0)
     near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
     x, y = points[near, 0], points[near, 1]

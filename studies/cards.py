@@ -14,8 +14,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from gridtrack.trackers.card import Card
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.card import Card
+from gridtrack.trackers.training.weights import read_card
 
 from studies.support.results_file import ResultTable, measured_table, study_parser, write_table
 from studies.support.shipped import WEIGHTS

@@ -15,11 +15,10 @@ import torch
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.scoring.referee import Delivery, Schedule
-from gridtrack.evaluation.scoring.regions import Regions
-from gridtrack.evaluation.scoring.semantics import VISIBILITIES, Matching, count_classes, match_classes
-from gridtrack.evaluation.scoring.target import Target
-from gridtrack.evaluation.scoring.world_kinds import KindsOfWindow
+from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
+from gridtrack.evaluation.referee.referee import Delivery, Schedule
+from gridtrack.evaluation.referee.targets import Target
+from gridtrack.evaluation.scores.class_log_loss import VISIBILITIES, Matching, count_classes, match_classes
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Tracker

@@ -25,27 +25,21 @@ from scipy.optimize import brentq
 from scipy.signal import lfilter
 from scipy.special import expit
 
-from gridtrack.evaluation.statistics.jackknife import (
-    COUNTS,
-    degrees_of_freedom,
-    differences,
-    interval,
-    pooled,
-    ratio_sums,
-)
-from gridtrack.evaluation.statistics.training_differences import Trainings, training_differences
+from gridtrack.evaluation.scores.definition import Ratio
+from gridtrack.evaluation.statistics.jackknife import degrees_of_freedom, difference, interval, ratio_replicates
+from gridtrack.evaluation.statistics.trainings import Trainings, training_differences
 from gridtrack.evaluation.statistics.units import (
     UnitRule,
     autocorrelation_time,
     residuals,
     shortest_block_s,
-    sum_by_unit,
 )
 
 from studies.support.results_file import ResultTable, measured_table, study_parser, write_table
 
 COMMAND = "python -m studies.coverage"
 Floats = NDArray[np.float64]
+Counts = NDArray[np.int64]
 
 MEMORIES = {
     "2 s": {2.0: 1.0},
@@ -74,12 +68,15 @@ IN_COMMON = (0.64, 1.0)
 """The share of the variance of each deviation that the rows of a tracker have in common."""
 
 
-def counts_of(tp: Floats, fp: Floats, occupied: Floats) -> Floats:
-    """The counts (..., C) of the statistics, without losses."""
-    counts = np.zeros((*np.shape(tp), len(COUNTS)))
-    for name, values in (("tp", tp), ("fp", fp), ("fn", occupied - tp)):
-        counts[..., COUNTS.index(name)] = values
-    return counts
+def f1_of(tp: Counts, fp: Counts, occupied: Counts) -> Ratio:
+    """F1 of counts of cells (...)."""
+    return Ratio((2 * tp).astype(np.float64), (tp + fp + occupied).astype(np.float64), counted=True)
+
+
+def pooled(f1: Ratio) -> Floats:
+    """F1 (...) of all units (U, ...) together."""
+    value: Floats = f1.part.sum(axis=0) / f1.whole.sum(axis=0)
+    return value
 
 
 def drift(frames: int, memory_s: Mapping[float, float], rng: np.random.Generator) -> Floats:
@@ -92,26 +89,27 @@ def drift(frames: int, memory_s: Mapping[float, float], rng: np.random.Generator
     return total
 
 
-def one_recording(frames: int, memory_s: Mapping[float, float], rng: np.random.Generator) -> Floats:
-    """Counts (F, C) of one recording, a frame per second."""
+def one_recording(frames: int, memory_s: Mapping[float, float], rng: np.random.Generator) -> Ratio:
+    """F1 (F,) of one recording, a frame per second."""
     rate = 20.0 * np.exp(0.5 * drift(frames, memory_s, rng))
     occupied = rng.poisson(rate)
     tp, fp = rng.binomial(occupied, expit(0.7 * drift(frames, memory_s, rng))), rng.poisson(0.3 * (rate + 0.5))
-    return counts_of(tp, fp, occupied)
+    return f1_of(tp, fp, occupied)
 
 
 def blocks_hold(frames: int, memory_s: Mapping[float, float], draws: int, rng: np.random.Generator) -> list[bool]:
     """Whether the interval contains the truth, of each drawn recording that is long enough for an interval."""
-    truth = np.mean([pooled(one_recording(20_000, memory_s, rng), "f1") for _ in range(60)])
+    truth = np.mean([pooled(one_recording(20_000, memory_s, rng)) for _ in range(60)])
     found = []
     for _ in range(draws):
-        counts = one_recording(frames, memory_s, rng)
-        ratios = (part[:, None] for part in ratio_sums(counts, "f1"))
-        block_s = shortest_block_s(autocorrelation_time(residuals(*ratios)), None)
-        units = UnitRule(("one",), block_s).units_of([np.arange(frames) * 1_000_000_000])
-        low, high = interval(sum_by_unit([counts], units))
-        if not np.isnan(low):
-            found.append(bool(low <= truth <= high))
+        f1 = one_recording(frames, memory_s, rng)
+        block_s = shortest_block_s(autocorrelation_time(residuals(f1.part[:, None], f1.whole[:, None])), None)
+        (units,) = UnitRule(("one",), block_s).units_of([np.arange(frames) * 1_000_000_000])
+        part, whole = (np.bincount(units, side).astype(np.float64) for side in (f1.part, f1.whole))
+        by_unit = Ratio(part, whole, counted=True)
+        drawn = interval(ratio_replicates(by_unit), "odds")
+        if not np.isnan(drawn.low):
+            found.append(bool(drawn.low <= truth <= drawn.high))
     return found
 
 
@@ -125,8 +123,8 @@ def block_table(draws: int) -> ResultTable:
     return measured_table(("memory", "recording, s", "intervals drawn, %", "of them with the truth, %"), rows)
 
 
-def of_unlike_size(rng: np.random.Generator, shape: tuple[int, ...], spread: float, level: float) -> list[Floats]:
-    """Counts (U, R, C) of two trackers on the same recordings; `level` shifts the recall of the first everywhere."""
+def of_unlike_size(rng: np.random.Generator, shape: tuple[int, ...], spread: float, level: float) -> list[Ratio]:
+    """F1 (U, R) of two trackers on the same recordings; `level` shifts the recall of the first everywhere."""
     log_size = spread * rng.standard_normal(shape)
     occupied = rng.poisson(CELLS * np.exp(log_size))
     difficulty = DIFFICULTY * rng.standard_normal(shape)
@@ -134,7 +132,7 @@ def of_unlike_size(rng: np.random.Generator, shape: tuple[int, ...], spread: flo
     for merit in (level + SLOPE * log_size, np.zeros(shape)):
         recall = expit(difficulty + merit + OF_TRACKER * rng.standard_normal(shape))
         tp = rng.binomial(occupied, recall)
-        found.append(counts_of(tp, rng.poisson(FALSE_ALARMS * CELLS * np.exp(log_size)), occupied))
+        found.append(f1_of(tp, rng.poisson(FALSE_ALARMS * CELLS * np.exp(log_size)), occupied))
     return found
 
 
@@ -143,7 +141,7 @@ def equal_level(spread: float) -> float:
 
     def gap(level: float) -> float:
         one, other = of_unlike_size(np.random.default_rng(1), (200_000,), spread, level)
-        return float(pooled(one, "f1") - pooled(other, "f1"))
+        return float(pooled(one) - pooled(other))
 
     return float(brentq(gap, -3.0, 3.0, xtol=1e-3))
 
@@ -155,8 +153,8 @@ def size_table(draws: int) -> ResultTable:
         level, cells = equal_level(spread), []
         for units in SIZED_UNITS:
             one, other = of_unlike_size(np.random.default_rng(2), (units, draws), spread, level)
-            freedom = degrees_of_freedom(ratio_sums(one, "f1")[1], ratio_sums(other, "f1")[1])
-            significant = differences(one, other).p < 0.05
+            freedom = degrees_of_freedom(one.whole, other.whole)
+            significant = difference(ratio_replicates(one), ratio_replicates(other)).p < 0.05
             cells += [f"{np.median(freedom) + 1:.0f}", f"{100 * np.mean(significant):.1f}"]
         rows.append([f"{spread:g}", *cells])
     columns = [f"{units} recordings: {one}" for units in SIZED_UNITS for one in ("effective", "told apart, %")]
@@ -176,7 +174,8 @@ def trainings_of(
         shared, own = rng.standard_normal((*shape, 1)), rng.standard_normal((*shape, ROWS))
         recall = recall + scale * (np.sqrt(in_common) * shared + np.sqrt(1 - in_common) * own)
     tp = OCCUPIED * recall
-    return Trainings(np.stack([2 * tp, tp + OCCUPIED], axis=-1), learned)
+    each = (ratio_replicates(Ratio(2 * own, own + OCCUPIED)) for own in np.broadcast_to(tp, (trainings, UNITS, ROWS)))
+    return Trainings(tuple(each), learned)
 
 
 def trainings_hold(trainings: int, level: float, draws: int, in_common: float, *, learned_reference: bool) -> float:

@@ -19,13 +19,13 @@ from gridtrack.common.files import atomic_write
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import Recording, open_recording
-from gridtrack.recordings.formats.native_writer import write_native
+from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.importing import import_recording
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.junction import WARM_UP_S
 from gridtrack.simulation.junction.drives import CARRIERS, Drive, simulate_drive
 from gridtrack.simulation.tracks import Tracks
-from gridtrack.simulation.writing import write_recording
+from gridtrack.simulation.tracks_file import write_recording
 
 from studies.support.results_file import study_parser
 

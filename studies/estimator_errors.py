@@ -14,12 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import wrap_angle
-from gridtrack.trackers.model_free.motion.estimator import MotionEstimator, warm_up
-from gridtrack.trackers.model_free.motion.factor_graph import GATE, FactorGraphEstimator
-from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
-from gridtrack.trackers.model_free.motion.model import propagate
-from gridtrack.trackers.model_free.motion.parameters import MotionModel
-from gridtrack.trackers.model_free.motion.regimes import SwitchingEstimator
+from gridtrack.trackers.model_free.estimators import MotionEstimator, SwitchingEstimator, warm_up
+from gridtrack.trackers.model_free.factor_graph import GATE, FactorGraphEstimator
+from gridtrack.trackers.model_free.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.motion import MotionModel, propagate
 from gridtrack.trackers.model_free.settings import PipelineSettings
 
 from studies.support.results_file import ResultSection, measured_table, study_parser, write_section

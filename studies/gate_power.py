@@ -19,11 +19,13 @@ import numpy as np
 from scipy.special import expit
 
 from gridtrack.evaluation.regression.confirmation import judged_again
-from gridtrack.evaluation.regression.criteria import row_tests
 from gridtrack.evaluation.regression.judging import VerdictRow, judged_recordings, judged_row
-from gridtrack.evaluation.regression.rows import PairedRow
+from gridtrack.evaluation.regression.rows import PairedRow, row_tests
 from gridtrack.evaluation.regression.settings import GateSettings
-from gridtrack.evaluation.statistics.jackknife import Floats
+from gridtrack.evaluation.scores.definition import Floats, TrialFacts
+from gridtrack.evaluation.scores.f1 import F1
+from gridtrack.evaluation.scores.log_loss import LOG_LOSS
+from gridtrack.evaluation.scores.thresholds import half
 
 from studies.support.results_file import measured_table, study_parser, write_table
 
@@ -33,11 +35,12 @@ REGIONS = {"visible": (20_000.0, 1.0), "dynamic": (4_000.0, 0.5), "rare": (300.0
 BANDS = {"short": 0.3, "middle": 0.0, "long": -0.5}
 """Step bands, and their addition to the log odds."""
 CORRELATED = 20.0
-MARKED = ("F1", "dynamic", "middle")
+MARKED = ("f1.f1", "dynamic", "middle")
 """The row with a fall in F1 of a given size."""
 SETTINGS = GateSettings()
 COMMAND = "python -m studies.gate_power"
-CRITERIA = ("significant", "large", "collapse")
+CRITERIA = ("significant", "collapse")
+F1_PARTS = F1.parts(TrialFacts(0.2, 1, ("visible",), half(1, ("visible",))))
 
 
 @dataclass(frozen=True)
@@ -117,12 +120,13 @@ def _rows(region: str, band: str, hits: Floats, occupied: Floats) -> Iterator[Pa
     """F1 and log loss of hits (K + 1, U) among occupied cells (U,), with false alarms in a fifth of that number."""
     units, names = np.arange(RECORDINGS), tuple(f"{n:02}" for n in range(RECORDINGS))
     missed = occupied - hits
-    f1 = np.stack([2 * hits, 2 * hits + missed + 0.2 * occupied], axis=-1)
+    f1 = np.zeros((*hits.shape, len(F1_PARTS)))
+    for part, counts in (("tp chosen", hits), ("fp chosen", 0.2 * occupied), ("fn chosen", missed)):
+        f1[..., F1_PARTS.index(part)] = counts
     losses = 0.3 * hits + 2.5 * missed + 0.02 * 20 * occupied
     loss = np.stack([losses, np.broadcast_to(21 * occupied, losses.shape)], axis=-1)
-    for score, sums in (("F1", f1), ("log loss", loss)):
-        equal = bool((sums[:-1] == sums[-1]).all(axis=(1, 2)).any())
-        yield PairedRow("net", score, region, band, sums[:-1], sums[-1], units, names, units >= 0, equal)  # type: ignore[arg-type]
+    for score, parts, sums in ((F1, F1_PARTS, f1), (LOG_LOSS, ("loss", "cells"), loss)):
+        yield PairedRow("net", score, score.lead, region, band, parts, sums[:-1], sums[-1], units, names)
 
 
 def judged(runs: Runs, fall: Fall, comparisons: int) -> Tally:
@@ -195,7 +199,7 @@ def stated_falls(runs: Runs, comparisons: int) -> Iterator[list[str]]:
 def _marked(rows: Iterator[PairedRow]) -> VerdictRow:
     """The verdict on the row MARKED."""
     every = list(rows)
-    (index,) = (i for i, row in enumerate(every) if (row.score, row.region, row.band) == MARKED)
+    (index,) = (i for i, row in enumerate(every) if row.key[1:] == MARKED)
     return judged_row(every[index], row_tests(every)[index], SETTINGS)
 
 
@@ -204,9 +208,9 @@ def _sums() -> Floats:
     """Numerator and denominator of the F1 of MARKED, of many recordings."""
     rng = np.random.default_rng(0)
     rows = [row for _ in range(50) for row in simulated(Runs("exact"), Fall(), rng)]
-    marked = [row.run.sum(axis=0) for row in rows if (row.score, row.region, row.band) == MARKED]
-    sums: Floats = np.sum(marked, axis=0)
-    return sums
+    marked = [row.run.sum(axis=0) for row in rows if row.key[1:] == MARKED]
+    tp, fp, fn = (np.sum(marked, axis=0)[F1_PARTS.index(f"{count} chosen")] for count in ("tp", "fp", "fn"))
+    return np.array([2 * tp, 2 * tp + fp + fn])
 
 
 def share_for(f1: float) -> float:
@@ -241,7 +245,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(title, *row, sep="  ", flush=True)
         tables.setdefault(title, []).append(row)
     for title, rows in tables.items():
-        table = measured_table(("case", "significant, %", "large, %", "collapse, %", "worse, %"), rows)
+        table = measured_table(("case", "significant, %", "collapse, %", "worse, %"), rows)
         write_table(given.out, title, table, COMMAND)
 
 

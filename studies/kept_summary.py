@@ -8,7 +8,8 @@ A number has an address, a row and a column. The row is a tracker, `TRACKER less
 `TRACKER over OTHER` (a ratio). The column is a score, a stratum and a horizon, such as `f1 dynamic 1 s`. Scores: `f1`,
 `f1_at_visible` (at the threshold of all visible cells), `pr_auc`, `nll`, `class nll` (nats per scan), `share_of_oracle`
 (of the way from the better floor to the oracle), `lead` (F1 above the better of FLOORS) and `p` (a difference,
-corrected by Holm's method). `visible cyclist as car` is a share of the class's cells now.
+corrected by Holm's method). `visible cyclist as car` is a share of the class's cells now, from confusion.json, which is
+kept beside the summary.
 """
 
 from __future__ import annotations
@@ -21,6 +22,12 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from gridtrack.evaluation.runs.summary import RunSummary, read_summary
+from gridtrack.evaluation.runs.sums import TrialSums
+from gridtrack.evaluation.scores.class_log_loss import confusion_of
+
 from studies.support.results_file import ResultTable, chance_marked, score_text, study_parser
 
 RESULTS = Path("docs/results")
@@ -28,6 +35,7 @@ COLUMN = re.compile(
     r"(?P<score>f1|f1_at_visible|pr_auc|nll|share_of_oracle|lead|p|class nll) "
     r"(?P<stratum>.+?) (?P<horizon>now|[\d.]+ s)"
 )
+CONFUSION_FILE = "confusion.json"
 CONFUSION = re.compile(r"(?P<visibility>visible|occluded) (?P<true>\w+) as (?P<forecast>\w+)")
 TITLES = {
     "f1": "",
@@ -46,6 +54,15 @@ SHOWN = (
     "f1 occluded 1 s",
 )
 """The columns of a table that compares variants of one tracker."""
+OUTPUTS = {
+    "f1": ("f1", "f1"),
+    "f1_at_visible": ("f1", "at_visible"),
+    "pr_auc": ("pr_auc", "area"),
+    "nll": ("log_loss", "mean"),
+    "share_of_oracle": ("f1", "oracle_share"),
+    "class nll": ("class_log_loss", "per_scan"),
+}
+"""Score and output of each score of an address."""
 LOSSES = ("nll", "class nll")
 """Scores that are better if lower."""
 FLOORS = ("persistence", "static-map")
@@ -55,6 +72,7 @@ class RunScores:
     """The scores in a summary: pooled over the recordings, or of the only recording."""
 
     def __init__(self, path: Path) -> None:
+        self._path = path
         self._summary: dict[str, Any] = json.loads(path.read_text("utf-8"))
 
     @cached_property
@@ -72,10 +90,10 @@ class RunScores:
             raise KeyError(f"no column '{column}' of a summary")
         score, stratum, step = found["score"], found["stratum"], self._step(found["horizon"])
         if score == "share_of_oracle":
-            return f"{100 * self._pooled(tracker)['strata'][stratum][score][step]:.0f} %"
+            return f"{100 * self._at(tracker, score, stratum, step):.0f} %"
         if score == "lead":
-            floor = max(self._pooled(one)["strata"][stratum]["f1"][step] for one in FLOORS)
-            return f"{self._pooled(tracker)['strata'][stratum]['f1'][step] - floor:.3f}"
+            floor = max(self._at(one, "f1", stratum, step) for one in FLOORS)
+            return f"{self._at(tracker, 'f1', stratum, step) - floor:.3f}"
         if " over " in row:
             values = [float(self.value(one, column)) for one in row.split(" over ")]
             return f"{values[0] / values[1]:.2f}"
@@ -118,7 +136,7 @@ class RunScores:
 
     def confusion(self, tracker: str, visibility: str) -> ResultTable:
         """Confusion of classes now, in per cent of the cells of each true class."""
-        classes = self._semantics(tracker)["classes"]
+        classes = list(self._confusion[tracker][visibility])
         return ResultTable(
             columns=(f"{tracker}, {visibility} cells", *classes),
             alignment=("---", *["--:"] * len(classes)),
@@ -144,64 +162,60 @@ class RunScores:
                 if values.get(row) == best:
                     texts[number] = re.sub(r"^[\d.]+", r"**\g<0>**", texts[number])
 
+    def _at(self, tracker: str, score: str, stratum: str, step: int) -> float:
+        one, output = OUTPUTS[score]
+        return float(self._pooled(tracker)["strata"][stratum][one][output]["value"][step])
+
     def _score(self, tracker: str, reference: str, score: str, stratum: str, step: int, *, interval: bool) -> str:
-        if score == "class nll":
-            key, signed = "nll_per_scan", bool(reference)
-            found = self._difference("class_differences", tracker, reference) if reference else self._semantics(tracker)
-            found = found["kinds"][stratum]
-        elif reference and score != "f1":
-            found = self._headline(tracker, reference, stratum, step)
-            ends = [found[f"{score}_{end}"] for end in ("low", "high")]
-            return score_text(found[score], *(ends if interval else ()), signed=True)
-        else:
-            key, signed = score, bool(reference)
-            found = self._difference("differences", tracker, reference) if reference else self._pooled(tracker)
-            found = found["strata"][stratum]
-        ends = [found[f"{key}_{end}"][step] if found.get(f"{key}_{end}") else None for end in ("low", "high")]
-        return score_text(found[key][step], *(ends if interval else ()), signed=signed)
+        one, output = OUTPUTS[score]
+        scope = self._difference(tracker, reference, one) if reference else self._pooled(tracker)
+        found = scope["strata"][stratum][one][output]
+        ends = [found[end][step] if found.get(end) else None for end in ("low", "high")]
+        return score_text(found["value"][step], *(ends if interval else ()), signed=bool(reference))
 
     def _p_value(self, tracker: str, reference: str, stratum: str, step: int) -> float:
-        return float(self._headline(tracker, reference, stratum, step)["p_holm"])
+        return float(self._test(tracker, reference, stratum, step)["p_holm"])
 
-    def _headline(self, tracker: str, reference: str, stratum: str, step: int) -> dict[str, Any]:
-        headline = self._difference("differences", tracker, reference)["headline"]
-        return next(dict(one) for one in headline if (one["stratum"], one["step"]) == (stratum, step))
+    def _test(self, tracker: str, reference: str, stratum: str, step: int) -> dict[str, Any]:
+        tests = self._difference(tracker, reference, "f1")["tests"]
+        return next(dict(one) for one in tests if (one["stratum"], one["step"]) == (stratum, step))
 
-    def _difference(self, kind: str, tracker: str, reference: str) -> dict[str, Any]:
-        pairs = {(one["tracker"], one["reference"]): one for one in self._summary[kind]}
-        if (tracker, reference) in pairs:
-            return dict(pairs[tracker, reference])
-        raise KeyError(f"no {kind} of {tracker} less {reference} in the summary")
+    def _difference(self, tracker: str, reference: str, score: str) -> dict[str, Any]:
+        for one in self._summary["differences"]:
+            scored = any(score in scores for scores in one["strata"].values())
+            if (one["tracker"], one["reference"]) == (tracker, reference) and scored:
+                return dict(one)
+        raise KeyError(f"no difference in {score} of {tracker} less {reference} in the summary")
 
     def _share(self, tracker: str, visibility: str, true: str, forecast: str) -> float:
-        semantics = self._semantics(tracker)
-        confusion = next(one for one in semantics["kinds"][visibility]["confusion"] if one["step"] == 0)["cells"]
-        row = confusion[semantics["classes"].index(true)]
-        return float(row[semantics["classes"].index(forecast)] / sum(row))
+        row = self._confusion[tracker][visibility][true]
+        return float(row[forecast] / sum(row.values()))
+
+    @cached_property
+    def _confusion(self) -> dict[str, Any]:
+        return dict(json.loads((self._path.parent / CONFUSION_FILE).read_text("utf-8")))
 
     def _pooled(self, tracker: str) -> dict[str, Any]:
         row = self._summary["trackers"][tracker]
-        if row["pooled"]:
+        if row.get("pooled"):
             return dict(row["pooled"])
         (scored,) = row["recordings"].values()
         return dict(scored)
-
-    def _semantics(self, tracker: str) -> dict[str, Any]:
-        return dict(self._pooled(tracker)["semantics"])
 
     def _step(self, horizon: str) -> int:
         return 0 if horizon == "now" else self._horizons_s.index(float(horizon.removesuffix(" s")))
 
 
-def _training_texts(found: dict[str, Any], column: str) -> tuple[str, str]:
+def _training_texts(trainings: dict[str, Any], column: str) -> tuple[str, str]:
     """`0.714 ± 0.002`, and the difference from the reference; † marks a difference that one training cannot test."""
-    score = next(one for one in found["scores"] if column == f"{one['stratum']} {one['horizon_s']:g} s")
-    spread = "" if score["f1_spread"] is None else f" ± {score['f1_spread']:.3f}"
-    mean = "not defined" if score["f1_mean"] is None else f"{score['f1_mean']:.3f}{spread}"
-    if score["difference"] is None:
+    score = next(one for one in trainings["scores"] if column == f"{one['stratum']} {one['horizon_s']:g} s")
+    mean = "not defined" if score.get("mean") is None else f"{score['mean']:.3f}"
+    mean += "" if score.get("spread") is None else f" ± {score['spread']:.3f}"
+    found = score.get("difference") or {}
+    if found.get("value") is None:
         return mean, ""
-    text = score_text(score["difference"], score["difference_low"], score["difference_high"], signed=True)
-    return mean, f"{text} †" if score["p_holm"] is None else _marked(text, score["p_holm"])
+    text = score_text(found["value"], found.get("low"), found.get("high"), signed=True)
+    return mean, f"{text} †" if score.get("p_holm") is None else _marked(text, score["p_holm"])
 
 
 def _marked(text: str, p_holm: float) -> str:
@@ -230,16 +244,37 @@ def kept(summary: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def confusions(summary: RunSummary, run: Path) -> dict[str, Any]:
+    """Cells of the input frame by tracker, visibility, true class and most probable class, over all recordings."""
+    found: dict[str, Any] = {}
+    classes = next(iter(summary.recordings.values())).classes
+    for label, row in summary.trackers.items():
+        folders = [run / f"{label}@{name}" for name, trial in row.recordings.items() if trial.complete]
+        sums = [one for one in map(TrialSums, folders) if "class_log_loss" in one.scores]
+        for visibility in sums[0].layouts["class_log_loss"].strata if sums else ():
+            cells = sum(
+                confusion_of(one.by_frame("class_log_loss", [0], [visibility], ())).sum(axis=(0, 1, 2)) for one in sums
+            )
+            found.setdefault(label, {})[visibility] = {
+                true: dict(zip((*classes, "another class"), map(int, counts), strict=True))
+                for true, counts in zip(classes, np.asarray(cells), strict=True)
+            }
+    return found
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = study_parser(__doc__)
     parser.add_argument("run", type=Path, help="folder of a comparison, such as runs/results")
     parser.add_argument("place", help="folder below --results: junction or leg_tracker")
     parser.add_argument("--results", type=Path, default=RESULTS, help=f"default: {RESULTS}")
     given = parser.parse_args(arguments)
-    summary = json.loads((given.run / "summary.json").read_text("utf-8"))
-    out = given.results / given.place / "summary.json"
-    out.parent.mkdir(exist_ok=True)
-    out.write_text(json.dumps(kept(summary)) + "\n", "utf-8")
+    summary = read_summary(given.run)
+    out = given.results / given.place
+    out.mkdir(exist_ok=True)
+    (out / "summary.json").write_text(json.dumps(kept(summary.model_dump(mode="json", by_alias=True))) + "\n", "utf-8")
+    found = confusions(summary, given.run)
+    if found:
+        (out / CONFUSION_FILE).write_text(json.dumps(found, indent=1) + "\n", "utf-8")
 
 
 if __name__ == "__main__":

@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 import psutil
 
-from gridtrack.evaluation.hosting.orphans import adopt_orphans
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.hosting.host import adopt_orphans
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 from studies.support.results_file import ResultSection, measured_table, read_sections, study_parser, write_section
 from studies.support.slurm_machine import slurm_machine

@@ -17,19 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import GridFrame, nearest_step
 from gridtrack.common.scene import Scene, SceneObject
+from gridtrack.evaluation.referee.motion import FollowedBodies
+from gridtrack.evaluation.referee.referee import Delivery, TrackerLike, scored_forecasts
+from gridtrack.evaluation.referee.splits import EvaluationSplit, Sampling, plan_splits
 from gridtrack.evaluation.runs.oracle import Oracle, expected_grid
-from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.body_motions import FollowedBodies
-from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.referee import Delivery, TrackerLike, scored_forecasts
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, Sampling, plan_splits
-from gridtrack.evaluation.scoring.thresholds import best_thresholds
+from gridtrack.evaluation.scores.cells import Tally, count_cells
+from gridtrack.evaluation.scores.f1 import f1_of
+from gridtrack.evaluation.scores.thresholds import best_thresholds
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
+from gridtrack.trackers.baselines import PersistenceTracker
 from gridtrack.trackers.contract import Forecast, stream_of
 
 from studies.support.place_command import worlds_called
@@ -126,7 +125,7 @@ def confusion_of(forecaster: Forecaster, split: EvaluationSplit) -> NDArray[np.i
     tally = Tally.empty(split.steps, split.strata)
     delivery = Delivery(split.test, lambda: None, split.regions().test)
     for scored in scored_forecasts(forecaster(split.test, steps), delivery, split.schedule, seed=0):
-        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, scored.region_maps))
+        tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps))
     ours = tally.of(tuple(STRATA)).at(steps)
     return ours.confusion(best_thresholds(tally, split.name).bins[steps][:, [split.strata.index(k) for k in STRATA]])
 
@@ -138,7 +137,7 @@ def f1_tables(splits: Iterable[EvaluationSplit]) -> dict[str, ResultTable]:
         for name, forecaster in FORECASTERS.items():
             total[name] += confusion_of(forecaster, split)
         print(f"{split.name}: done", flush=True)
-    f1 = {name: metrics.f1_score(counts) for name, counts in total.items()}
+    f1 = {name: f1_of(counts) for name, counts in total.items()}
     return {
         stratum: measured_table(
             (f"F1, {stratum}", *(f"{horizon_s:g} s" for horizon_s in HORIZONS_S)),

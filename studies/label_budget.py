@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 import torch
@@ -22,20 +23,18 @@ from torch import Tensor
 
 from gridtrack.common.config import validated
 from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.scoring.semantics import Matching, match_classes
-from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.referee.targets import Target
+from gridtrack.evaluation.scores.class_log_loss import Matching, match_classes
 from gridtrack.recordings.stream import GridStream, open_stream
-from gridtrack.trackers.cell_training import best_classifier
-from gridtrack.trackers.contract import FitOutput
-from gridtrack.trackers.label_settings import LabelSettings
-from gridtrack.trackers.labelled_scans import VALIDATE_ON, draw_labelled
-from gridtrack.trackers.one_shot.settings import OneShotSettings
+from gridtrack.trackers.contract import FitTask
+from gridtrack.trackers.one_shot import OneShotSettings
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
-from gridtrack.trackers.recurrent.network import class_planes
 from gridtrack.trackers.recurrent.settings import DilatedConvGRUOptions, EvidenceOption
 from gridtrack.trackers.recurrent.transfer import fit_decoder, fit_seen_cells, latent_cells
-from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.cell_classifier import planes_of, scan_classifier
+from gridtrack.trackers.training.cell_training import best_classifier
+from gridtrack.trackers.training.labelled_scans import VALIDATE_ON, LabelSettings, draw_labelled
+from gridtrack.trackers.training.weights import read_card
 
 from studies.class_losses import AHEAD, add_losses, deliver, no_losses
 from studies.label_curve import BUDGETS, DASHES, append_row, read_rows, summary
@@ -99,10 +98,10 @@ def readings(recording: Path, options: DilatedConvGRUOptions) -> Iterator[Readin
 def states(tracker: DilatedConvGRUTracker, options: DilatedConvGRUOptions) -> Tensor:
     """(2, C, M, M) float16, now and AHEAD."""
     network, state = tracker.network, tracker.state
-    now = class_planes(state, options.decoded_layers)
+    now = network.class_planes(state, options.decoded_layers)
     for _ in range(AHEAD):
         state = network.step(None, state)
-    return torch.cat([now, class_planes(state, options.decoded_layers)]).half()
+    return torch.cat([now, network.class_planes(state, options.decoded_layers)]).half()
 
 
 def losses(classify: Classify, test: Sequence[Reading], matching: Matching) -> dict[str, float]:
@@ -113,13 +112,18 @@ def losses(classify: Classify, test: Sequence[Reading], matching: Matching) -> d
     return {column: statistics.fmean(values) for column, values in found.items()}
 
 
+def no_objective(*_: Any) -> NoReturn:
+    """Classes are chosen by their own log loss."""
+    raise NotImplementedError
+
+
 def trained(whole: GridStream, budget: Budget) -> tuple[tuple[str, ...], dict[str, Classify]]:
     """The classes in the labelled scans of a budget, and a classifier for each method."""
     shot, options = shipped_options()
-    out = FitOutput(Path(), "", budget.seed, Path())
     drawing = validated(LabelSettings, {"labelled_scans": budget.scans, "label_drawing": budget.drawing}, "study")
     labelled, tracker, held_out_on = draw_labelled([whole], drawing, budget.seed), latent_tracker(whole), validation()
     classes, layers = labelled.classes, options.decoded_layers
+    task = FitTask([whole], [held_out_on], no_objective, Path(), options, Path(), budget.seed)
     training = latent_cells(lambda _: tracker, labelled.runs(), classes, layers)
     held_out = latent_cells(lambda _: tracker, [(whole, held_out_on.labelled())], classes, layers, VALIDATE_ON)
     scan = best_classifier(
@@ -127,10 +131,10 @@ def trained(whole: GridStream, budget: Budget) -> tuple[tuple[str, ...], dict[st
         shot.model_dump(exclude=set(LabelSettings.model_fields)),
         training.scan.cells(),
         [held_out.scan.cells()],
-        out,
+        task,
     ).classifier
-    decoder = fit_decoder(options, training.now.cells(training.ahead), held_out, out)
-    seen, _ = fit_seen_cells(decoder, training, held_out, len(classes), out)
+    decoder = fit_decoder(options, training.now.cells(training.ahead), held_out, task)
+    seen, _ = fit_seen_cells(decoder, training, held_out, len(classes), task)
 
     @torch.no_grad()
     def of_scan(reading: Reading) -> NDArray[np.float32]:

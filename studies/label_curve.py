@@ -79,7 +79,8 @@ def summary(rows: Sequence[Mapping[str, str]]) -> ResultSection:
     of_columns = {column: curves(rows, column) for column in COLUMNS}
     measured = of_columns[next(iter(COLUMNS))]
     methods = dict.fromkeys(row["method"] for row in rows)
-    lines, values = [], {}
+    lines: list[tuple[str, ...]] = []
+    values: dict[str, str] = {}
     for drawing, method, scans in product(DASHES, methods, BUDGETS):
         if scans in measured.get((drawing, method), {}):
             losses = {column: found[drawing, method][scans] for column, found in of_columns.items()}

@@ -17,10 +17,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.results.summary import ORACLE
-from gridtrack.evaluation.scoring.samples import SAMPLES, Sample, read_samples
-from gridtrack.evaluation.statistics.jackknife import PairedDifferences, differences, jackknifed
-from gridtrack.evaluation.statistics.score_intervals import summed_by_unit
+from gridtrack.evaluation.referee.samples import SAMPLES, Sample, read_samples
+from gridtrack.evaluation.referee.splits import ORACLE
+from gridtrack.evaluation.runs.sums import ScoredFrames
+from gridtrack.evaluation.scores.definition import Ratio, Sums
+from gridtrack.evaluation.scores.f1 import F1
+from gridtrack.evaluation.statistics.jackknife import IntervalEstimate, Replicates, difference, ratio_replicates
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.observation import reference_pose
 from gridtrack.simulation.junction.drives import CARRIERS
@@ -69,34 +71,46 @@ class Comparison:
         """The comparison in `folder`. Raises SystemExit if it is not complete."""
         return cls(kind, PlaceScores.read(folder))
 
-    def less(self, other: Comparison, tracker: str) -> dict[str, PairedDifferences]:
+    def less(self, other: Comparison, tracker: str) -> dict[str, IntervalEstimate]:
         """F1 of a tracker less its F1 with `other` poses, by stratum and step; a drive is a statistical unit.
 
         Both have the same scored stamps but other frames, in windows about other poses: drives are paired, cells are
         not.
         """
-        (own, others), strata = self._by_drive((self, tracker), (other, tracker))
-        found = differences(own, others)
-        return {stratum: found.column(strata.index(stratum)) for stratum in STRATA}
+        own, others = self._by_drive((self, tracker), (other, tracker))
+        return {stratum: difference(own[stratum], others[stratum]) for stratum in STRATA}
 
-    def less_beyond_floor(self, other: Comparison, tracker: str) -> dict[str, PairedDifferences]:
+    def less_beyond_floor(self, other: Comparison, tracker: str) -> dict[str, IntervalEstimate]:
         """The same, less the loss of FLOOR, which knows nothing but the view."""
-        counts, strata = self._by_drive(*((kind, row) for kind in (self, other) for row in (tracker, FLOOR)))
-        own, floor, others, others_floor = map(jackknifed, counts)
-        found = own.minus(floor).less(others.minus(others_floor))
-        return {stratum: found.column(strata.index(stratum)) for stratum in STRATA}
+        rows = self._by_drive(*((kind, row) for kind in (self, other) for row in (tracker, FLOOR)))
+        own, floor, others, others_floor = rows
+        return {
+            stratum: difference(own[stratum].minus(floor[stratum]), others[stratum].minus(others_floor[stratum]))
+            for stratum in STRATA
+        }
 
-    def _by_drive(self, *rows: tuple[Comparison, str]) -> tuple[list[NDArray[np.float64]], tuple[str, ...]]:
-        """Counts (U, S, K, C) of each row, a tracker in a comparison, summed by drive; the names of the K strata."""
-        frames = []
+    def _by_drive(self, *rows: tuple[Comparison, str]) -> list[dict[str, Replicates]]:
+        """F1 (S,) of each row, a tracker in a comparison, by stratum; its units are drives."""
+        frames: list[list[ScoredFrames]] = []
+        found = []
         for kind, tracker in rows:
+            run = kind.scores.run
             trials = sorted(kind.scores.trials_of(tracker), key=lambda trial: trial.record.recording)
-            frames.append([kind.scores.statistics.frames_of(trial) for trial in trials])
+            frames.append([run.frames(trial) for trial in trials])
             paired = zip(frames[-1], frames[0], strict=True)
             if not all(np.array_equal(one.stamps_ns, first.stamps_ns) for one, first in paired):
                 raise SystemExit(f"{tracker}: {kind.kind} and {self.kind} are scored at different times: run it again")
-        rule = self.scores.statistics.unit_rule(sorted(self.scores.described))
-        return summed_by_unit(frames, rule)[0], trials[0].strata
+            by_drive = [run.sums(trial).by_frame("f1", trial.steps, tuple(STRATA), ()) for trial in trials]
+            sums = Sums(np.stack([one.values.sum(axis=0) for one in by_drive]), by_drive[0].parts)
+            f1 = F1.value(sums)["f1"]
+            assert isinstance(f1, Ratio)
+            found.append(
+                {
+                    stratum: ratio_replicates(Ratio(f1.part[..., k], f1.whole[..., k], counted=True))
+                    for k, stratum in enumerate(STRATA)
+                }
+            )
+        return found
 
 
 def selections() -> dict[str, str]:
@@ -192,7 +206,7 @@ def view_section(compared: Sequence[Comparison], trackers: Sequence[str]) -> Res
     return _differences(lost, perfect)
 
 
-def _differences(found: Mapping[str, Mapping[str, PairedDifferences]], perfect: Comparison) -> ResultSection:
+def _differences(found: Mapping[str, Mapping[str, IntervalEstimate]], perfect: Comparison) -> ResultSection:
     """A table for each stratum with a row for each of `found`, and each cell as a value."""
     steps = perfect.scores.horizons
     texts = {
@@ -209,7 +223,7 @@ def _differences(found: Mapping[str, Mapping[str, PairedDifferences]], perfect: 
     return ResultSection(command=COMMAND, tables=tables, values=values)
 
 
-def difference_text(found: PairedDifferences) -> str:
+def difference_text(found: IntervalEstimate) -> str:
     """One difference with its interval."""
     return score_text(*map(float, (found.value, found.low, found.high)), signed=True)
 
@@ -217,7 +231,11 @@ def difference_text(found: PairedDifferences) -> str:
 def pair_section(perfect: Comparison) -> ResultSection:
     """Differences in F1 between trackers with perfect poses, by stratum, TABLE_S ahead."""
     step = perfect.scores.horizons[TABLE_S]
-    chosen = {one.stratum: one for one in perfect.scores.pair_families if (one.score, one.step) == ("f1", step)}
+    chosen = {
+        one.stratum: one
+        for one in perfect.scores.pair_families
+        if (one.score, one.output, one.step) == ("f1", "f1", step)
+    }
     rows: dict[str, list[str]] = {}
     for family in chosen.values():
         for one in family.pairs:

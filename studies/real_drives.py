@@ -17,14 +17,14 @@ import numpy as np
 
 from gridtrack.common.files import sha256_of
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.scoring.samples import SAMPLES, read_samples
+from gridtrack.evaluation.referee.samples import SAMPLES, read_samples
 from gridtrack.recordings.ego_motion import PoseSource
 from gridtrack.recordings.stream import open_stream
 from gridtrack.reports.run import ReportedRun, read_runs
-from gridtrack.trackers.card import GENERAL
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
+from gridtrack.trackers.training.card import GENERAL
 
 from studies.support.comparison import compare
 from studies.support.drawings import draw_pictures, forecast_pictures
@@ -91,7 +91,8 @@ def compared(drive: Drive, recording: str, rows: Sequence[str], folder: Path) ->
     found = {}
     for label, entry in run.summary.trackers.items():
         (trial,) = entry.recordings.values()
-        f1 = [trial.strata[stratum].f1[-1] if stratum in trial.strata else None for stratum in STRATA]
+        (described,) = run.summary.recordings.values()
+        f1 = [trial.at(stratum, "f1", "f1", len(described.horizons_s) - 1).value for stratum in STRATA]
         found[label] = ["" if value is None else f"{value:.2f}" for value in f1]
     return found
 

@@ -50,10 +50,11 @@ def by_recording(scores: PlaceScores) -> ResultTable:
     rows = [
         [
             f"{name}, {label}",
-            *(scores.text_of(strata.get("dynamic"), one, MIDDLE_S) for one in ("pr_auc", "f1", "fss_5")),
+            *(scores.text(label, "dynamic", one, MIDDLE_S, name) for one in ("pr_auc", "f1", "fss.5_cells")),
         ]
         for name in scores.described
-        for label, strata in scores.on(name).items()
+        for label in scores.labels
+        if any(trial.record.recording == name for trial in scores.trials_of(label))
     ]
     return measured_table((f"dynamic, {MIDDLE_S:g} s", "PR-AUC", "F1", "FSS, 5 cells"), rows)
 
@@ -66,7 +67,9 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
         for stratum in ("in-motion", "dynamic")
         for h in (0.5, 1.0)
     ]
-    near = [(f"{h:g} s, {scale} cells", "dynamic", f"fss_{scale}", h) for h in (0.5, 1.0) for scale in (1, 3, 5, 9)]
+    near = [
+        (f"{h:g} s, {scale} cells", "dynamic", f"fss.{scale}_cells", h) for h in (0.5, 1.0) for scale in (1, 3, 5, 9)
+    ]
     tables = {
         "pooled": scores.table("together", pooled),
         "visible": scores.over_horizons("F1, visible", "visible", "f1"),

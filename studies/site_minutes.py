@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from gridtrack.trackers.card import GENERAL
+from gridtrack.trackers.training.card import GENERAL
 
 from studies.support.comparison import RECORDINGS, VALIDATION, compare, train
 from studies.support.results_file import ResultSection, ResultTable, measured_table, study_parser, write_section
@@ -64,8 +64,8 @@ def run(rows: Mapping[str, str], general: str, out: Path, options: Sequence[str]
 def gap_closed(scores: PlaceScores, tracker: str, minutes: Sequence[int]) -> ResultTable:
     """The closed share of the gap in dynamic F1 between general and site weights by minutes, per cent."""
     rows = []
-    for horizon_s, step in scores.horizons.items():
-        f1 = {label: scores.strata[label]["dynamic"].f1[step] for label in scores.strata}
+    for horizon_s in scores.horizons:
+        f1 = {label: scores.at(label, "dynamic", "f1", horizon_s).value for label in scores.summary.trackers}
         start, end = f1[f"{tracker}-general"], f1[f"{tracker}-site"]
         shares = [share_closed(start, f1[f"{tracker}-{number}-min"], end) for number in minutes]
         rows.append([f"{horizon_s:g} s", *shares])

@@ -12,8 +12,9 @@ import resource
 from collections.abc import Sequence
 from pathlib import Path
 
-from gridtrack.evaluation.results.summary import RunSummary, read_summary
-from gridtrack.trackers.card import GENERAL
+from gridtrack.evaluation.runs.summary import RunSummary, read_summary
+from gridtrack.evaluation.scores.registry import built_in, find_output
+from gridtrack.trackers.training.card import GENERAL
 
 from studies.support.comparison import compare, train
 from studies.support.results_file import (
@@ -36,7 +37,7 @@ RECIPES = Path("studies/recipes/from-scratch")
 SCORES = (
     ("in-motion", "pr_auc", "PR-AUC, in motion"),
     ("dynamic", "f1", "F1, dynamic"),
-    ("visible", "nll", "log loss"),
+    ("visible", "log_loss", "log loss"),
 )
 HORIZONS_S = (0.5, 1.0)
 RESULTS = Path("docs/results/worlds/site_start.json")
@@ -90,7 +91,12 @@ def table(summary: RunSummary) -> ResultTable:
     rows = []
     for label, row in summary.trackers.items():
         (scored,) = row.recordings.values()
-        found = (getattr(scored.strata[stratum], score)[step] for stratum, score, _ in SCORES for step in steps)
+        outputs = ((stratum, *find_output(score, built_in())) for stratum, score, _ in SCORES)
+        found = [
+            scored.at(stratum, score.name, output.name, step).value
+            for stratum, score, output in outputs
+            for step in steps
+        ]
         rows.append([label, *(NONE if one is None else f"{one:.3f}" for one in found)])
     return measured_table(("row", *(f"{name} {h:g} s" for *_, name in SCORES for h in HORIZONS_S)), rows)
 

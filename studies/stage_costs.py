@@ -19,19 +19,20 @@ from numpy.typing import NDArray
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.common.scene import SceneObject
-from gridtrack.evaluation.scoring.in_process import score_in_process
-from gridtrack.evaluation.scoring.regions import regions_of
-from gridtrack.evaluation.scoring.strata import STRATA
+from gridtrack.evaluation.referee.kinds import regions_of
+from gridtrack.evaluation.referee.strata import STRATA
+from gridtrack.evaluation.runs.objective import score_in_process
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers.contract import Forecast
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
 from gridtrack.trackers.model_free.kalman import KalmanTracker
-from gridtrack.trackers.model_free.outlines import Match
+from gridtrack.trackers.model_free.matching import Match
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.segmentation import Cluster, joined
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
+from gridtrack.trackers.registry import registered_name
 
 from studies.support.results_file import measured_table, study_parser, write_table
 from studies.support.shipped import JUNCTION, STEPS, with_shipped_weights
@@ -50,7 +51,7 @@ REPLACED = {
     "young": "the velocity of tracks visible for at most one second",
 }
 """The parts that the truth replaces, and their names in the table."""
-TRACKERS: dict[str, type[ModelFreeTracker]] = {kind.name: kind for kind in (KalmanTracker, FactorGraphTracker)}
+TRACKERS: dict[str, type[ModelFreeTracker]] = {"kalman": KalmanTracker, "factor-graph": FactorGraphTracker}
 
 
 class TrueFrame(NamedTuple):
@@ -212,7 +213,7 @@ def owner_of(points: Points, truth: TrueFrame, grid: GridSpec) -> int | None:
 
 def scores(kind: type[ModelFreeTracker], stream: GridStream) -> list[float]:
     """F1 of dynamic and of visible cells at HORIZONS."""
-    tracker = with_shipped_weights(kind, kind.name, stream)
+    tracker = with_shipped_weights(kind, registered_name(kind), stream)
     found = score_in_process(tracker, stream, STEPS, regions_of(stream, STRATA))
     return [float(found.f1[stratum][step]) for stratum in ("dynamic", "visible") for step in HORIZONS.values()]
 
@@ -235,9 +236,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         without = without or values
         rows.append([name, *(f"{value:.3f}" for value in values)])
         gains |= {f"gain, {name}: {c}": f"{v - w:.3f}" for c, v, w in zip(columns, values, without, strict=True)}
-    table = measured_table([f"{kind.name}, with the truth of", *columns], rows)
+    table = measured_table([f"{registered_name(kind)}, with the truth of", *columns], rows)
     print(table.markdown())
-    write_table(given.out, "stage costs", table, f"python -m studies.stage_costs {kind.name}", gains)
+    write_table(given.out, "stage costs", table, f"python -m studies.stage_costs {registered_name(kind)}", gains)
 
 
 if __name__ == "__main__":

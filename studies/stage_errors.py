@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, cell_kinds_around
+from gridtrack.evaluation.referee.strata import CELL_KINDS, cell_kinds_around
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
 from gridtrack.recordings.truth import static_cells
@@ -31,6 +31,7 @@ from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 from gridtrack.trackers.model_free.tracks import Track
+from gridtrack.trackers.registry import registered_name
 
 from studies.support.results_file import measured_table, study_parser, write_table
 from studies.support.shipped import JUNCTION, with_shipped_weights
@@ -73,7 +74,9 @@ class RecordedFactorGraph(FactorGraphTracker):
     pipeline = ClusterRecorder
 
 
-TRACKERS: dict[str, type[ModelFreeTracker]] = {kind.name: kind for kind in (RecordedKalman, RecordedFactorGraph)}
+TRACKERS: dict[str, type[ModelFreeTracker]] = {
+    registered_name(kind): kind for kind in (RecordedKalman, RecordedFactorGraph)
+}
 
 
 def cell_owners(groups: Sequence[Points], grid: GridSpec) -> NDArray[np.int64]:
@@ -196,14 +199,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for stretch in given.stretches:
         stream = open_stream(f"{JUNCTION / 'validation.tracks'}@{stretch}")
         kind = TRACKERS[given.tracker]
-        tracker = with_shipped_weights(kind, kind.name, stream)
+        tracker = with_shipped_weights(kind, given.tracker, stream)
         measure_stretch(tracker, list(stream.observations()), found, forecasts)
     parts = {steps: [np.concatenate(part) for part in zip(*forecasts[steps], strict=True)] for steps in AHEAD}
     classes = tracker.stream.classes
     rows = [class_row(name, label, found, parts) for label, name in enumerate(classes)]
-    table = measured_table([kind.name, *COLUMNS], [row for row in rows if row])
+    table = measured_table([registered_name(kind), *COLUMNS], [row for row in rows if row])
     print(table.markdown())
-    write_table(given.out, "stages", table, f"python -m studies.stage_errors {kind.name}")
+    write_table(given.out, "stages", table, f"python -m studies.stage_errors {given.tracker}")
 
 
 def class_row(name: str, label: int, found: Found, parts: dict[int, list[NDArray[Any]]]) -> list[str]:

@@ -27,21 +27,16 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.common.raycast import cast_scan
-from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.moments import moments
-from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.referee import Schedule
-from gridtrack.evaluation.scoring.regions import regions_of
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH, RegionMaps
-from gridtrack.evaluation.scoring.target import Target, target_of
-from gridtrack.evaluation.scoring.thresholds import best_thresholds
-from gridtrack.evaluation.statistics.jackknife import (
-    PairedDifferences,
-    differences,
-    pooled,
-    ratio_differences,
-    ratio_interval,
-)
+from gridtrack.evaluation.referee.kinds import regions_of
+from gridtrack.evaluation.referee.motion import ObservedMotion
+from gridtrack.evaluation.referee.referee import Schedule, moments
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH, RegionMaps
+from gridtrack.evaluation.referee.targets import Target, target_of
+from gridtrack.evaluation.scores.cells import Tally, count_cells
+from gridtrack.evaluation.scores.definition import Ratio
+from gridtrack.evaluation.scores.thresholds import best_thresholds
+from gridtrack.evaluation.statistics import jackknife
+from gridtrack.evaluation.statistics.jackknife import Replicates, interval, ratio_replicates
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
@@ -127,7 +122,7 @@ def counted(tracker: Tracker, stream: GridStream, scored: Sequence[Cells]) -> li
             occupancy = tracker.predict(STEPS).occupancy[ahead]
             for tally, cells in zip(tallies, scored, strict=True):
                 targets = [cells.target(index + step) for step in ahead]
-                tally.add(count_forecast(occupancy, targets, cells.region_maps))
+                tally.add(count_cells(occupancy, targets, cells.region_maps))
     return [tally.of(STRATA) for tally in tallies]
 
 
@@ -143,7 +138,7 @@ def of_sides(name: str, views: Views) -> list[Tally]:
 def measured(
     trackers: Sequence[str], minutes: Sequence[Path]
 ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64]]:
-    """Counts (side, minute, horizon, stratum, C) of each tracker, and cells (side, minute, horizon, stratum, 2).
+    """TP, FP, FN and TN (side, minute, horizon, stratum, 4) of each tracker; cells (side, minute, horizon, stratum, 2).
 
     The cells are all scored ones and the occupied ones.
     """
@@ -156,20 +151,21 @@ def measured(
         views = views_of(minute, len(GridStream(open_recording(minute))))
         for name in trackers:
             tallies = of_sides(name, views)
-            counts[name].append([counts_of(*each) for each in zip(tallies, thresholds[name], strict=True)])
+            counts[name].append([tally.confusion(bins) for tally, bins in zip(tallies, thresholds[name], strict=True)])
         cells.append([np.stack([tally.cells.sum(-1), tally.positives.sum(-1)], axis=-1) for tally in tallies])
         print(minute.name, flush=True)
     return {name: np.array(values).swapaxes(0, 1) for name, values in counts.items()}, np.array(cells).swapaxes(0, 1)
 
 
-def counts_of(tally: Tally, bins: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The counts (horizon, stratum, C) of the statistics, at thresholds (horizon, stratum)."""
-    sums = np.stack([tally.squared_error, tally.log_loss], axis=-1)
-    return np.concatenate([tally.confusion(bins), sums], axis=-1)
+def f1_of(counts: NDArray[np.float64]) -> Replicates:
+    """F1 of TP, FP, FN and TN (minute, 4), a minute as a unit."""
+    tp, fp, fn, _ = np.moveaxis(counts.astype(np.float64), -1, 0)
+    return ratio_replicates(Ratio(2.0 * tp, 2.0 * tp + fp + fn, counted=True))
 
 
-def difference(found: PairedDifferences) -> str:
-    """One difference with its interval."""
+def difference(own: Replicates, reference: Replicates) -> str:
+    """A difference with its interval."""
+    found = jackknife.difference(own, reference)
     return score_text(*map(float, (found.value, found.low, found.high)), signed=True)
 
 
@@ -179,9 +175,8 @@ def score_table(counts: Mapping[str, NDArray[np.float64]], stratum: str, sides: 
     for name, of_tracker in counts.items():
         row = [name]
         for step in range(len(HORIZONS)):
-            one, two = (of_tracker[side][:, step, k] for side in sides)
-            row += [score_text(float(pooled(each, "f1"))) for each in (one, two)]
-            row.append(difference(differences(two, one, "f1")))
+            one, two = (f1_of(of_tracker[side][:, step, k]) for side in sides)
+            row += [*(score_text(float(each.value)) for each in (one, two)), difference(two, one)]
         rows.append(row)
     columns = ["tracker", *(f"{side}, {at}" for at in HORIZONS for side in ("one", "two", "difference"))]
     return measured_table(columns, rows)
@@ -198,10 +193,10 @@ def hidden_table(cells: NDArray[np.int64]) -> ResultTable:
         for side in (OF_ONE, TWO_ON_OWN_CELLS):
             of_side = cells[side][:, 0, :, kind].astype(np.float64)
             part, rest = (of_side[:, STRATA.index(name)] for name in (hidden, visible))
-            sides.append((part, part + rest))
-            value = part.sum() / (part + rest).sum()
-            row.append(score_text(value, *map(float, ratio_interval(part, part + rest))))
-        rows.append([*row, difference(ratio_differences(sides[1], sides[0]))])
+            sides.append(ratio_replicates(Ratio(part, part + rest)))
+            found = interval(sides[-1], "log")
+            row.append(score_text(*map(float, (found.value, found.low, found.high))))
+        rows.append([*row, difference(sides[1], sides[0])])
     return measured_table(("hidden share of the", "one laser", "two lasers", "difference"), rows)
 
 

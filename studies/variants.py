@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gridtrack.evaluation.runs.recipe import read_recipe
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 
 from studies.kept_summary import SHOWN, RunScores
 from studies.support.comparison import compare_at_junction, train

@@ -17,8 +17,8 @@ from gridtrack.recordings import open_recording
 
 from studies.support.comparison import gridtrack
 from studies.support.place_command import SKILL, compare_places, place_parser, worlds_called, write_places
-from studies.support.results_file import NONE, ResultSection, ResultTable, measured_table, score_text
-from studies.support.unseen_places import REFERENCE, STRATA, PlaceScores, not_measured
+from studies.support.results_file import NONE, ResultSection, ResultTable, measured_table
+from studies.support.unseen_places import REFERENCE, STRATA, PlaceScores, not_measured, point_text
 
 RESULTS = Path("docs/results/worlds/worlds.json")
 COMMAND = "python -m studies.worlds_results"
@@ -32,7 +32,7 @@ AIM_TRACKERS, AIM_HORIZONS_S, AIM_F1 = ("dilated-convgru", "kalman"), (0.5, 1.0)
 
 CONTENDERS = ("kalman", "factor-graph", "dogma", "dilated-convgru")
 """The trackers that forecast motion and have similar scores: which of them is best?"""
-CONTENDER_SCORES = {"F1": ("f1", 3), "PR-AUC": ("pr_auc", 3), "log loss": ("nll", 4), "soft IoU": ("soft_iou", 3)}
+CONTENDER_SCORES = {"F1": ("f1", 3), "PR-AUC": ("pr_auc", 3), "log loss": ("log_loss", 4), "soft IoU": ("soft_iou", 3)}
 """The scores in which they are compared, and the decimals of a difference: log losses are small."""
 
 
@@ -52,9 +52,9 @@ def aim_table(scores: PlaceScores) -> ResultTable:
             if tracker not in scores.differences:
                 rows.append([name, "", "not measured"])
                 continue
-            value, low, high = scores.difference(tracker, "dynamic", horizon_s)
-            text = "" if value is None else score_text(value, low, high, signed=True)
-            rows.append([name, text, aim_met(value, low)])
+            found = scores.difference(tracker, "dynamic", horizon_s)
+            text = "" if found.value is None else point_text(found, signed=True)
+            rows.append([name, text, aim_met(found.value, found.low)])
     return measured_table(("F1, dynamic", "difference", "at least 0.10"), rows)
 
 
@@ -81,7 +81,9 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
     """The sections of the results file."""
     names = {part: [name for name in scores.described if name.startswith(part)] for part in PARTS}
     parts = {part: scores.of(found) for part, found in names.items() if len(found) >= FEWEST_POOLED}
-    near = [(f"{h:g} s, {scale} cells", "dynamic", f"fss_{scale}", h) for h in (0.5, 1.0) for scale in (1, 3, 5, 9)]
+    near = [
+        (f"{h:g} s, {scale} cells", "dynamic", f"fss.{scale}_cells", h) for h in (0.5, 1.0) for scale in (1, 3, 5, 9)
+    ]
     along = [
         (f"{h:g} s, {name}", stratum, score, h)
         for h in (0.5, 1.0)

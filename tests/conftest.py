@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
-
-from gridtrack.evaluation.hosting.supervisor import PR_SET_CHILD_SUBREAPER, prctl
 
 from studies.support.plugins import every_class, write_distribution
 
@@ -27,18 +26,11 @@ Install = Callable[..., Path]
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache_of_stretches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """What a training keeps is that of this session: no test passes on frames that earlier code made."""
+    """Trainings cache frames for this session only, so that no test passes on frames of earlier code."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gridtrack.common.cache.user_cache_folder", lambda: folder)
         yield
-
-
-@pytest.fixture(autouse=True)
-def adopts_no_orphans() -> Iterator[None]:
-    """A command that ran in this process has made it the parent of orphans, which other tests expect to be gone."""
-    yield
-    prctl(PR_SET_CHILD_SUBREAPER, 0)
 
 
 @pytest.fixture
@@ -110,3 +102,37 @@ def serious_findings() -> Callable[[Any], list[tuple[str, str]]]:
         return [(one["id"], one["nodes"][0]["html"]) for one in violations if one["impact"] in ("serious", "critical")]
 
     return found
+
+
+class Done(NamedTuple):
+    """A command that has ended: its exit code and its output."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def gridtrack(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Done]:
+    """`gridtrack(*words)` runs the command in this process, as from a terminal."""
+    from gridtrack.cli import main
+
+    def gridtrack(*words: object) -> Done:
+        monkeypatch.setattr(sys, "argv", ["gridtrack", *map(str, words)])
+        capsys.readouterr()
+        try:
+            main()
+        except SystemExit as end:
+            return Done(int(end.code or 0), *capsys.readouterr())
+        return Done(0, *capsys.readouterr())
+
+    return gridtrack
+
+
+@pytest.fixture
+def trackers_here() -> Iterator[None]:
+    """Trackers and trainings run in this process: for claims that are not about processes."""
+    from scenes.programs_here import programs_here
+
+    with programs_here():
+        yield

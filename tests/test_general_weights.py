@@ -11,10 +11,12 @@ from typer.testing import CliRunner
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import sha256_of
-from gridtrack.evaluation.runs.general_start import general_start
 from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.train import general_start
 from gridtrack.recordings import packaged_recording
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
+
+from scenes.programs_here import programs_here
 
 HALL = str(packaged_recording("leg_tracker"))
 """A hall, in cells of 0.1 m at 10 Hz."""
@@ -23,7 +25,8 @@ STREET = str(packaged_recording("junction/validation"))
 
 
 def gridtrack(*arguments: object, exit_code: int = 0) -> str:
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
+    with programs_here():
+        done = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
     assert done.exit_code == exit_code, done.output
     return done.output
 
@@ -169,14 +172,14 @@ def test_a_general_training_goes_on_from_general_weights_that_are_named(general_
 def test_a_general_training_that_names_no_weights_is_from_scratch(tmp_path):
     told = []
     assert general_start(Recipe(tracker="dogma", general=True), [], tmp_path, told.append, can_start=True) is None
-    assert told == ["from scratch: a general training goes on from general weights where --weights names their folder"]
+    assert told == ["from scratch: a general training starts from general weights only if --weights names their folder"]
 
 
 def test_weights_for_a_tracker_that_starts_from_none_are_not_ignored_in_silence(tmp_path):
     told = []
     recipe = Recipe(tracker="static-map", weights=str(tmp_path))
     assert general_start(recipe, [], tmp_path, told.append, can_start=False) is None
-    assert told == ["from scratch: this training of static-map starts from no weights, --weights has no effect"]
+    assert told == ["from scratch: a training of static-map does not start from weights; --weights has no effect"]
 
 
 def test_without_general_weights_a_training_is_from_scratch_and_its_command_says_so(tmp_path, monkeypatch):

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from typing import get_args
 
 import pytest
@@ -13,20 +14,34 @@ import pytest
 from gridtrack.evaluation.runs.settings import EngineName
 from gridtrack.reports.formats import FORMATS, PAGE
 
+from scenes.command_line import gridtrack
+
+Complete = Callable[..., list[str]]
 OTHER_KINDS = ("beam-dropout", "range-noise", "frame-drop")
-"""Of degraded input, beside the jitter of poses."""
+"""Kinds of degraded input beside the jitter of poses."""
 PROGRAM = [sys.executable, "-c", "import sys; sys.argv = ['gridtrack']; from gridtrack.cli import main; main()"]
 
 
-def completed_in_bash(*typed: str) -> list[str]:
-    """What bash is offered in place of the end of the last word; "" is a new word."""
+def asked_by_bash(*typed: str) -> dict[str, str]:
+    """The environment in which bash asks; "" is a new word."""
     words = ["gridtrack"]
     for word in typed:
         words += re.findall(r"[:=@]+|[^:=@]+", word) or [""]
-    asked = {"COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1), "_GRIDTRACK_COMPLETE": "complete_bash"}
-    done = subprocess.run(PROGRAM, env=os.environ | asked, capture_output=True, text=True, check=True)
-    assert done.stderr == ""
-    return done.stdout.split()
+    return {"COMP_WORDS": "\n".join(words), "COMP_CWORD": str(len(words) - 1), "_GRIDTRACK_COMPLETE": "complete_bash"}
+
+
+@pytest.fixture
+def completed_in_bash(monkeypatch: pytest.MonkeyPatch) -> Complete:
+    """`completed_in_bash(*words)`: what bash is offered in place of the end of the last word."""
+
+    def completed(*typed: str) -> list[str]:
+        for name, value in asked_by_bash(*typed).items():
+            monkeypatch.setenv(name, value)
+        done = gridtrack()
+        assert done.stderr == ""
+        return done.stdout.split()
+
+    return completed
 
 
 @pytest.mark.parametrize(
@@ -41,6 +56,7 @@ def completed_in_bash(*typed: str) -> list[str]:
         (["compare", "--tracker", "kalman:", ""], []),
         (["rec"], ["recording"]),
         (["compare", "a.mcap", "--engine", ""], list(get_args(EngineName))),
+        (["compare", "a.mcap", "--idle"], ["--idle-timeout"]),
         (["report", "run", "--format", ""], [PAGE, *FORMATS]),
         (["report", "run", "--format", "la"], ["latex"]),
         (["simulate", "tracks", "a.txt", "--format", "s"], ["sdd"]),
@@ -52,14 +68,15 @@ def completed_in_bash(*typed: str) -> list[str]:
         (["recording", "import", "a.bag", "--cloud-slice", "low_m=0.2,hi"], ["0.2,high_m="]),
     ],
 )
-def test_commands_trackers_and_values_of_a_fixed_set(typed: list[str], completed: list[str]) -> None:
+def test_commands_trackers_and_values_of_a_fixed_set(
+    completed_in_bash: Complete, typed: list[str], completed: list[str]
+) -> None:
     assert completed_in_bash(*typed) == completed
 
 
 @pytest.mark.parametrize(
     ("typed", "completed"),
     [
-        (["compare", "a.mcap", "--tracker", "kalman:as"], ["association="]),
         (["compare", "a.mcap", "--tracker", "slow=kalman:association=j"], ["jcbb"]),
         (["compare", "a.mcap", "--tracker", "kalman:association="], ["hungarian", "jcbb"]),
         (["compare", "a.mcap", "--tracker", "static-map:prior_frames=9,"], ["9,points=", "9,card=", "9,weights="]),
@@ -69,9 +86,13 @@ def test_commands_trackers_and_values_of_a_fixed_set(typed: list[str], completed
         (["train", "static-map:pr"], ["prior_frames="]),
     ],
 )
-def test_the_options_of_a_tracker_and_their_values(typed: list[str], completed: list[str]) -> None:
+def test_the_options_of_a_tracker_and_their_values(
+    completed_in_bash: Complete, typed: list[str], completed: list[str]
+) -> None:
     assert completed_in_bash(*typed) == completed
 
 
 def test_nothing_is_fetched_for_a_completion() -> None:
-    assert completed_in_bash("compare", "https://127.0.0.1:9/a.mcap", "--tracker", "ka") == ["kalman"]
+    asked = asked_by_bash("compare", "https://127.0.0.1:9/a.mcap", "--tracker", "ka")
+    done = subprocess.run(PROGRAM, env=os.environ | asked, capture_output=True, text=True, check=True)
+    assert (done.stdout.split(), done.stderr) == (["kalman"], "")

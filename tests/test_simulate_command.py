@@ -11,22 +11,19 @@ import pytest
 
 from gridtrack.recordings import open_recording, packaged_recording
 
+from scenes.command_line import Ended, gridtrack
+
 LINES = "\n".join(f'0 {10 + f} 10 {30 + f} 30 {f} 0 0 0 "Pedestrian"' for f in range(90)) + "\n"
 
 
 JUNCTION = ("simulate", "junction", "--minutes", "1", "--out", "a.tracks")
 
 
-def gridtrack(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "gridtrack.cli", *arguments], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == code, done.stdout + done.stderr
-    return done
-
-
-def test_the_check_gives_every_file_as_json() -> None:
+def test_the_check_prints_the_traffic_and_gives_every_file_as_json() -> None:
     paths = [str(packaged_recording(f"junction/{name}")) for name in ("test-104", "test-105")]
+    shown = gridtrack("simulate", "check", paths[0]).stdout
+    assert "1 minutes; the longest that a vehicle stands" in shown
+    assert "fault" not in shown
     found = json.loads(gridtrack("simulate", "check", *paths, "--json").stdout)
     assert [one["tracks"] for one in found] == paths
     assert found[0]["faults"] == []
@@ -41,7 +38,7 @@ def annotations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def simulate_tracks(source: Path, out: Path, *options: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+def simulate_tracks(source: Path, out: Path, *options: str, code: int = 0) -> Ended:
     return gridtrack(
         "simulate", "tracks", "--format", "sdd", str(source), "--scale", "0.05", "--out", str(out), *options, code=code
     )
@@ -67,14 +64,14 @@ def test_a_road_user_on_the_laser_is_a_fault_with_exit_code_3(annotations: Path)
 
 def test_the_check_reads_a_packaged_recording() -> None:
     done = gridtrack("simulate", "check", str(packaged_recording("junction/test-104")))
-    assert "1 minutes; the longest that a vehicle stands" in done.stdout
+    assert "1 minutes; longest standing time of a vehicle" in done.stdout
     assert "fault" not in done.stdout
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("simulate", "junction", "--minutes", "1", "--out", "a.bag"), "written as .tracks or as .mcap"),
+        (("simulate", "junction", "--minutes", "1", "--out", "a.bag"), "a .tracks or .mcap file"),
         (("simulate", "junction", "--minutes", "nan", "--out", "a.tracks"), "nan minutes: expected more than 0"),
         (
             ("simulate", "junction", "--minutes", "1", "--start", "-3s", "--out", "a.tracks"),

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from gridtrack import Run
 from gridtrack.recordings import packaged_recording
+
+from scenes.command_line import gridtrack
 
 SHIPPED = Path(__file__).parents[1] / "data" / "weights" / "static-map"
 RECORDING = f"{packaged_recording('leg_tracker')}@90s-96s"
@@ -24,14 +23,8 @@ def folder(tmp_path, monkeypatch):
     """The working folder, with the user's folders in it; `store` in it is the store."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def gridtrack(*words, folder, code=0):
-    command = [sys.executable, "-m", "gridtrack.cli", *words]
-    done = subprocess.run(command, cwd=folder, env=dict(os.environ), capture_output=True, text=True, check=False)
-    assert done.returncode == code, done.stdout + done.stderr
-    return done
 
 
 def json_in(path):
@@ -42,22 +35,22 @@ def test_weights_in_a_store_are_those_of_a_run_and_the_command_is_what_was_typed
     shutil.copytree(SHIPPED, folder / "store" / "weights" / "static-map")
     url = f"file://{folder}/store/weights"
     rows = ("--tracker", f"new=static-map:weights={url}", "--tracker", "static-map:points=centres")
-    done = gridtrack("compare", RECORDING, *rows, "--weights", url, *SHORT, "--out", "run", folder=folder)
+    done = gridtrack("compare", RECORDING, *rows, "--weights", url, *SHORT, "--out", "run")
     assert done.stderr.count("fetching") == 1
     record = json_in(folder / "run" / "run.json")
     assert f"new=static-map:weights={url}" in record["command"]
     new, other = record["weights"].values()
     assert new == other
     assert new["name"].startswith("static-map/")
-    listed = json.loads(gridtrack("trackers", "list", "--json", "--weights", url, folder=folder).stdout)
+    listed = json.loads(gridtrack("trackers", "list", "--json", "--weights", url).stdout)
     assert {row["name"]: row["state"] for row in listed}["static-map"] == "ready"
-    missing = gridtrack("trackers", "check", "static-map", "--weights", f"{url}-none", folder=folder, code=2)
+    missing = gridtrack("trackers", "check", "static-map", "--weights", f"{url}-none", code=2)
     assert missing.stderr == f"gridtrack: {url}-none: there is no such folder, or no file in it\n"
 
 
 def test_a_row_may_name_its_weights_in_a_store_that_is_not_there(folder):
     row = f"static-map:points=raw,weights=file://{folder}/none"
-    failed = gridtrack("compare", RECORDING, "--tracker", row, folder=folder, code=2)
+    failed = gridtrack("compare", RECORDING, "--tracker", row, code=2)
     assert failed.stderr == f"gridtrack: file://{folder}/none: there is no such folder, or no file in it\n"
 
 
@@ -67,7 +60,7 @@ def test_the_card_of_a_training_names_what_was_typed(folder):
     shutil.copy(packaged_recording("leg_tracker"), folder / "store")
     weights, recording = f"file://{folder}/store/weights", f"file://{folder}/store/leg_tracker.mcap"
     stretches = (f"{recording}@0s-20s", "--validation", f"{recording}@20s-40s")
-    done = gridtrack("train", "static-map", *stretches, "--weights", weights, "--out", "own", folder=folder)
+    done = gridtrack("train", "static-map", *stretches, "--weights", weights, "--out", "own")
     assert done.stdout.count("fetching") == 2
     card = (folder / "own" / "static-map" / "leg_tracker.toml").read_text()
     assert f"gridtrack train static-map {' '.join(stretches)} --seed 1 --weights {weights} --out own" in card
@@ -78,24 +71,23 @@ def test_the_card_of_a_training_names_what_was_typed(folder):
 def run_url(folder):
     """A run in the store, which is nowhere else."""
     out = ("--out", "store/hall")
-    gridtrack("compare", RECORDING, "--tracker", "persistence", "--tracker", "blank", *SHORT, *out, folder=folder)
+    gridtrack("compare", RECORDING, "--tracker", "persistence", "--tracker", "blank", *SHORT, *out)
     shutil.rmtree(folder / "store" / "hall" / "report")
     return f"file://{folder}/store/hall"
 
 
-def test_a_run_in_a_store_is_reported_judged_and_loaded(folder, run_url, monkeypatch):
+def test_a_run_in_a_store_is_reported_judged_and_loaded(folder, run_url):
     stored = sorted(path.name for path in (folder / "store").rglob("*"))
-    done = gridtrack("report", run_url, folder=folder)
+    done = gridtrack("report", run_url)
     assert done.stdout == "report: hall-report/index.html\n"
     assert (folder / "hall-report" / "index.html").is_file()
-    several = gridtrack("report", run_url, "store/hall", folder=folder)
+    several = gridtrack("report", run_url, "store/hall")
     assert several.stdout == "report: hall-side-by-side/index.html\n"
-    assert "persistence" in gridtrack("report", run_url, "--format", "markdown", folder=folder).stdout
-    gridtrack("regress", run_url, "--baseline", "hall.json", "--update", folder=folder)
-    gridtrack("regress", run_url, "--baseline", "hall.json", folder=folder)
-    missing = gridtrack("report", f"{run_url}-none", folder=folder, code=2)
+    assert "persistence" in gridtrack("report", run_url, "--format", "markdown").stdout
+    gridtrack("regress", run_url, "--baseline", "hall.json", "--update")
+    gridtrack("regress", run_url, "--baseline", "hall.json")
+    missing = gridtrack("report", f"{run_url}-none", code=2)
     assert missing.stderr == f"gridtrack: {run_url}-none: there is no such folder, or no file in it\n"
-    monkeypatch.chdir(folder)
     run = Run.load(run_url)
     assert run.url == run_url
     assert repr(run).startswith(f"Run('{run_url}': persistence, blank")
@@ -113,7 +105,7 @@ def kept_runs(folder):
 
 def test_a_run_is_made_in_a_store_and_continued_from_there(folder):
     url = f"file://{folder}/store/hall"
-    done = gridtrack("compare", RECORDING, *ROW, *SHORT, "--out", url, folder=folder)
+    done = gridtrack("compare", RECORDING, *ROW, *SHORT, "--out", url)
     assert done.stdout.endswith(f"report: {url}/report/index.html\n")
     stored = folder / "store" / "hall"
     assert json_in(stored / "run.json")["status"] == "complete"
@@ -121,13 +113,13 @@ def test_a_run_is_made_in_a_store_and_continued_from_there(folder):
     assert (stored / "report" / "index.html").is_file()
     assert kept_runs(folder) == []
     assert not list(stored.rglob(".*"))
-    again = gridtrack("compare", RECORDING, *ROW, *SHORT, "--out", url, folder=folder, code=2)
+    again = gridtrack("compare", RECORDING, *ROW, *SHORT, "--out", url, code=2)
     assert again.stderr.splitlines()[-1] == (
         f"gridtrack: {url} holds a run already: continue it with --resume, or name another folder with --out"
     )
     more = (*ROW, "--tracker", "persistence")
     outcome = (stored / "blank@leg_tracker@90s-96s" / "outcome.json").read_bytes()
-    gridtrack("compare", RECORDING, *more, *SHORT, "--out", url, "--resume", folder=folder)
+    gridtrack("compare", RECORDING, *more, *SHORT, "--out", url, "--resume")
     assert sorted(json_in(stored / "summary.json")["trackers"]) == ["blank", "persistence"]
     assert (stored / "blank@leg_tracker@90s-96s" / "outcome.json").read_bytes() == outcome
     assert kept_runs(folder) == []
@@ -139,7 +131,7 @@ def test_what_cannot_be_uploaded_stays_here_and_is_uploaded_by_the_command_that_
     blocking.write_text("a file where the folder of the report should be")
     url = f"file://{folder}/store/hall"
     command = ("compare", RECORDING, *ROW, *SHORT, "--out", url)
-    failed = gridtrack(*command, folder=folder, code=2)
+    failed = gridtrack(*command, code=2)
     (kept,) = kept_runs(folder)
     told, reason = failed.stderr.splitlines()[-2:]
     assert told.startswith(f"gridtrack: {kept} keeps the run, which is not in {url} as it is here: run `gridtrack")
@@ -147,15 +139,15 @@ def test_what_cannot_be_uploaded_stays_here_and_is_uploaded_by_the_command_that_
     assert reason.startswith(f"gridtrack: {url}: cannot be uploaded to (")
     assert not (folder / "store" / "hall" / "run.json").exists()
     blocking.unlink()
-    refused = gridtrack(*command, folder=folder, code=2)
+    refused = gridtrack(*command, code=2)
     assert "holds a run already: continue it with --resume" in refused.stderr
-    gridtrack(*command, "--resume", folder=folder)
+    gridtrack(*command, "--resume")
     assert json_in(folder / "store" / "hall" / "run.json")["status"] == "complete"
     assert kept_runs(folder) == []
 
 
 def test_a_comparison_that_does_not_begin_leaves_nothing(folder):
     url = f"file://{folder}/store/hall"
-    gridtrack("compare", RECORDING, "--tracker", "none-such", *SHORT, "--out", url, folder=folder, code=2)
+    gridtrack("compare", RECORDING, "--tracker", "none-such", *SHORT, "--out", url, code=2)
     assert not (folder / "store").exists()
     assert not list((folder / "home").rglob("hall"))

@@ -5,50 +5,53 @@ from __future__ import annotations
 from functools import partial
 
 import pytest
-from typer.testing import CliRunner
 
-from gridtrack.cli import app
-from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.runs.general_start import general_start
-from gridtrack.evaluation.runs.progress_lines import ProgressLines
 from gridtrack.evaluation.runs.recipe import Recipe
-from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.evaluation.runs.train import general_start, train_tracker
+from gridtrack.evaluation.runs.training_process import ProgressLines
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import GridStream
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
+
+from scenes.command_line import gridtrack
+
+pytestmark = pytest.mark.usefixtures("trackers_here")
 
 DEMO = str(packaged_recording("leg_tracker"))
 
 
-def train(*arguments: str) -> None:
-    CliRunner().invoke(app, ["train", *arguments], catch_exceptions=False)
+def train(*arguments: object, code: int = 0) -> str:
+    return gridtrack("train", *arguments, code=code).stderr
 
 
 def test_a_recipe_names_tracker_and_recording_and_the_command_line_overrides_it(tmp_path):
     recipe = tmp_path / "recipe.toml"
     recipe.write_text(
-        f'tracker = "static-map"\nrecordings = ["{DEMO}"]\nout = "{tmp_path / "weights"}"\n'
+        f'tracker = "static-map"\nrecordings = ["{DEMO}@0s-10s"]\nvalidation = ["{DEMO}@75s-81s"]\n'
+        f'out = "{tmp_path / "weights"}"\n'
         "[options]\nprior_frames = 2.5\n"
     )
     card = tmp_path / "weights" / "static-map" / "leg_tracker.toml"
-    train("--recipe", str(recipe))
+    train("--recipe", recipe)
     assert read_card(card).settings == {"prior_frames": 2.5}
-    train("static-map:prior_frames=4", "--recipe", str(recipe), "--seed", "9")
+    train("static-map:prior_frames=4", "--recipe", recipe, "--seed", "9")
     assert (read_card(card).settings, read_card(card).seed) == ({"prior_frames": 4.0}, 9)
 
 
 def test_the_first_argument_beside_a_card_is_a_recording_where_no_tracker_has_this_name(tmp_path):
-    train("static-map:prior_frames=3", DEMO, "--out", str(tmp_path / "first"))
+    validation = ("--validation", f"{DEMO}@75s-81s")
+    train("static-map:prior_frames=3", f"{DEMO}@0s-10s", *validation, "--out", tmp_path / "first")
     card = tmp_path / "first" / "static-map" / "leg_tracker.toml"
-    train(f"{DEMO}@0s-20s", "--like", str(card), "--validation", f"{DEMO}@75s-81s", "--out", str(tmp_path / "second"))
+    train(f"{DEMO}@0s-20s", "--like", card, *validation, "--out", tmp_path / "second")
     second = read_card(tmp_path / "second" / "static-map" / "leg_tracker.toml")
     assert second.settings == {"prior_frames": 3.0}
     assert second.train[0].recording == "leg_tracker.mcap@0s-20s"
 
 
-def test_a_recipe_and_a_card_together_are_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match="--recipe and --like: give one of them"):
-        train("--recipe", "a.toml", "--like", "b.toml")
+def test_two_sources_of_a_recipe_or_of_a_start_are_refused(tmp_path):
+    assert "--recipe and --like: give one of them" in train("--recipe", "a.toml", "--like", "b.toml", code=2)
+    both = ("--weights", tmp_path, "--from-scratch")
+    assert "--weights and --from-scratch: give one of them" in train("dogma", DEMO, *both, code=2)
 
 
 @pytest.fixture
@@ -64,11 +67,11 @@ def asked(monkeypatch):
 def test_the_start_on_the_command_line_overrides_that_of_the_recipe(asked, tmp_path):
     recipe = tmp_path / "recipe.toml"
     recipe.write_text(f'tracker = "dogma"\nrecordings = ["{DEMO}"]\nfrom_scratch = true\n')
-    train("--recipe", str(recipe))
-    train("--recipe", str(recipe), "--weights", "mine")
+    train("--recipe", recipe)
+    train("--recipe", recipe, "--weights", "mine")
     recipe.write_text(f'tracker = "dogma"\nrecordings = ["{DEMO}"]\nweights = "shared"\n')
-    train("--recipe", str(recipe))
-    train("--recipe", str(recipe), "--from-scratch")
+    train("--recipe", recipe)
+    train("--recipe", recipe, "--from-scratch")
     assert [(recipe.weights, recipe.from_scratch) for recipe in asked] == [
         (None, True), ("mine", False), ("shared", False), (None, True),
     ]  # fmt: skip
@@ -77,13 +80,8 @@ def test_the_start_on_the_command_line_overrides_that_of_the_recipe(asked, tmp_p
     ]  # fmt: skip
 
 
-def test_a_folder_of_general_weights_and_from_scratch_contradict_each_other(tmp_path):
-    with pytest.raises(ConfigurationError, match="--weights and --from-scratch: give one of them"):
-        train("dogma", DEMO, "--weights", str(tmp_path), "--from-scratch")
-
-
 def test_a_training_from_scratch_looks_for_no_general_weights(monkeypatch, tmp_path):
-    monkeypatch.setattr("gridtrack.evaluation.runs.general_start.find_weights", None)
+    monkeypatch.setattr("gridtrack.evaluation.runs.train.find_weights", None)
     told = []
     assert general_start(Recipe(tracker="dogma", from_scratch=True), [], tmp_path, told.append, can_start=True) is None
     assert told == ["from scratch, not from general weights"]
@@ -93,7 +91,7 @@ def test_regions_for_the_thresholds_are_those_of_the_training_and_not_of_the_res
     monkeypatch, tmp_path
 ):
     monkeypatch.setattr(GridStream, "all_observations", None)
-    train("static-map", f"{DEMO}@0s-20s", "--validation", f"{DEMO}@75s-81s", "--out", str(tmp_path))
+    train("static-map", f"{DEMO}@0s-20s", "--validation", f"{DEMO}@75s-81s", "--out", tmp_path)
     assert read_card(tmp_path / "static-map" / "leg_tracker.toml").thresholds is not None
 
 

@@ -13,11 +13,10 @@ from rich.console import Console
 
 from gridtrack.common.errors import MAX_LINE_CHARS
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, read_trial_record
+from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, read_trial_record
 from gridtrack.recordings import RecordingInfo, open_recording, write_native
 from gridtrack.recordings.recording import MAX_LISTED_TOPICS, MAX_WARNINGS, NO_MORE_WARNINGS, Topics
-from gridtrack.reports.live_table import LiveTable
-from gridtrack.reports.run_progress import RunProgress
+from gridtrack.reports.run_progress import LiveTable, RunProgress
 from gridtrack.reports.terminal import print_rows
 
 HOSTILE = "\x1b]0;owned\x07\x1b[31m\u202eevil\u2066\ud800"
@@ -57,7 +56,7 @@ def test_topics_are_counted_up_to_a_limit_but_for_those_with_scans() -> None:
 
 
 def test_a_reason_in_a_file_of_results_is_bounded_when_it_is_read(tmp_path: Path) -> None:
-    fields = {"schema": 2, "label": "a", "recording": "b", "outcome": "crashed", "steps": 1}
+    fields = {"schema": 3, "label": "a", "recording": "b", "outcome": "crashed", "steps": 1}
     content = json.dumps({**fields, "reason": HOSTILE[:-1] * 100_000})
     (tmp_path / OUTCOME_FILE).write_text(content)
     record = read_trial_record(tmp_path)

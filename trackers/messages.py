@@ -9,9 +9,9 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.files import LABEL_RULE, is_label
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.common.names import LABEL_RULE, is_label
 from gridtrack.trackers.contract import MAX_FUTURES, ComparedPart, Forecast, Role, StreamSpec, TrackedObject
 from gridtrack.trackers.wire import Message, WireError
 
@@ -60,7 +60,7 @@ def stream_from(message: Message) -> StreamSpec:
 
 
 def role_from(message: Message) -> Role:
-    """The role that `started` and `described` name; "tracker" where they name none. Raises WireError."""
+    """The role that `started` and `described` name; "tracker" by default. Raises WireError."""
     found: Any = message.fields.get("role", "tracker")
     if found not in get_args(Role):
         raise WireError(f"'{message.kind}': role is {found!r:.80}; expected one of {', '.join(get_args(Role))}")
@@ -69,7 +69,7 @@ def role_from(message: Message) -> Role:
 
 
 def code_sha256_from(message: Message) -> str:
-    """The hash of the tracker's code in `started`; "" where it gives none. Raises WireError."""
+    """The hash of the tracker's code in `started`; "" if it gives none. Raises WireError."""
     found: Any = message.fields.get("code_sha256", "")
     if not isinstance(found, str) or len(found) not in (0, 64) or set(found) - set("0123456789abcdef"):
         raise WireError(f"'{message.kind}': code_sha256 is {found!r:.80}; expected 64 hexadecimal digits")
@@ -77,7 +77,7 @@ def code_sha256_from(message: Message) -> str:
 
 
 def reference_for_from(message: Message) -> frozenset[ComparedPart]:
-    """The comparisons that `started` and `described` list in `reference_for`, none where absent. Raises WireError."""
+    """The comparisons that `started` and `described` list in `reference_for`; none by default. Raises WireError."""
     found: Any = message.fields.get("reference_for", [])
     if not isinstance(found, list) or not all(name in get_args(ComparedPart) for name in found):
         expected = ", ".join(get_args(ComparedPart))
@@ -176,7 +176,7 @@ def forecast_from(message: Message, grid: GridSpec, steps: int, classes: int) ->
 
 
 def without_semantics(forecast: Forecast) -> Forecast:
-    """`forecast` without its class probabilities, in memory of its own: that of the message can be freed."""
+    """`forecast` without its class probabilities, copied, so that the memory of the message can be freed."""
     velocity, futures = forecast.velocity, forecast.futures
     return Forecast(
         forecast.occupancy.copy(),

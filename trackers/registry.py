@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import re
+import sys
+from collections.abc import Iterator
+from functools import cache
 from importlib.metadata import Distribution, EntryPoint
+from pathlib import Path
 from typing import Any, get_args
 
 from gridtrack.common.config import Settings
 from gridtrack.common.entry_points import Registration, registrations
 from gridtrack.common.errors import PluginError, did_you_mean
-from gridtrack.trackers.contract import API, ComparedPart, Role, Tracker
+from gridtrack.common.files import sha256_of
+from gridtrack.trackers.contract import API, API_WITHOUT_FIT, ComparedPart, Role, Tracker
 
 TRACKER_GROUP = "gridtrack.trackers"
+INSTALLED = ("site-packages", "dist-packages")
+"""Names of folders of installed libraries."""
 
 
 def entries() -> dict[str, Registration]:
@@ -21,7 +29,7 @@ def entries() -> dict[str, Registration]:
 
 
 def find(name: str) -> Registration:
-    """The entry of the tracker `name`, not imported. Raises PluginError where it is unknown or broken."""
+    """The entry of the tracker `name`, not imported. Raises PluginError if it is unknown or broken."""
     known = entries()
     entry = known.get(name)
     if entry is None:
@@ -34,7 +42,7 @@ def find(name: str) -> Registration:
 def load(name: str) -> type[Tracker]:
     """Import the tracker `name` and check that it keeps the contract.
 
-    Raises PluginError, which names the plugin, its distribution and what is wrong. Call it in the tracker's own
+    Raises PluginError, which names the plugin, its distribution and the problem. Call it in the tracker's own
     process: importing a plugin runs its code.
     """
     entry = find(name)
@@ -50,6 +58,17 @@ def load(name: str) -> type[Tracker]:
         raise PluginError(f"{where}: {problem}")
     assert isinstance(found, type)
     return found
+
+
+@cache
+def registered_name(tracker: type[Tracker]) -> str:
+    """The registered name of a tracker's class, or of the nearest class that it inherits from. Raises PluginError."""
+    for kind in tracker.__mro__:
+        for entry in entries().values():
+            module, _, attribute = entry.value.partition(":")
+            if attribute == kind.__qualname__ and f"{kind.__module__}.".startswith(f"{module}."):
+                return entry.name
+    raise PluginError(f"{tracker.__module__}.{tracker.__qualname__} is not registered as a tracker")
 
 
 def install_hint(name: str, error: ImportError) -> str:
@@ -72,8 +91,8 @@ def contract_breach(found: Any) -> str:
     """The reason why `found` is not a tracker of this contract, in one line; "" if it is."""
     if not (isinstance(found, type) and issubclass(found, Tracker)):
         return f"{found!r} is not a subclass of gridtrack.trackers.contract.Tracker"
-    if found.api != API:
-        return f"made for contract {found.api}; this gridtrack has contract {API}"
+    if problem := api_breach(found.api, fits=_has_fit(found)):
+        return problem
     options: Any = found.Options
     if not (isinstance(options, type) and issubclass(options, Settings)):
         return "Options is not a subclass of gridtrack.common.config.Settings"
@@ -81,6 +100,19 @@ def contract_breach(found: Any) -> str:
     if missing:
         return f"it lacks {', '.join(missing)}"
     return _signature_breach(found) or _attribute_breach(found)
+
+
+def api_breach(api: object, *, fits: bool) -> str:
+    """The reason why a tracker of contract `api` cannot be used here, "" if it can; `fits`: it has a `fit`."""
+    if api == API or (api == API_WITHOUT_FIT and not fits):
+        return ""
+    if api == API_WITHOUT_FIT:
+        return f"made for contract {api}, and fit has changed: write fit(cls, task: FitTask) and set api = {API}"
+    return f"made for contract {api}; this gridtrack has contract {API}"
+
+
+def _has_fit(found: type[Tracker]) -> bool:
+    return found.fit.__func__ is not Tracker.fit.__func__  # type: ignore[attr-defined]
 
 
 def _signature_breach(found: type[Tracker]) -> str:
@@ -91,6 +123,11 @@ def _signature_breach(found: type[Tracker]) -> str:
             signature.bind("self", *arguments)
         except TypeError:
             return f"{method}{signature} cannot be called as {method}({', '.join(arguments)})"
+    fit = inspect.signature(found.fit)
+    try:
+        fit.bind("task")
+    except TypeError:
+        return f"fit{fit} cannot be called as fit(task): from contract {API} on it takes one FitTask"
     return ""
 
 
@@ -102,6 +139,36 @@ def _attribute_breach(found: type[Tracker]) -> str:
         return f"role is {found.role!r}; expected one of {', '.join(get_args(Role))}"
     if not isinstance(found.reference_for, frozenset) or not found.reference_for <= set(get_args(ComparedPart)):
         return f"reference_for is {found.reference_for!r}; expected a frozenset of {', '.join(get_args(ComparedPart))}"
-    if found.learns and found.fit.__func__ is Tracker.fit.__func__:  # type: ignore[attr-defined]
+    if found.learns and not _has_fit(found):
         return "it learns, but has no fit"
     return ""
+
+
+def code_sha256(tracker: type[Tracker]) -> str:
+    """The hash of the code of a tracker, which shows whether it was edited between two runs.
+
+    It covers the loaded source files of its package, and those below the folder of its module except installed
+    libraries. "" for a class without a file, as in a notebook.
+    """
+    files = dict(sorted(_source_files(tracker.__module__.partition(".")[0])))
+    digest = hashlib.sha256()
+    for name, path in files.items():
+        digest.update(f"{name}:{sha256_of(path)}\n".encode())
+    return digest.hexdigest() if files else ""
+
+
+def _source_files(package: str) -> Iterator[tuple[str, Path]]:
+    """The name and the file of each loaded module that belongs to `package` or lies beside it."""
+    top = getattr(sys.modules.get(package), "__file__", None)
+    root = Path(top).parent if top else None
+    for name, module in list(sys.modules.items()):
+        path = Path(getattr(module, "__file__", None) or "")
+        if path.is_file() and (name.partition(".")[0] == package or (root is not None and _is_below(path, root))):
+            yield name, path
+
+
+def _is_below(path: Path, root: Path) -> bool:
+    """Whether a file lies below `root`, and not in a library that is installed there."""
+    if root.name in INSTALLED or not path.is_relative_to(root):
+        return False
+    return not set(INSTALLED) & set(path.relative_to(root).parts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import shlex
@@ -16,13 +17,13 @@ from pydantic import model_validator
 from gridtrack.common.config import Settings, parse_pairs, validated
 from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
-from gridtrack.common.files import read_bounded
+from gridtrack.common.files import read_bounded, sha256_of
 from gridtrack.common.grid import Points
 from gridtrack.common.untrusted import parse_toml
 from gridtrack.trackers import registry
 
 CardKind = Literal["any", "site", "general"]
-"""The weights that a row may use: those of the site, general ones, or the site's where there are some."""
+"""The weights that a row may use: of the site, general, or any: those of the site if it has some, else general."""
 MAX_TOML_BYTES = 1 << 20
 LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._ -]{0,62}[A-Za-z0-9_-])?")
 
@@ -31,10 +32,9 @@ LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._ -]{0,62}[A-Za-z0-9_-])?")
 class Selection:
     """One row of a comparison.
 
-    `points`: the returns in the frames, which are the centres of the occupied cells, or those of the laser
-    (`points=raw`). `weights`: the folder of weights of this row alone (`weights=DIR`), to compare two trainings of a
-    tracker. `card`: those of the site, or general ones (`card=general`), or the site's where there are some and else
-    general ones. `options`: those of the tracker, not yet validated.
+    `options`: of the tracker, not yet validated. `points`: the points of the frames: the centres of the occupied cells,
+    or the returns of the laser (`points=raw`). `weights`: a folder of weights for this row alone (`weights=DIR`), to
+    compare two trainings of a tracker. `card`: the weights to use there (`card=general`).
     """
 
     label: str
@@ -47,7 +47,7 @@ class Selection:
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """How the process of the tracker `name` is started: the program with its arguments, and its working folder.
+    """The command that starts the process of the tracker `name`: program and arguments, and the working folder.
 
     A tracker that is registered in this environment has no folder, and runs in this Python.
     """
@@ -61,9 +61,22 @@ class Launch:
         """Whether a `trackers.toml` names it."""
         return self.cwd is not None
 
+    def code_sha256(self) -> str:
+        """The hash of the files that the command names; "" if it names none."""
+        digests = [sha256_of(path) for path in (Path(self.cwd or "", word) for word in self.argv) if _is_file(path)]
+        return hashlib.sha256("\n".join(digests).encode()).hexdigest() if digests else ""
+
+
+def _is_file(path: Path) -> bool:
+    """Whether `path` is a file; a word of a command may be too long for a path, or have a null byte."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
 
 def parse_selection(text: str) -> Selection:
-    """Read `[LABEL=]NAME[:key=value,...]`; values are JSON where they read as JSON. Raises ConfigurationError."""
+    """Read `[LABEL=]NAME[:key=value,...]`; a value that is JSON is read as JSON. Raises ConfigurationError."""
     head, _, tail = text.partition(":")
     label, equals, name = (part.strip() for part in head.partition("="))
     if not equals:
@@ -91,7 +104,7 @@ def parse_selection(text: str) -> Selection:
 
 
 def parse_selections(texts: Iterable[str]) -> tuple[Selection, ...]:
-    """Read several selections, whose labels must differ as the names of folders do. Raises ConfigurationError."""
+    """Read several selections; their labels must differ as names of folders. Raises ConfigurationError."""
     selections = tuple(parse_selection(text) for text in texts)
     labels: set[str] = set()
     for selection in selections:

@@ -14,8 +14,7 @@ from typing import Any
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError, WeightsError, one_line
 from gridtrack.trackers import messages, registry
-from gridtrack.trackers.contract import API, Forecast, StreamSpec, Tracker
-from gridtrack.trackers.own_code import code_sha256
+from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
 from gridtrack.trackers.wire import MAX_HEADER, Message, WireError, encode, fill_from, receive, widen, write_to
 
 MAX_LINE = 500
@@ -89,7 +88,7 @@ class Server:
         self.stream = messages.stream_from(request)
         self.max_body = messages.update_limit(self.stream.grid)
         self.tracker = kind(self.stream, options)
-        fields = _description(kind, self.tracker.classes, options) | {"code_sha256": code_sha256(kind)}
+        fields = _description(kind, self.tracker.classes, options) | {"code_sha256": registry.code_sha256(kind)}
         return Message("started", request.number, fields)
 
     def _options(self, tracker: type[Tracker], values: Mapping[str, Any]) -> Settings:
@@ -159,7 +158,7 @@ def _description(kind: type[Tracker], classes: Any, options: Settings) -> dict[s
         raise WireError(f"classes is {classes!r:.80}; expected a tuple of names")
     schema = kind.Options.model_json_schema()
     return {
-        "api": API,
+        "api": kind.api,
         "about": (kind.__doc__ or "").strip(),
         "classes": list(classes),
         "moving_sensor": kind.moving_sensor,

@@ -45,7 +45,7 @@ DTYPES = {
 RESERVED = ("type", "id", "arrays")
 
 Fill = Callable[[list[memoryview]], None]
-"""Fills the buffers in their order with received bytes; raises where it cannot."""
+"""Fills the buffers in their order with received bytes; raises if it cannot."""
 FieldType = TypeVar("FieldType")
 
 
@@ -189,7 +189,7 @@ def _array(part: NDArray[np.uint8], dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def fill_from(fd: int) -> Fill:
-    """Blocking reads of the file descriptor `fd`. Raises EOFError where the stream ends inside or before a message."""
+    """Blocking reads of the file descriptor `fd`. Raises EOFError if the stream ends inside or before a message."""
 
     def fill(buffers: list[memoryview]) -> None:
         left = [b for b in buffers if b.nbytes]
@@ -219,7 +219,7 @@ def without(buffers: list[memoryview], count: int) -> list[memoryview]:
 
 
 def widen(fd: int) -> None:
-    """Set the capacity of the pipe `fd` to 1 MiB where the system allows it: a forecast needs fewer writes."""
+    """Set the capacity of the pipe `fd` to 1 MiB if the system allows it: a forecast needs fewer writes."""
     if sys.platform == "linux":
         import fcntl
 

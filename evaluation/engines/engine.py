@@ -1,95 +1,127 @@
-"""The engine: it carries out the works of a run, and gives the record of the trial that each is about."""
+"""The interface of an engine, which executes the jobs of a run, and the folder in which it works."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import shutil
+from collections.abc import Sequence
 from concurrent.futures import Future
 from pathlib import Path
+from tempfile import mkdtemp
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol, Self, TypeVar
 
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.common.errors import GridtrackError
+from gridtrack.evaluation.hosting.limits import SCRATCH
 
 WAKE_S = 0.2
 """Period at which the main thread checks for an interrupt: a library may have made its wait ignore signals."""
+
+
+class EngineError(GridtrackError):
+    """A failure of the engine or its machines, not of the tracker: a job was not executed."""
 
 
 class Interrupted(Exception):
     """The run was interrupted; the scores so far are kept."""
 
 
-class RunObserver(Protocol):
-    """Receives the progress of a run, from several threads; a trial is named like its folder."""
+class JobObserver(Protocol):
+    """Receives the progress of all jobs, from several threads. `job` is the name of a job."""
 
     def note(self, text: str) -> None:
         """A message for the user, one line."""
 
-    def planned(self, frames: Mapping[str, int], then: Sequence[str] = ()) -> None:
-        """The trials that will run, and about how many frames each will receive; `then`: what follows them."""
+    def started(self, job: str, frames: int) -> None:
+        """A job starts; it will deliver `frames` frames."""
 
-    def started(self, trial: str, frames: int) -> None:
-        """A trial starts; it will receive `frames` frames."""
-
-    def advanced(self, trial: str) -> None:
+    def advanced(self, job: str) -> None:
         """The next frame is delivered."""
-
-    def ended(self, trial: str, record: TrialRecord) -> None:
-        """A trial has ended, or its record is kept from an earlier run."""
 
 
 class Monitor(Protocol):
-    """Receives the progress of one work, and ends it where the run is interrupted."""
+    """Receives the progress of one job, and interrupts it."""
 
     def note(self, text: str) -> None:
         """A message for the user, one line."""
 
     def started(self, frames: int) -> None:
-        """The work starts; it will deliver `frames` frames."""
+        """The job starts; it will deliver `frames` frames."""
 
     def next_frame(self) -> None:
         """The next frame is delivered. Raises Interrupted."""
 
     def check(self) -> None:
-        """Raises Interrupted where the run is interrupted."""
+        """Raises Interrupted if the run was interrupted."""
 
 
-class Work(Protocol):
-    """A part of a run that is about one trial, and that runs on its own: its scores, or a measurement after them."""
+class JobResult(Protocol):
+    """The result of a job."""
+
+    @property
+    def outcome(self) -> str:
+        """`ok`, `interrupted`, or the failure of the tracker."""
+
+
+Result = TypeVar("Result", bound=JobResult)
+Result_co = TypeVar("Result_co", bound=JobResult, covariant=True)
+
+
+class Job(Protocol[Result_co]):
+    """An independent part of a run, which writes files into one folder: the scores of a trial, or a measurement."""
 
     @property
     def name(self) -> str:
-        """The name of the trial, and of its folder."""
+        """The name of the trial, and of its folder in the run's folder."""
 
     @property
     def replaces(self) -> tuple[str, ...]:
-        """Names of the files of an earlier run in the trial's folder that it replaces."""
+        """Names of files in the folder that the job replaces."""
+
+    @property
+    def result_file(self) -> str:
+        """The name of the file with the result: it is written last."""
 
     def order(self) -> str:
-        """Its description as a JSON text, from which a process on another machine makes the same work."""
+        """Its description as JSON, from which a process on another machine makes the same job."""
 
-    def run(self, monitor: Monitor) -> TrialRecord:
-        """Do it, and give the trial's record. Raises Interrupted, and an error where there is no record."""
+    def run(self, monitor: Monitor) -> Result_co:
+        """Execute it in this process. Raises Interrupted, and an error if there is no result."""
+
+    def result(self) -> Result_co:
+        """The result in the file that another process has written. Raises GridtrackError."""
 
     def interrupt(self) -> None:
         """End it from another thread, also during a call."""
 
 
 class Engine(Protocol):
-    """Where works are carried out. A context manager: leaving it ends everything that it started."""
+    """Executes jobs. A context manager: leaving it ends everything that it started."""
 
     capacity: int
-    """The number of works that can run at the same time; 0 where none can."""
+    """Limit of the jobs that run at the same time; 0 if none can."""
     scratch: Path
     """A folder that all its processes can read, removed when the engine is left."""
 
-    def submit(self, works: Sequence[Work]) -> list[Future[TrialRecord]]:
-        """Carry out `works` in any order; the future of each has its record, or the error that ended it."""
+    def submit(self, jobs: Sequence[Job[Result]]) -> list[Future[Result]]:
+        """Execute `jobs` in any order. Each future gets the job's result, or the error that ended it."""
 
     def cancel(self) -> None:
-        """End all works: those that wait never start, those that run are interrupted and give the record so far."""
+        """End all jobs: waiting jobs never start, running ones are interrupted and return the result so far."""
 
     def __enter__(self) -> Self: ...
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
+
+
+def new_scratch(run_folder: Path) -> Path:
+    """An empty folder below the run's folder. Removes the scratch folder of a killed run. Raises OSError."""
+    remove_scratch(run_folder)
+    (run_folder / SCRATCH).mkdir(exist_ok=True)
+    return Path(mkdtemp(dir=run_folder / SCRATCH))
+
+
+def remove_scratch(run_folder: Path) -> None:
+    """Remove the scratch folder, as far as possible."""
+    shutil.rmtree(run_folder / SCRATCH, ignore_errors=True)

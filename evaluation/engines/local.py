@@ -1,4 +1,4 @@
-"""The local engine: each work in a thread of this process, with the supervised process of its tracker."""
+"""The local engine: each job in a thread of this process, beside the supervised process of its tracker."""
 
 from __future__ import annotations
 
@@ -7,25 +7,23 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
-from gridtrack.evaluation.engines.engine import Interrupted, RunObserver, Work
-from gridtrack.evaluation.engines.scratch import new_scratch, remove_scratch
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.engines.engine import Interrupted, Job, JobObserver, Result, new_scratch, remove_scratch
 
 
 class LocalEngine:
-    """An Engine of `capacity` threads. `observer` receives the progress of the works."""
+    """An Engine of `capacity` threads. `observer` receives the progress of the jobs."""
 
-    def __init__(self, capacity: int, run_folder: Path, observer: RunObserver) -> None:
+    def __init__(self, capacity: int, run_folder: Path, observer: JobObserver) -> None:
         """Raises OSError."""
         self.capacity = capacity
         self._run_folder, self._observer = run_folder.absolute(), observer
         self.scratch = new_scratch(self._run_folder)
         self._threads = ThreadPoolExecutor(capacity, "trial")
         self._stop = threading.Event()
-        self._futures: list[Future[TrialRecord]] = []
-        self._running: set[Work] = set()
+        self._futures: list[Future[Any]] = []
+        self._running: set[Job[Any]] = set()
 
     def __enter__(self) -> Self:
         return self
@@ -38,33 +36,34 @@ class LocalEngine:
         self._threads.shutdown()
         remove_scratch(self._run_folder)
 
-    def submit(self, works: Sequence[Work]) -> list[Future[TrialRecord]]:
-        """Carry out `works`, in their order."""
-        self._futures = []
-        for work in works:
-            self._futures.append(self._threads.submit(self._run, work))
-        return self._futures
+    def submit(self, jobs: Sequence[Job[Result]]) -> list[Future[Result]]:
+        """Execute `jobs` in their order."""
+        futures: list[Future[Result]] = []
+        self._futures = futures
+        for job in jobs:
+            futures.append(self._threads.submit(self._run, job))
+        return futures
 
     def cancel(self) -> None:
-        """End the trackers now: works that wait never start, calls that run are interrupted."""
+        """End all jobs: waiting jobs never start, and running calls of trackers are interrupted."""
         self._stop.set()
         for future in self._futures:
             future.cancel()
-        for work in tuple(self._running):
-            work.interrupt()
+        for job in tuple(self._running):
+            job.interrupt()
 
-    def _run(self, work: Work) -> TrialRecord:
-        self._running.add(work)
+    def _run(self, job: Job[Result]) -> Result:
+        self._running.add(job)
         try:
-            return work.run(_LocalMonitor(work.name, self._observer, self._stop))
+            return job.run(_LocalMonitor(job.name, self._observer, self._stop))
         finally:
-            self._running.discard(work)
+            self._running.discard(job)
 
 
 class _LocalMonitor:
-    """The Monitor of a work in a thread."""
+    """The Monitor of a job in a thread."""
 
-    def __init__(self, name: str, observer: RunObserver, stop: threading.Event) -> None:
+    def __init__(self, name: str, observer: JobObserver, stop: threading.Event) -> None:
         self._name, self._observer, self._stop = name, observer, stop
 
     def note(self, text: str) -> None:

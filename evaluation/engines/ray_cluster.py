@@ -1,4 +1,4 @@
-"""A Ray cluster: each attempt is a Ray task, to which the path of its folder travels and nothing else."""
+"""A Ray cluster: each task is a Ray task, which is sent the path of its folder and nothing else."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gridtrack.common.errors import ConfigurationError, one_line
-from gridtrack.evaluation.engines.cluster import TaskEnd
+from gridtrack.evaluation.engines.remote import TaskEnd
 
 if TYPE_CHECKING:
     from ray import ObjectRef
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 MAX_RAY_REASON = 200
 CONNECT_S = 10.0
 ENVIRONMENT = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
-"""Of a cluster that is started here: it reports to nobody, and its tasks have the priority that trials have locally."""
+"""For a cluster started here: no usage reports, and tasks have the priority of local trials."""
 
 
 class RayCluster:
     """A TaskCluster of Ray nodes. Ray trusts whoever reaches it: a cluster belongs behind a firewall.
 
-    `carry_out` is a function of an importable module, which takes the path of an attempt's folder. Each task has
-    `cores` cores. Without an `address` the cluster that this machine belongs to is joined, else one is started here.
+    `run_task` is a function of an importable module, which takes the path of a task's folder. Each task has `cores`
+    cores. Without an `address` the cluster of this machine is joined, or one is started here.
     """
 
     name = "ray"
 
-    def __init__(self, address: str | None, cores: int, carry_out: Callable[[str], object]) -> None:
-        """Raises ConfigurationError where Ray is not installed, or not reached."""
+    def __init__(self, address: str | None, cores: int, run_task: Callable[[str], object]) -> None:
+        """Raises ConfigurationError if Ray is not installed, or not reached."""
         for name, value in ENVIRONMENT.items():
             os.environ.setdefault(name, value)
         try:
@@ -42,16 +42,16 @@ class RayCluster:
         if self._joined:
             self._join(address)
         options = {"num_cpus": cores, "max_retries": 0, "scheduling_strategy": "SPREAD"}
-        self._task = self._ray.remote(**options)(carry_out)
+        self._task = self._ray.remote(**options)(run_task)
         nodes = (node["Resources"].get("CPU", 0.0) for node in self._ray.nodes() if node["Alive"])
         self.capacity = sum(int(cpus // cores) for cpus in nodes)
 
     def start(self, folders: Sequence[Path]) -> list[ObjectRef[Any]]:
-        """Start a task for each attempt."""
+        """Start the tasks in `folders`."""
         return [self._task.remote(str(folder)) for folder in folders]
 
     def ended(self, tasks: Sequence[ObjectRef[Any]]) -> Mapping[ObjectRef[Any], TaskEnd]:
-        """Those of `tasks` that have ended."""
+        """The tasks among `tasks` that have ended."""
         done, _ = self._ray.wait(list(tasks), num_returns=len(tasks), timeout=0, fetch_local=False)
         return {task: self._end_of(task) for task in done}
 
@@ -61,7 +61,7 @@ class RayCluster:
             self._ray.cancel(task, force=force)
 
     def close(self) -> None:
-        """Leave the cluster, or end it where it was started here."""
+        """Leave the cluster, or end it if it was started here."""
         if self._joined:
             self._ray.shutdown()
 
@@ -89,7 +89,7 @@ class RayCluster:
 
 
 def _knock(address: str) -> None:
-    """Raise OSError or ValueError where nobody answers at HOST:PORT: Ray itself would try for minutes."""
+    """Raise OSError or ValueError if nothing answers at HOST:PORT: Ray itself would try for minutes."""
     host, _, port = address.rpartition(":")
     socket.create_connection((host, int(port)), CONNECT_S).close()
 

@@ -1,57 +1,85 @@
-"""The engine of a cluster: each work an attempt on some machine, again on another where a machine is lost."""
+"""The engine of a cluster: each job as a task on some machine, again on another one if a machine is lost."""
 
 from __future__ import annotations
 
 import shutil
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Generic, Self
+from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
-from gridtrack.evaluation.engines.attempt import INTERRUPTED, Attempt, AttemptProgress, EngineError, Reply
-from gridtrack.evaluation.engines.cluster import Task, TaskCluster, TaskEnd
-from gridtrack.evaluation.engines.engine import RunObserver, Work
-from gridtrack.evaluation.engines.scratch import new_scratch, remove_scratch
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.common.errors import GridtrackError
+from gridtrack.evaluation.engines.engine import EngineError, Job, JobObserver, Result, new_scratch, remove_scratch
+from gridtrack.evaluation.engines.task import INTERRUPTED, Reply, TaskFolder, TaskProgress
 
-"""The folder in the run's folder for what host and machines exchange; removed at the end of the run."""
-LOOK_S = 0.5
+Task = TypeVar("Task")
+POLL_S = 0.5
 RETRIES = 2
-"""How often a work starts again after its machine was lost."""
+"""How often a job starts again after its machine was lost."""
 CANCEL_S = 60.0
-"""Time for interrupted tasks to reply; then they are ended."""
+"""Time for interrupted tasks to reply; then they are killed."""
 REPLY_S = 60.0
-"""Time for a reply to be seen here: network file systems keep the entries of a folder for half a minute."""
+"""Time for a reply to become visible here: network file systems cache the entries of a folder for half a minute."""
+
+
+class TaskEnd(NamedTuple):
+    """The end of a task: `lost` with its machine or its process, so that the job may run again; and the reason."""
+
+    lost: bool
+    reason: str
+
+
+class TaskCluster(Protocol[Task]):
+    """Runs tasks on its machines, each in a folder that all of them share."""
+
+    name: str
+    capacity: int
+    """The number of tasks that its machines can run at the same time."""
+
+    def start(self, folders: Sequence[Path]) -> list[Task]:
+        """Start the tasks in `folders`. Raises EngineError."""
+
+    def ended(self, tasks: Sequence[Task]) -> Mapping[Task, TaskEnd]:
+        """The tasks among `tasks` that have ended. Raises EngineError if the cluster is lost."""
+
+    def cancel(self, tasks: Iterable[Task], *, force: bool) -> None:
+        """End `tasks`: by an interrupt, after which they may reply, or with `force` at once.
+
+        Raises EngineError, which says what may still run, if the cluster does not answer.
+        """
+
+    def close(self) -> None:
+        """Leave the cluster. Raises EngineError as `cancel`."""
 
 
 @dataclass(slots=True)
 class _Submitted:
-    """A work that has been submitted: its future, and its current attempt."""
+    """A submitted job: its future, and its current task."""
 
     number: int
-    work: Work
-    attempt: Attempt
-    future: Future[TrialRecord] = field(default_factory=Future)
-    attempts: int = 0
-    seen: AttemptProgress = field(default_factory=AttemptProgress)
+    job: Job[Any]
+    folder: TaskFolder
+    future: Future[Any] = field(default_factory=Future)
+    starts: int = 0
+    seen: TaskProgress = field(default_factory=TaskProgress)
     ended_s: float | None = None
-    """When its task was seen to have ended without a reply."""
+    """When its task was found to have ended without a reply."""
 
 
 class RemoteEngine(Generic[Task]):
     """An Engine of the machines of a cluster. They share the run's folder, at the same path.
 
-    A thread watches the tasks. Each attempt has a folder of its own, so what an attempt on a lost machine still writes
-    changes no result.
+    A thread watches the tasks. Each task has its own folder, so a task on a lost machine that still writes changes no
+    result.
     """
 
-    def __init__(self, cluster: TaskCluster[Task], run_folder: Path, observer: RunObserver) -> None:
-        """Raises EngineError where no machine of the cluster can run a work, OSError."""
+    def __init__(self, cluster: TaskCluster[Task], run_folder: Path, observer: JobObserver) -> None:
+        """Raises EngineError if no machine of the cluster can run a job, OSError."""
         if cluster.capacity < 1:
             with suppress(EngineError):
                 cluster.close()
@@ -80,34 +108,34 @@ class RemoteEngine(Generic[Task]):
             self._watcher.join()
             with self._lock:
                 self._cancel(self._running, force=True)
-            with self._telling():
+            with self._noting_errors():
                 self._cluster.close()
         finally:
             remove_scratch(self._run_folder)
 
-    def submit(self, works: Sequence[Work]) -> list[Future[TrialRecord]]:
-        """Start an attempt at each of `works`. Raises EngineError, OSError."""
+    def submit(self, jobs: Sequence[Job[Result]]) -> list[Future[Result]]:
+        """Start a task for each of `jobs`. Raises EngineError, OSError."""
         entries = []
-        for work in works:
+        for job in jobs:
             self._count += 1
-            entries.append(_Submitted(self._count, work, Attempt(self.scratch)))
+            entries.append(_Submitted(self._count, job, TaskFolder(self.scratch)))
         with self._lock:
             self._start(entries)
         return [entry.future for entry in entries]
 
     def cancel(self) -> None:
-        """Interrupt all tasks; each has CANCEL_S to give the record so far."""
+        """Interrupt all tasks; each has CANCEL_S to return the result so far."""
         with self._lock:
             self._cancelled_s = time.monotonic()
             self._cancel(self._running, force=False)
 
     def _cancel(self, tasks: Iterable[Task], *, force: bool) -> None:
-        with self._telling():
+        with self._noting_errors():
             self._cluster.cancel(tasks, force=force)
 
     @contextmanager
-    def _telling(self) -> Iterator[None]:
-        """Tell the user once, and go on, where the cluster does not end what runs: the results so far are kept."""
+    def _noting_errors(self) -> Iterator[None]:
+        """If the cluster fails to end tasks, tell the user once and continue: the results so far are kept."""
         try:
             yield
         except EngineError as error:
@@ -117,33 +145,32 @@ class RemoteEngine(Generic[Task]):
 
     def _start(self, entries: Sequence[_Submitted]) -> None:
         for entry in entries:
-            entry.attempts += 1
-            folder = self.scratch / f"{entry.number}.{entry.attempts}"
-            entry.attempt = Attempt.begin(folder, entry.work.order())
-            entry.seen, entry.ended_s = AttemptProgress(), None
-        tasks = self._cluster.start([entry.attempt.folder for entry in entries])
+            entry.starts += 1
+            entry.folder = TaskFolder.make(self.scratch / f"{entry.number}.{entry.starts}", entry.job.order())
+            entry.seen, entry.ended_s = TaskProgress(), None
+        tasks = self._cluster.start([entry.folder.path for entry in entries])
         self._running.update(zip(tasks, entries, strict=True))
 
     def _watch(self) -> None:
-        """Until the engine is left, take what has ended; an error here ends every work with it."""
-        while not self._closed.wait(LOOK_S):
+        """Until the engine is left, collect what has ended; an error here ends every job with it."""
+        while not self._closed.wait(POLL_S):
             try:
                 with self._lock:
-                    self._look()
-            except Exception as error:  # noqa: BLE001 it is raised again where the runner asks for the records
+                    self._poll()
+            except Exception as error:  # noqa: BLE001 it is raised again where the runner asks for the results
                 with self._lock:
                     for entry in self._running.values():
                         if not entry.future.done():
                             entry.future.set_exception(error)
                     self._running.clear()
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         ends = self._cluster.ended(list(self._running)) if self._running else {}
         for task, entry in list(self._running.items()):
             try:
-                self._relay(entry)
+                self._report_progress(entry)
                 done = task in ends and self._end(entry, ends[task])
-            except EngineError as error:
+            except GridtrackError as error:
                 entry.future.set_exception(error)
                 self._cancel([task], force=True)
                 done = True
@@ -155,24 +182,24 @@ class RemoteEngine(Generic[Task]):
                 _end_as_cancelled(entry.future)
             self._running.clear()
 
-    def _relay(self, entry: _Submitted) -> None:
-        """Tell the observer what is new in the progress of an attempt."""
-        seen, now = entry.seen, entry.attempt.progress()
+    def _report_progress(self, entry: _Submitted) -> None:
+        """Report the new progress of a task to the observer."""
+        seen, now = entry.seen, entry.folder.progress()
         for note in now.notes[len(seen.notes) :]:
             self._observer.note(note)
         if now.frames is not None and seen.frames is None:
-            self._observer.started(entry.work.name, now.frames)
+            self._observer.started(entry.job.name, now.frames)
         if now.frames is not None:
             for _ in range(now.delivered - seen.delivered):
-                self._observer.advanced(entry.work.name)
+                self._observer.advanced(entry.job.name)
         entry.seen = now
 
     def _end(self, entry: _Submitted, end: TaskEnd) -> bool:
-        """Take what a task left that has ended; whether that is all there will be."""
-        reply = entry.attempt.reply()
+        """Handle a task that has ended. Returns False if its reply may still become visible."""
+        reply = entry.folder.reply()
         cancelled = self._cancelled_s is not None
         if reply is not None and (cancelled or not _ended_from_outside(reply, end)):
-            self._relay(entry)
+            self._report_progress(entry)
             self._accept(entry, reply)
         elif cancelled:
             _end_as_cancelled(entry.future)
@@ -185,42 +212,41 @@ class RemoteEngine(Generic[Task]):
         return True
 
     def _waited(self, entry: _Submitted) -> bool:
-        """Whether the reply of a task that ended well has had its time to be seen."""
+        """Whether the reply of a task that ended normally has had time to become visible."""
         entry.ended_s = entry.ended_s or time.monotonic()
         return time.monotonic() >= entry.ended_s + REPLY_S
 
     def _accept(self, entry: _Submitted, reply: Reply) -> None:
-        entry.attempt.move_files(self._run_folder / entry.work.name, entry.work.replaces)
-        shutil.rmtree(entry.attempt.folder, ignore_errors=True)
-        if reply.record is not None:
-            entry.future.set_result(reply.record)
+        entry.folder.move_files(reply, self._run_folder / entry.job.name, entry.job.replaces)
+        shutil.rmtree(entry.folder.path, ignore_errors=True)
+        if reply.outcome:
+            entry.future.set_result(entry.job.result())
         elif reply.error == INTERRUPTED:
             _end_as_cancelled(entry.future)
         else:
             entry.future.set_exception(EngineError(reply.error))
 
     def _retry(self, entry: _Submitted, reason: str) -> None:
-        """Start a work again whose machine was lost, or end it where that has happened too often."""
-        shutil.rmtree(entry.attempt.folder, ignore_errors=True)
-        name = entry.work.name
-        if entry.attempts > RETRIES:
-            error = f"lost by the engine {entry.attempts} times, the last time because {reason}: compare with --resume"
+        """Start a job again whose machine was lost, or end it after RETRIES."""
+        shutil.rmtree(entry.folder.path, ignore_errors=True)
+        if entry.starts > RETRIES:
+            error = f"lost by the engine {entry.starts} times, the last time because {reason}: compare with --resume"
             entry.future.set_exception(EngineError(error))
             return
-        self._observer.note(f"{name}: lost by the engine ({reason}); starts again, {entry.attempts} of {RETRIES}")
+        note = f"lost by the engine ({reason}); starts again, {entry.starts} of {RETRIES}"
+        self._observer.note(f"{entry.job.name}: {note}")
         self._start([entry])
 
 
-def _end_as_cancelled(future: Future[TrialRecord]) -> None:
-    """End a future without a record; one that is only cancelled, and not notified, would be waited for without end."""
+def _end_as_cancelled(future: Future[Any]) -> None:
+    """End a future without a result; one that is cancelled and not notified would be waited for forever."""
     if future.cancel():
         future.set_running_or_notify_cancel()
 
 
 def _ended_from_outside(reply: Reply, end: TaskEnd) -> bool:
-    """Whether something other than its tracker or an error ended the work.
+    """Whether neither the tracker nor an error ended the job.
 
-    What takes a machine away ends trackers too, maybe before the process that would tell the one from the other.
+    A scheduler that takes a machine away ends trackers too, maybe before the process that would report the difference.
     """
-    outcome = reply.record.outcome if reply.record is not None else ""
-    return INTERRUPTED in {reply.error, outcome} or (end.lost and outcome != "ok")
+    return INTERRUPTED in {reply.error, reply.outcome} or (end.lost and reply.outcome != "ok")

@@ -1,6 +1,6 @@
-"""The clauses of the tracker contract: what each requires and why, and what to mend where a tracker breaks it.
+"""The clauses of the tracker contract: requirement, reason, and how to fix a tracker that breaks it.
 
-`contract_checks.py` has the check of each; docs/contract.md lists them (`python -m studies.contract_page`).
+`contract_suite.py` has the check of each; docs/contract.md lists them (`python -m studies.contract_page`).
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Clause:
-    """One clause: its `name`, what it requires of a tracker, the reason, and what to mend, in sentences."""
+    """One clause: its `name`, its requirement and reason, and how to fix a tracker that breaks it, in sentences."""
 
     name: str
     requirement: str
     reason: str
     mend: str
     needs: tuple[str, ...] = ()
-    """Clauses without which this one says nothing: where one of them is not passed, this one is not checked."""
+    """Clauses that must pass before this one can be checked."""
 
 
 FORECASTS = ("valid-forecast",)
@@ -45,7 +45,7 @@ CLAUSES = (
         "starts",
         "It starts on a stream within the time limit, and then says of itself what it said before.",
         "What a tracker can run on, and whether it needs weights, is decided by its description before it starts.",
-        "`__init__` takes (stream, options). Where it cannot process the stream it raises `ConfigurationError` with the"
+        "`__init__` takes (stream, options). If it cannot process the stream it raises `ConfigurationError` with the"
         " reason. `learns`, `moving_sensor` and `role` are the same for every stream.",
         ("loads",),
     ),
@@ -53,23 +53,23 @@ CLAUSES = (
         "takes-frames",
         "It takes every frame of a stream, within the limits of time and memory.",
         "A failure ends the trial: the frames after it are not scored, and the row is marked as partial.",
-        "Mend the error that `reset` or `update` raised; the last line of its log is in the verdict.",
+        "Fix the error that `reset` or `update` raised; the last line of its log is in the verdict.",
         ("starts",),
     ),
     Clause(
         "valid-forecast",
         "A forecast has the declared arrays: their shapes and types, finite probabilities in [0, 1], class"
         " probabilities that sum to 1, velocities that are finite or NaN.",
-        "The referee scores every cell of every step. It guesses no missing value and clips none, and ends the trial.",
+        "The referee scores every cell of every step. It neither guesses nor clips values, but ends the trial.",
         "Return `Forecast(occupancy)` with float32 of shape (steps + 1, M, M), and `semantics` of shape"
-        " (steps + 1, K, M, M); look for divisions by zero, clip what rounding left outside [0, 1], and divide by the"
-        " sum over classes.",
+        " (steps + 1, K, M, M); look for divisions by zero, clip rounding errors to [0, 1], and divide by the sum over"
+        " classes.",
         ("takes-frames",),
     ),
     Clause(
         "any-horizon",
-        "It forecasts as many steps as it is asked for, from none on.",
-        "The user chooses the horizon in seconds, and the period of the recording makes steps of it.",
+        "It forecasts the requested number of steps, which may be 0.",
+        "The user chooses the horizon in seconds, and the period of the recording converts it to steps.",
         "Take the number of steps from the argument of `predict`; step 0 is the present: steps + 1 planes.",
         FORECASTS,
     ),
@@ -89,7 +89,7 @@ CLAUSES = (
     ),
     Clause(
         "missed-frames",
-        "It goes on where frames are missing: stamps then lie several periods apart.",
+        "It continues when frames are missing: stamps are then several periods apart.",
         "With `--deadline` a tracker that is busy misses frames, and recordings have gaps.",
         "Take the time since the last frame from `stamp_ns`, not from the period.",
         FORECASTS,
@@ -97,7 +97,7 @@ CLAUSES = (
     Clause(
         "repeatable",
         "The same seed and the same frames give the same forecasts, in every process.",
-        "A score that nobody can repeat is no result, and a regression check would report chance.",
+        "A score that cannot be repeated is no result, and a regression check would report chance.",
         "Draw random numbers from one generator that `reset` seeds; take the time from `stamp_ns`, not from a clock."
         " Sets of strings have another order in each process; threads and GPU kernels may sum in another order.",
         FORECASTS,
@@ -105,14 +105,14 @@ CLAUSES = (
     Clause(
         "predict-keeps-the-state",
         "`predict` does not change the state.",
-        "Forecasts are asked for at every k-th frame: with another `--every` the tracker would be another one.",
+        "Forecasts are requested at every k-th frame: with another `--every` the tracker would behave differently.",
         "Copy the state before it is propagated; use a generator of its own in `predict`.",
         COMPARED,
     ),
     Clause(
         "reset-clears-the-state",
-        "After `reset` nothing is left of earlier streams.",
-        "A tracker runs over a validation stretch before the test stretch: what it kept would be an advantage that"
+        "After `reset` nothing of earlier streams remains.",
+        "A tracker runs over a validation stretch before the test stretch: memory of it would be an advantage that"
         " depends on the order.",
         "Set in `reset` everything that `update` and `predict` write, the generator of random numbers too.",
         COMPARED,
@@ -129,7 +129,7 @@ CLAUSES = (
         "scrolling-window",
         "A tracker that follows a moving sensor keeps what it saw at its place in the world while the window moves.",
         "The window moves by whole cells with the sensor. A forecast is in the window of the last update.",
-        "Move what is kept of each cell by the cells that the window moved, the other way"
+        "Move the memory of each cell by as many cells as the window moved, in the opposite direction"
         " (`rolled` by `shift_between` the last `world_T_grid` and this one, both in `gridtrack.common.grid`), also by"
         " more than the window's width; or leave `moving_sensor` false.",
         FORECASTS,
@@ -137,7 +137,7 @@ CLAUSES = (
     Clause(
         "another-grid",
         "It works on a grid of another size and cell, or reports that it cannot.",
-        "The grid is that of the recording and of `--grid`.",
+        "The recording and `--grid` determine the grid.",
         "Take `stream.grid` for every size in cells and every length in metres, or raise `ConfigurationError` in"
         " `__init__`.",
         FORECASTS,

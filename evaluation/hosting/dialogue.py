@@ -13,7 +13,7 @@ from gridtrack.common.errors import one_line
 from gridtrack.evaluation.hosting.outcome import OUTCOMES, TrialEnded
 from gridtrack.evaluation.hosting.supervised import SupervisedProgram
 from gridtrack.trackers.messages import Arrays
-from gridtrack.trackers.wire import Message, WireError, encode, receive
+from gridtrack.trackers.wire import Message, WireError
 
 EXIT_WAIT_S = 1.0
 LOG_END_BYTES = 4096
@@ -22,7 +22,7 @@ MAX_REASON = 600
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """One request: its `kind`, the expected kind of `answer`, its content, and `limit`, the answer's largest body."""
+    """A request: its `kind`, the expected kind of `answer`, its content, and the largest body of the answer, bytes."""
 
     kind: str
     answer: str
@@ -65,8 +65,8 @@ class Dialogue:
         try:
             if self.process.has_unread():
                 raise WireError("unrequested bytes before the answer")
-            self.process.write(encode(message), deadline)
-            answer = receive(lambda buffers: self.process.read(buffers, deadline), request.limit)
+            self.process.send(message, deadline)
+            answer = self.process.receive(request.limit, deadline)
         except TimeoutError:
             raise TrialEnded("timeout", f"{self.what}: no answer within {limit_s:g} s") from None
         except (EOFError, BrokenPipeError):

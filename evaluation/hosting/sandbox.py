@@ -1,7 +1,7 @@
-"""The sandbox of a tracker that nobody trusts: bubblewrap shows its program its own code, its weights, and no more.
+"""The sandbox of an untrusted tracker: bubblewrap shows its program only its own code and its weights.
 
-Linux namespaces without privileges, set up by `bwrap`: no network, no process but its own, no file that can be changed
-but those in `/tmp` and `/dev/shm`, which are memory of its own. docs/wire.md says what it is and what it is not.
+Linux namespaces without privileges, set up by `bwrap`: no network, no other processes, and no writable files outside
+`/tmp` and `/dev/shm`, which are its own memory. docs/wire.md describes its guarantees and its limits.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ PROCESSORS = "/sys/devices/system/cpu"
 """Numerical libraries look here for the number of cores."""
 GRIDTRACK = Path(__file__).parents[2]
 GRIDTRACK_CODE = ("__init__.py", "common", "trackers")
-"""What a tracker imports of gridtrack. Around it, where it is installed as editable, lie recordings and runs."""
+"""The parts of gridtrack that a tracker imports. In an editable installation recordings and runs lie beside them."""
 CACHES, CACHE_ROOM = "/run/caches", 1 << 20
 COPY = f'n=0; while [ "$1" != -- ]; do cp {CACHES}/$n/* "$1"/; n=$((n+1)); shift; done; shift; exec "$@"'
 
 
 @dataclass(frozen=True, slots=True)
 class SandboxView:
-    """What a sandboxed program sees, beside the system's libraries: `folders` and files, without what is `hidden`."""
+    """What a sandboxed program sees beside the system's libraries: `folders` and `files`, without the `hidden` ones."""
 
     folders: tuple[Path, ...]
     hidden: tuple[Path, ...] = ()
     files: tuple[Path, ...] = ()
-    """Shown even below something hidden."""
+    """Visible even below a hidden folder."""
     compiled: tuple[Path, ...] = ()
-    """Folders of compiled code (`__pycache__`), as copies for the program: numba reads none that it cannot write."""
+    """Folders of compiled code (`__pycache__`), shown as copies: numba ignores those that it cannot write to."""
 
     def arguments(self) -> Iterator[str]:
-        """The options of bwrap; of two folders one in the other, the outer comes first."""
+        """The options of bwrap; an outer folder comes before its inner ones."""
         for folder in sorted({path for path in self.folders if path.exists()}):
             yield from ("--ro-bind", str(folder), str(folder))
         inside = {folder.resolve() for folder in self.folders}
@@ -67,7 +67,7 @@ class SandboxView:
             yield from ("--ro-bind", str(path), f"{CACHES}/{number}", "--size", size, "--tmpfs", str(path))
 
     def starting(self, argv: Iterable[str]) -> tuple[str, ...]:
-        """The command in the sandbox: `argv`, after a shell that copies the compiled code where there is some."""
+        """The command inside the sandbox: `argv`, after a shell that copies the compiled code."""
         if not self.compiled:
             return tuple(argv)
         return ("/bin/sh", "-c", COPY, "sh", *map(str, self.compiled), "--", *argv)
@@ -83,7 +83,7 @@ def check_sandbox() -> None:
 @cache
 def _problem() -> str:
     if sys.platform != "linux":
-        return "trackers are confined on Linux only: run them in a container, without --sandbox"
+        return "it works on Linux only: run trackers in a container, without --sandbox"
     if shutil.which(BUBBLEWRAP) is None:
         return "bubblewrap is not installed: install the package `bubblewrap` of the system (`apt install bubblewrap`)"
     command = confined(("true",), SandboxView(()), 16, None)
@@ -93,9 +93,9 @@ def _problem() -> str:
         return f"bubblewrap cannot be started ({error})"
     if tried.returncode == 0:
         return ""
-    told = one_line(tried.stderr.decode(errors="replace"), 200)
+    problem = one_line(tried.stderr.decode(errors="replace"), 200)
     return (
-        f"bubblewrap cannot confine a program here ({told}): it needs version 0.8 or later, and a kernel and a"
+        f"bubblewrap cannot confine a program here ({problem}): it needs version 0.8 or later, and a kernel and a"
         " container that let users make namespaces; without --sandbox, use a container that has no recordings"
     )
 
@@ -105,7 +105,7 @@ def confine(
 ) -> tuple[tuple[str, ...], dict[str, str]]:
     """The command that starts a program in the sandbox, and its environment.
 
-    It sees its own code without what is `hidden`, and the `files`. Raises ConfigurationError where this machine cannot
+    It sees its own code and the `files`, but nothing `hidden`. Raises ConfigurationError where this machine cannot
     confine it.
     """
     check_sandbox()
@@ -117,7 +117,7 @@ def confine(
 
 
 def confined(argv: Iterable[str], view: SandboxView, memory_mb: int, cwd: Path | None) -> tuple[str, ...]:
-    """The command that runs `argv` with `view`, in the folder `cwd`; /tmp and /dev/shm have `memory_mb` MiB each."""
+    """The command that runs `argv` with `view` in the folder `cwd`; /tmp and /dev/shm have `memory_mb` MiB each."""
     size = str(memory_mb << 20)
     options = [f"--unshare-{name}" for name in NAMESPACES]
     options += ["--disable-userns", "--cap-drop", "ALL", "--die-with-parent", "--new-session"]
@@ -134,7 +134,7 @@ def confined(argv: Iterable[str], view: SandboxView, memory_mb: int, cwd: Path |
 
 
 def code_folders(program: str, cwd: Path | None, environment: Mapping[str, str]) -> tuple[Path, ...]:
-    """What the code of `program` is made of: its folder `cwd`, its Python environment, and those of PYTHONPATH."""
+    """The folders with the code of `program`: `cwd`, its Python environment, and those in PYTHONPATH."""
     found = shutil.which(program, path=environment.get("PATH"))
     path = Path(found or program).absolute()
     folders = [cwd] if cwd else []
@@ -150,7 +150,7 @@ def code_folders(program: str, cwd: Path | None, environment: Mapping[str, str])
 
 
 def compiled_folders(program: str) -> tuple[Path, ...]:
-    """Folders of gridtrack's own code in this environment that numba has kept compiled code in."""
+    """Folders of gridtrack in this environment in which numba has stored compiled code."""
     if program != sys.executable:
         return ()
     parts = _code_of(GRIDTRACK.resolve())
@@ -158,7 +158,7 @@ def compiled_folders(program: str) -> tuple[Path, ...]:
 
 
 def _code_of(gridtrack: Path) -> tuple[Path, ...]:
-    """What a tracker imports of the package gridtrack in this folder."""
+    """The files and folders of the package `gridtrack` that a tracker imports."""
     return tuple(gridtrack / part for part in GRIDTRACK_CODE)
 
 
@@ -182,10 +182,10 @@ def _editable_folders(prefix: Path) -> Iterator[Path]:
     """Folders of the distributions in an environment that were installed as editable (PEP 610)."""
     for link in sorted(prefix.glob("lib*/python*/site-packages/*.dist-info/direct_url.json")):
         try:
-            told = parse_json(read_bounded(link, MAX_LINK_BYTES, ConfigurationError))
-            editable, url = told["dir_info"]["editable"], urlsplit(told["url"])
+            origin = parse_json(read_bounded(link, MAX_LINK_BYTES, ConfigurationError))
+            editable, url = origin["dir_info"]["editable"], urlsplit(origin["url"])
         except (OSError, ValueError, KeyError, TypeError):
-            continue  # not of an editable distribution
+            continue  # the distribution is not editable
         folder = Path(unquote(url.path))
         if editable and url.scheme == "file" and folder != Path("/"):
             own = link.parent.name.startswith("gridtrack-")

@@ -1,9 +1,10 @@
-"""A supervised program: reads and writes with deadlines, and a guaranteed end of all its processes."""
+"""A program under the supervisor: messages with deadlines, interrupts, and a guaranteed end of all its processes."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import select
 import shutil
@@ -17,11 +18,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import mkdtemp
 
-from gridtrack.evaluation.hosting.orphans import forget_leader, start_leader
-from gridtrack.trackers.wire import widen, without
+from gridtrack.evaluation.hosting.host import forget_leader, start_leader
+from gridtrack.trackers.wire import Message, encode, receive, widen, without
 
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 OF_A_SIGNAL = 128
+NO_DEADLINE = math.inf
+INTERRUPT = b"i"
 ORDERLY_END_S = 2.0
 KILL_S = 10.0
 
@@ -45,28 +48,38 @@ class ProcessExit:
             number = os.WTERMSIG(self.status)
             return f"killed by {names.get(number, f'signal {number}')}"
         code = os.WEXITSTATUS(self.status)
-        if code - OF_A_SIGNAL in names:  # as a shell tells it, and the sandbox
+        if code - OF_A_SIGNAL in names:  # the exit code by which a shell, and the sandbox, report a signal
             return f"exited with code {code}: killed by {names[code - OF_A_SIGNAL]}"
         return f"exited with code {code}"
 
 
 class SupervisedProgram:
-    """A program started as a child of a supervisor process, in its own session.
+    """A program started as a child of a supervisor process, in its own session, so that Ctrl-C does not reach it.
 
     The supervisor ends the program and all processes that it started, and removes its temporary folder (`TMPDIR`) and
-    its files in shared memory, also when this process dies. Where the supervisor itself was killed, this process does,
-    as far as it adopted them (`adopt_orphans`). `read` and `write` are for one thread; `kill` may be called from any.
+    its files in shared memory, also when this process dies. If the supervisor itself was killed, this process ends
+    those that it adopted (`adopt_orphans`). `send` and `receive` are for one thread; the others may be called from any.
     """
 
     def __init__(
-        self, argv: tuple[str, ...], log: Path, memory_mb: int, env: Mapping[str, str], cwd: Path | None = None
+        self,
+        argv: tuple[str, ...],
+        env: Mapping[str, str],
+        *,
+        log: Path | None = None,
+        memory_mb: int | None = None,
+        cwd: Path | None = None,
     ) -> None:
-        """Start the program; its stderr goes to `log`. Raises OSError where the log cannot be opened."""
+        """Start the program. Its stderr goes to `log`, in bounded size, or to the stderr of this process.
+
+        With `memory_mb` it ends when the resident memory of all its processes exceeds it. Raises OSError where the log
+        cannot be opened.
+        """
         self._folder = mkdtemp(prefix="gridtrack-")
         control, supervisors_end = socket.socketpair()
-        command = [sys.executable, "-I", "-S", str(SUPERVISOR), str(supervisors_end.fileno()), str(memory_mb)]
-        command += [self._folder, *argv]
-        with supervisors_end, log.open("wb") as stderr:
+        command = [sys.executable, "-I", "-S", str(SUPERVISOR), str(supervisors_end.fileno()), str(memory_mb or 0)]
+        command += ["1" if log else "0", self._folder, *argv]
+        with supervisors_end, log.open("wb") if log else contextlib.nullcontext() as stderr:
             self._supervisor = start_leader(
                 lambda: subprocess.Popen(
                     command,
@@ -91,17 +104,23 @@ class SupervisedProgram:
         self.killed = False
         """Whether `kill` was called."""
 
-    def write(self, buffers: list[memoryview], deadline: float) -> None:
-        """Write all buffers by `deadline` (time.monotonic). Raises TimeoutError, BrokenPipeError."""
-        left = buffers
+    def send(self, message: Message, deadline: float = NO_DEADLINE) -> None:
+        """Send `message` by `deadline` (time.monotonic). Raises TimeoutError, BrokenPipeError."""
+        left = encode(message)
         while left:
             try:
                 left = without(left, os.writev(self._stdin.fileno(), left))
             except BlockingIOError:
                 _wait(self._stdin.fileno(), select.POLLOUT, deadline)
 
-    def read(self, buffers: list[memoryview], deadline: float) -> None:
-        """Fill all buffers by `deadline` (time.monotonic). Raises TimeoutError, EOFError."""
+    def receive(self, max_body: int = 0, deadline: float = NO_DEADLINE) -> Message:
+        """Receive a message with at most `max_body` bytes of arrays by `deadline` (time.monotonic).
+
+        Raises TimeoutError, EOFError, WireError.
+        """
+        return receive(lambda buffers: self._fill(buffers, deadline), max_body)
+
+    def _fill(self, buffers: list[memoryview], deadline: float) -> None:
         left = [b for b in buffers if b.nbytes]
         while left:
             try:
@@ -119,6 +138,11 @@ class SupervisedProgram:
         poll.register(self._stdout.fileno(), select.POLLIN)
         return any(event & select.POLLIN for _, event in poll.poll(0))
 
+    def interrupt(self) -> None:
+        """Interrupt the program itself (SIGINT), and no other process."""
+        with contextlib.suppress(OSError):  # it has ended
+            self._control.send(INTERRUPT)
+
     def kill(self) -> None:
         """End the program and everything that it started, without waiting for it."""
         self.killed = True
@@ -127,13 +151,13 @@ class SupervisedProgram:
             self._control.shutdown(socket.SHUT_WR)
 
     def ended(self, within_s: float) -> bool:
-        """Whether the program ends by itself within `within_s`."""
+        """Whether the program ends by itself within `within_s` seconds."""
         poll = select.poll()
         poll.register(self._control.fileno(), select.POLLIN)
         return bool(poll.poll(within_s * 1000))
 
     def close(self, orderly: bool = True) -> ProcessExit:
-        """End the program, all that it started, and the supervisor; an `orderly` end first lets it exit by itself."""
+        """End the program and its processes; an `orderly` end first gives it ORDERLY_END_S to exit by itself."""
         if self._exit is None:
             self._stdin.close()
             if not orderly or not self.ended(ORDERLY_END_S):
@@ -160,8 +184,8 @@ class SupervisedProgram:
 
 
 def _wait(fd: int, event: int, deadline: float) -> None:
-    left = deadline - time.monotonic()
+    left_s = deadline - time.monotonic()
     poll = select.poll()
     poll.register(fd, event)
-    if left <= 0 or not poll.poll(left * 1000):
+    if left_s <= 0 or not poll.poll(None if deadline == NO_DEADLINE else left_s * 1000):
         raise TimeoutError

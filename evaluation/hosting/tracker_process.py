@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -10,23 +11,24 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gridtrack.common.errors import ConfigurationError, PluginError
+from gridtrack.common.files import LABEL_RULE, is_label
 from gridtrack.common.grid import GridFrame
-from gridtrack.common.names import LABEL_RULE, is_label
-from gridtrack.evaluation.hosting.call_times import Call, Timings
-from gridtrack.evaluation.hosting.clock import clock_that_counts
 from gridtrack.evaluation.hosting.dialogue import Dialogue, Request
-from gridtrack.evaluation.hosting.held_forecasts import HeldForecasts
-from gridtrack.evaluation.hosting.limits import Limits
+from gridtrack.evaluation.hosting.host import shielded_environment
+from gridtrack.evaluation.hosting.limits import SCRATCH, Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.sandbox import confine
-from gridtrack.evaluation.hosting.shielding import shielded_environment
 from gridtrack.evaluation.hosting.supervised import SupervisedProgram
+from gridtrack.evaluation.hosting.timing import Call, Timings, clock_that_counts
 from gridtrack.trackers import messages
-from gridtrack.trackers.contract import API, ComparedPart, Forecast, Role, StreamSpec
-from gridtrack.trackers.own_code import program_sha256
+from gridtrack.trackers.contract import ComparedPart, Forecast, Role, StreamSpec
+from gridtrack.trackers.registry import api_breach
 from gridtrack.trackers.selection import Launch
-from gridtrack.trackers.weights import ARRAYS_SUFFIX
+from gridtrack.trackers.training.weights import ARRAYS_SUFFIX
 from gridtrack.trackers.wire import Message, TooLargeError, WireError
 
 THREAD_VARIABLES = (
@@ -38,8 +40,6 @@ THREAD_VARIABLES = (
     "NUMBA_NUM_THREADS",
     "TBB_NUM_THREADS",
 )
-SCRATCH = ".engine"
-"""The folder in that of a run in which its engine works; on a cluster each log is below it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,38 @@ class TrackerDescription:
     reference_for: frozenset[ComparedPart] = frozenset()
     """The comparisons in which the other rows are compared with this tracker by default."""
     code_sha256: str = ""
-    """Of the code that runs; empty where it is not known, as without a stream."""
+    """Hash of the code that runs; empty where it is not known, as without a stream."""
+
+
+class HeldForecasts:
+    """Counts the bytes of a tracker's forecasts in this process until the last reference to their arrays is gone."""
+
+    def __init__(self, max_bytes: int) -> None:
+        self.max_bytes = max_bytes
+        self.held_bytes = 0
+
+    @property
+    def left_bytes(self) -> int:
+        """The limit of the next forecast, bytes."""
+        return max(0, self.max_bytes - self.held_bytes)
+
+    def add(self, forecast: Forecast) -> None:
+        """Count the arrays of `forecast`; arrays that share their memory count once."""
+        planes = (forecast.occupancy, forecast.semantics, forecast.velocity, forecast.futures)
+        owners = {id(owner): owner for owner in map(_owner, filter(lambda plane: plane is not None, planes))}
+        for owner in owners.values():
+            self.held_bytes += owner.nbytes
+            weakref.finalize(owner, self._release, owner.nbytes)
+
+    def _release(self, count: int) -> None:
+        self.held_bytes -= count
+
+
+def _owner(array: Any) -> NDArray[Any]:
+    """The array that owns the memory of `array`."""
+    while isinstance(array.base, np.ndarray):
+        array = array.base
+    return np.asarray(array)
 
 
 class TrackerProcess:
@@ -78,10 +109,10 @@ class TrackerProcess:
         *,
         classes_used: bool = True,
     ) -> None:
-        """`recordings`: that the frames are of; what names them is left out of the process's environment.
+        """`recordings`: the source of the frames; variables that name them are left out of the process's environment.
 
         Without `classes_used` class probabilities are checked and not kept. The forecasts that the caller still holds
-        may have as many bytes as the tracker's processes, `limits.memory_mb`.
+        may take as much memory as the tracker's processes, `limits.memory_mb`.
         """
         self.launch = launch
         self.stream = stream
@@ -111,7 +142,7 @@ class TrackerProcess:
             if self._killed:
                 self._dialogue.process.kill()
             described = description_from(self._dialogue.ask(request, self.limits.start_s))
-            code = described.code_sha256 or program_sha256(self.launch.argv, self.launch.cwd)
+            code = described.code_sha256 or self.launch.code_sha256()
             self.description = replace(described, code_sha256=code)
         return self
 
@@ -149,7 +180,11 @@ class TrackerProcess:
             except TooLargeError as error:
                 if left >= largest:
                     raise
-                raise TrialEnded("out-of-memory", f"{what}: {self._too_much_held()}") from error
+                reason = (
+                    f"its forecasts that wait for their frames take more than {self.limits.memory_mb} MB in the host:"
+                    " forecast fewer classes or futures, or raise --memory"
+                )
+                raise TrialEnded("out-of-memory", f"{what}: {reason}") from error
             self.timings.add_predict(self._call(answer))
             forecast = messages.forecast_from(answer, grid, steps, classes)
             self._refuse_other_parts(forecast)
@@ -157,12 +192,6 @@ class TrackerProcess:
                 forecast = messages.without_semantics(forecast)
             self._held.add(forecast)
             return forecast
-
-    def _too_much_held(self) -> str:
-        return (
-            f"with those that wait for their frames, its forecasts take more than {self.limits.memory_mb} MB in the"
-            " host: fewer classes, fewer futures, or a higher --memory"
-        )
 
     def _refuse_other_parts(self, forecast: Forecast) -> None:
         """Raises WireError where some forecasts have sampled futures and others have none."""
@@ -200,9 +229,9 @@ class TrackerProcess:
         return self._dialogue
 
     def _call(self, answer: Message) -> Call:
-        elapsed_ns, cpu_ns = _nanoseconds(answer, "elapsed_ns"), _nanoseconds(answer, "cpu_ns")
+        elapsed_ns, _ = (_nanoseconds(answer, name) for name in ("elapsed_ns", "cpu_ns"))
         round_trip_ms = self._wire.round_trip_ms
-        self.last_call = Call(min(elapsed_ns / 1e6, round_trip_ms), cpu_ns / 1e6, round_trip_ms)
+        self.last_call = Call(min(elapsed_ns / 1e6, round_trip_ms), round_trip_ms)
         return self.last_call
 
     @contextmanager
@@ -241,17 +270,18 @@ def describe(launch: Launch, options: Mapping[str, Any], limits: Limits) -> Trac
 def _dialogue(
     launch: Launch, limits: Limits, log: Path, recordings: tuple[Path, ...] = (), files: tuple[Path, ...] = ()
 ) -> Dialogue:
-    """Start the program. In the sandbox it sees the `files`, and neither `recordings` nor the run with the `log`."""
+    """Start the program. In the sandbox it sees the `files`, but neither `recordings` nor the run with the `log`."""
     argv, env = launch.argv, shielded_environment(recordings)
     threads = dict.fromkeys(THREAD_VARIABLES, str(limits.threads))
     if limits.sandbox:
         hidden = (*recordings, *_folders_of_run(log.absolute()))
         argv, env = confine(launch, env, limits.memory_mb, hidden, files)
-    return Dialogue(SupervisedProgram(argv, log, limits.memory_mb, env | threads, launch.cwd), log, limits.memory_mb)
+    program = SupervisedProgram(argv, env | threads, log=log, memory_mb=limits.memory_mb, cwd=launch.cwd)
+    return Dialogue(program, log, limits.memory_mb)
 
 
 def _folders_of_run(log: Path) -> tuple[Path, ...]:
-    """The folder of a trial with the `log` of its tracker, and that of its run, which on a cluster is further up."""
+    """The folders of the trial and of the run with the `log` of a tracker; on a cluster the run's is further up."""
     scratch = next((folder for folder in log.parents[2:] if folder.name == SCRATCH), None)
     return (*log.parents[:2], scratch.parent) if scratch else tuple(log.parents[:2])
 
@@ -282,8 +312,8 @@ def description_from(answer: Message) -> TrackerDescription:
         raise WireError(f"{len(classes)} classes; at most {messages.MAX_CLASSES}")
     if not all(isinstance(name, str) and is_label(name) for name in classes) or len(set(classes)) != len(classes):
         raise WireError(f"classes {classes!r:.80} are not distinct names: {LABEL_RULE}")
-    if answer.value("api", int) != API:
-        raise WireError(f"made for contract {answer.value('api', int)}; this gridtrack has contract {API}")
+    if problem := api_breach(answer.value("api", int), fits=False):
+        raise WireError(problem)
     return TrackerDescription(
         tuple(classes),
         answer.value("moving_sensor", bool),

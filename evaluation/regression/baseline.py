@@ -19,7 +19,7 @@ from gridtrack.evaluation.regression.pairing import require_comparable
 MAX_BASELINE_BYTES = 16 << 20
 """A larger file is refused before it is read; twenty recordings of six trackers take a hundredth of it."""
 _LIST_OF_NUMBERS = re.compile(r"\[\n[-0-9.eE,\s]+\]")
-_COUNTS_BY_BAND = re.compile(r"\{\n\s*\"\w+\": \[[^\[\]{}]*\](,\s+\"\w+\": \[[^\[\]{}]*\])*\s+\}")
+_SUMS_BY_BAND = re.compile(r"\{\s*\"\w+\": \[[-0-9.eE,]+\](,\s+\"\w+\": \[[-0-9.eE,]+\])*\s+\}")
 
 
 class BaselineError(GridtrackError):
@@ -37,7 +37,7 @@ def write_baseline(path: Path, runs: Sequence[Measurement]) -> Baseline:
     content = [run.model_dump(mode="json", by_alias=True) for run in runs]
     baseline = Baseline(digest=digest_of(content), runs=tuple(runs))
     text = json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=0, allow_nan=False)
-    for on_one_line in (_LIST_OF_NUMBERS, _COUNTS_BY_BAND):
+    for on_one_line in (_LIST_OF_NUMBERS, _SUMS_BY_BAND):
         text = on_one_line.sub(lambda found: "".join(found[0].split()), text)
     try:
         write_text(path, text + "\n")
@@ -55,7 +55,7 @@ def read_baseline(path: Path) -> Baseline:
     if schema != BASELINE_SCHEMA:
         raise BaselineError(
             f"{path}: schema {str(schema)[:20]!r} of a baseline; this gridtrack reads schema {BASELINE_SCHEMA}:"
-            " read it with the version that wrote it, or make it again with --update"
+            " read it with gridtrack 0.2, which wrote it, or make it again with --update"
         )
     if digest_of(content.get("runs")) != content.get("digest"):
         raise Unmeasured(

@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
-from gridtrack.evaluation.regression.criteria import row_tests
-from gridtrack.evaluation.regression.judging import VerdictRow, judged_on, judged_row
-from gridtrack.evaluation.regression.measurement import Baseline, Measurement, TrialCounts, Unmeasured
-from gridtrack.evaluation.regression.noise import unit_falls
+from gridtrack.evaluation.regression.judging import TypicalUnit, VerdictRow, judged_on, judged_row
+from gridtrack.evaluation.regression.measurement import Baseline, MeasuredTrial, Measurement, Unmeasured
 from gridtrack.evaluation.regression.pairing import require_paired
 from gridtrack.evaluation.regression.recoveries import RecoveryRow, compare_recoveries
 from gridtrack.evaluation.regression.rerun import Trials
-from gridtrack.evaluation.regression.rows import PairedRow, paired_rows
+from gridtrack.evaluation.regression.rows import PairedRow, paired_rows, row_tests
 from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow, compare_speed
 from gridtrack.evaluation.regression.verdict import AnyRow, SecondLook, Verdict
+from gridtrack.evaluation.scores.registry import scores
 
 RunAgain = Callable[[Trials, bool], Sequence[Measurement]]
 """Runs trials again, with their times where the second argument is true."""
@@ -35,7 +34,8 @@ def confirmed(
     timed = any(isinstance(row, SpeedRow) for row in suspects)
     second = _with_second(run, run_again(_trials_of(suspects, baseline), timed))
     require_paired(baseline, second)
-    judged = judged_again(suspects, paired_rows(baseline, second), settings, verdict.significance)
+    again = paired_rows(baseline, second, scores(settings.scores))
+    judged = judged_again(suspects, again, settings, verdict.significance)
     judged += [row for row in compare_recoveries(baseline, second) if _key(row) in map(_key, suspects)]
     if timed:
         judged += compare_speed(baseline, second, settings.speed_reference, settings.ratio_margin)[0]
@@ -49,26 +49,22 @@ def judged_again(
 ) -> list[AnyRow]:
     """The scores among `suspects`, judged on the `rows` of the second run; the suspects over all units are the family
     of comparisons."""
-    by_name = {(row.label, row.score, row.region, row.band): row for row in rows}
+    by_name = {row.key: row for row in rows}
     scores = [row for row in suspects if isinstance(row, VerdictRow)]
     names = [(row.label, row.score, row.stratum, row.band) for row in scores]
     pooled = [by_name[name] for row, name in zip(scores, names, strict=True) if not row.recording]
-    # other rows are a part of the spread between trainings: the same counts must not be refuted for want of them
-    whole = dict(zip(by_name, row_tests(rows), strict=True))
-    judged: list[AnyRow] = []
-    for row, alone in zip(pooled, row_tests(pooled), strict=True):
-        tests = (alone, whole[row.label, row.score, row.region, row.band])
-        looks = [judged_row(row, test, settings) for test in tests]
-        judged.append(next((look for look in looks if look.verdict == "worse"), looks[0]))
+    judged: list[AnyRow] = [
+        judged_row(row, test, settings) for row, test in zip(pooled, row_tests(pooled), strict=True)
+    ]
     for suspect, name in zip(scores, names, strict=True):
         if suspect.recording:
-            row, margin = by_name[name], settings.margin_of(suspect.label, enough_units)
-            judged.append(judged_on(row, suspect.recording, margin, unit_falls(row)))
+            row = by_name[name]
+            judged.append(judged_on(row, suspect.recording, suspect.margin, TypicalUnit.of(row)))
     return judged
 
 
 def _key(row: AnyRow) -> tuple[str, ...]:
-    """What one row has in common in both runs."""
+    """Equal for the same row of both runs."""
     if isinstance(row, VerdictRow):
         return (row.label, row.score, row.stratum, row.band, row.recording)
     if isinstance(row, RecoveryRow):
@@ -107,7 +103,7 @@ def _with_second(run: Measurement, again: Sequence[Measurement]) -> Measurement:
     return run.model_copy(update={"trackers": trackers})
 
 
-def _second_trial(first: TrialCounts, second: TrialCounts) -> TrialCounts:
+def _second_trial(first: MeasuredTrial, second: MeasuredTrial) -> MeasuredTrial:
     if first.weights_sha256 != second.weights_sha256:
         raise Unmeasured(["weights changed since the run: compare again"])
     update = {"units": second.units, "recoveries": second.recoveries, "speed": second.speed or first.speed}

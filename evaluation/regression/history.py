@@ -33,6 +33,7 @@ class HistoryScore(Settings):
 
     label: Text
     score: Text
+    lower_is_better: bool = False
     stratum: Text
     band: Text
     value: float | None
@@ -153,7 +154,8 @@ def _content(result: Verdict | Sequence[str]) -> dict[str, Any]:
 def _score(row: VerdictRow, verdict: Verdict) -> HistoryScore:
     return HistoryScore(
         label=row.label,
-        score=row.score,
+        score=row.name,
+        lower_is_better=not row.higher_is_better,
         stratum=row.stratum,
         band=row.band,
         value=row.run,

@@ -1,4 +1,15 @@
-"""Judging one row: over all units, and on single recordings."""
+"""Judging one row: over all units, where a fall must be significant and beyond the margin, and on single recordings,
+where it must be a collapse.
+
+A paired test over units finds a fall in few of them late: their variance grows with it. A collapse is therefore
+compared with the variation of the *typical* unit. Let f_u be the fall of unit u, and w_u its share of the cells. The
+weighted median of f_u is the typical fall, and the rest of f_u has a scale that is estimated by a quantile of its
+absolute values (QUANTILE, over that of a normal distribution), so that up to five of twenty units may have collapsed
+without an effect on it (Huber, Robust Statistics, 1981, chapter 5). It is estimated twice: for a scale that all units
+share, and for one that is larger where w_u is smaller, by its root. The standard error of a set of units is the larger
+of both, and never below that of its cells, of which one in CELLS_TOGETHER counts: the cells of an object are found or
+missed together, in several steps.
+"""
 
 from __future__ import annotations
 
@@ -8,35 +19,45 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
-from gridtrack.evaluation.regression.criteria import COLLAPSE, COLLAPSE_ERRORS, LARGE_MARGINS, RowTest
-from gridtrack.evaluation.regression.noise import UnitFalls, standard_error, unit_falls
-from gridtrack.evaluation.regression.rows import LARGEST, SHARE_PER_F1, JudgedScore, PairedRow
+from gridtrack.evaluation.regression.rows import PairedRow, RowTest
 from gridtrack.evaluation.regression.settings import MARGIN, GateSettings
-from gridtrack.evaluation.regression.significance import FAMILY_LEVEL
-from gridtrack.evaluation.statistics.training_spread import value_of
+from gridtrack.evaluation.scores.cells import CLIP
+from gridtrack.evaluation.scores.definition import Floats
+from gridtrack.evaluation.statistics.jackknife import ALPHA, LEAST_UNITS
 
 RowVerdict = Literal["worse", "no worse", "equal", "nothing to find"]
-Criterion = Literal["", "margin", "significant", "large", "collapse"]
-"""Why a row is worse: beyond the margin (few units), beyond it and significant, large, or on a single recording."""
-ROUNDING: dict[JudgedScore, float] = {"F1": 1e-9, "log loss": 1e-4, "class log loss": 1e-4}
-"""A smaller fall in F1, or share of a log loss, is rounding."""
+Criterion = Literal["", "margin", "significant", "collapse"]
+"""Why a row is worse: beyond the margin (few units), beyond it and significant, or on a single recording."""
+COLLAPSE = 20.0
+"""A fall on one recording of more than this many margins is a collapse: 0.1 of F1, a log loss twice as large."""
+COLLAPSE_ERRORS = 6.0
+"""Standard errors of the typical unit that a collapse must exceed: a run has hundreds of rows times recordings."""
+QUANTILE = 0.7
+"""Quantile of the absolute deviations; of a median, units without any change would make the scale 0."""
+QUANTILE_OF_NORMAL = float(ndtri(0.5 + QUANTILE / 2))
+CELLS_TOGETHER = 25.0
+"""Ten cells or more of an object, over the four to eight steps of a band."""
+ROUNDING = 1e-9
+"""A smaller fall counts as none; of a share of a log loss 1e-4, as its sums are stored to six digits."""
 
 
 @dataclass(frozen=True, slots=True)
 class VerdictRow:
     """One tracker, score, stratum and step band over all units, or over those of `recording` where it is not empty.
 
-    Of class log loss `stratum` is the visibility of the cells. `baseline` and `run` are the score pooled over steps and
-    frames, log losses in nats, None where it is undefined; of several runs of the baseline, that of the mean counts.
-    `fall`, `margin` and `smallest` are of F1, of a log loss shares of its baseline. `p`: the p-value of the fall,
-    corrected for the family; None with too few units, and for a single recording. `spread`: the standard deviation of
-    the score between trainings; None where it is not known. `smallest`: the smallest fall that would have been found;
-    infinite where the score cannot fall by as much.
+    `score` is SCORE.OUTPUT, `title` its name. `baseline` and `run` are the score pooled over steps and frames, None
+    where it is undefined; of several runs of the baseline, that of the mean. `fall`, `margin` and `smallest` are as
+    margins are given, a share of the baseline's value where `relative`. `p`: the p-value of the fall, corrected over
+    all rows; None with too few units, and for a single recording. `spread`: the standard deviation of the score between
+    trainings; None where it is not known. `smallest`: the smallest fall that would have been found; infinite where the
+    score cannot fall by as much.
     """
 
     label: str
-    score: JudgedScore
+    score: str
+    title: str
     stratum: str
     band: str
     recording: str
@@ -49,37 +70,34 @@ class VerdictRow:
     spread: float | None
     criterion: Criterion
     verdict: RowVerdict
+    relative: bool = False
+    higher_is_better: bool = True
+    default_margin: float = MARGIN
+
+    @property
+    def name(self) -> str:
+        """The title of the score in a sentence: `F1`, `log loss`."""
+        lower = len(self.title) > 1 and self.title[1].islower()
+        return self.title[:1].lower() + self.title[1:] if lower else self.title
 
     @property
     def severity(self) -> float:
-        """The fall as one in F1: a share of a log loss counts less by SHARE_PER_F1."""
-        return self.fall if self.score == "F1" else self.fall / SHARE_PER_F1
+        """The fall in margins: rows of unlike scores compare."""
+        return self.fall / self.default_margin
 
 
 def judged_row(row: PairedRow, test: RowTest, settings: GateSettings) -> VerdictRow:
     """The row over all units, with its verdict."""
-    f1_margin = settings.margin_of(row.label, test.p is not None)
-    margin, limit = row.margin_of(f1_margin), row.margin_of(LARGE_MARGINS * max(f1_margin, MARGIN))
+    margin = _margin(row, settings, enough_units=test.p is not None)
     over_all = _over(row, np.ones(len(row.units), bool), "", margin)
-    unit, beyond = _unit(row, over_all), over_all.fall > margin + ROUNDING[row.score]
-    smallest = _possible(row, over_all, _smallest(test, margin, limit, unit))
-    if over_all.verdict != "no worse":
-        return replace(over_all, p=test.p, spread=test.spread, smallest=smallest)
-    criterion: Criterion = ""
-    if beyond and test.p is None:
-        criterion = "margin"
-    elif beyond and test.p is not None and test.p <= FAMILY_LEVEL:
-        criterion = "significant"
-    elif test.p is not None and test.is_large(over_all.fall * unit, limit * unit):
-        criterion = "large"
-    return replace(
-        over_all,
-        p=test.p,
-        spread=test.spread,
-        smallest=smallest,
-        criterion=criterion,
-        verdict="worse" if criterion else "no worse",
-    )
+    unit, beyond = _unit(row, over_all), over_all.fall > margin + _rounding(row)
+    smallest = _possible(row, over_all, max(margin, test.critical / unit) if test.p is not None else margin)
+    known = replace(over_all, p=test.p, spread=test.spread, smallest=smallest)
+    if over_all.verdict != "no worse" or not beyond:
+        return known
+    if test.p is None:
+        return replace(known, criterion="margin", verdict="worse")
+    return replace(known, criterion="significant", verdict="worse") if test.p <= ALPHA else known
 
 
 def judged_recordings(
@@ -88,14 +106,14 @@ def judged_recordings(
     """The worst fall of each tracker on each recording: a collapse, which is worse, else one beyond the margin, which
     is only listed. The largest first.
 
-    A single recording is what the row over all units judges, where a collapse is large or, with few units, beyond the
-    margin, and where it must be beyond the spread between trainings: nothing is added.
+    A single recording is judged by the row over all units: nothing is added.
     """
     worst: dict[tuple[str, str], VerdictRow] = {}
     for row, test in zip(rows, tests, strict=True):
-        if len(set(row.recordings)) == 1:
+        if len(set(row.recordings)) == 1 or row.equal:
             continue
-        for found in _on_recordings(row, settings.margin_of(row.label, test.p is not None)):
+        margin = max(_margin(row, settings, enough_units=test.p is not None), row.output.margin or 0.0)
+        for found in _on_recordings(row, margin):
             known = worst.get((found.label, found.recording))
             rank = (found.verdict == "worse", found.severity)
             if known is None or rank > (known.verdict == "worse", known.severity):
@@ -103,66 +121,128 @@ def judged_recordings(
     return tuple(sorted(worst.values(), key=lambda row: (row.verdict != "worse", -row.severity)))
 
 
-def judged_on(row: PairedRow, recording: str, f1_margin: float, falls: UnitFalls) -> VerdictRow:
-    """The row on one recording, where a collapse is worse; `f1_margin` is the tracker's margin of F1, `falls` are those
-    of the row."""
-    margin, limit = (row.margin_of(m) for m in (max(f1_margin, MARGIN), max(COLLAPSE, LARGE_MARGINS * f1_margin)))
+def _on_recordings(row: PairedRow, margin: float) -> Iterator[VerdictRow]:
+    """The falls of a row beyond the margin on single recordings."""
+    noise = TypicalUnit.of(row)
+    for name in dict.fromkeys(row.recordings):
+        found = judged_on(row, name, margin, noise)
+        if found.verdict != "nothing to find" and found.fall > found.margin:
+            yield found
+
+
+def judged_on(row: PairedRow, recording: str, margin: float, noise: TypicalUnit) -> VerdictRow:
+    """The row on one recording, where a collapse is worse."""
     members = np.array(row.recordings) == recording
     found = _over(row, members, recording, margin)
     if found.verdict != "no worse":
         return found
-    needed = COLLAPSE_ERRORS * standard_error(row, members, falls) / _unit(row, found)
-    collapsed = found.fall > max(limit, needed)
+    limit = COLLAPSE * max(margin, row.output.margin or 0.0)
+    needed = max(limit, COLLAPSE_ERRORS * noise.standard_error(row, members) / _unit(row, found))
+    collapsed = found.fall > needed
     return replace(
         found,
-        smallest=_possible(row, found, max(limit, needed)),
+        smallest=_possible(row, found, needed),
         criterion="collapse" if collapsed else "",
         verdict="worse" if collapsed else "no worse",
     )
 
 
-def _on_recordings(row: PairedRow, f1_margin: float) -> Iterator[VerdictRow]:
-    """The falls of a row beyond the margin on single recordings."""
-    if row.equal:
-        return
-    falls = unit_falls(row)
-    for name in dict.fromkeys(row.recordings):
-        found = judged_on(row, name, f1_margin, falls)
-        if found.verdict != "nothing to find" and found.fall > found.margin:
-            yield found
-
-
 def _over(row: PairedRow, members: NDArray[np.bool_], recording: str, margin: float) -> VerdictRow:
     """The row over the parts `members` (P,), not judged."""
-    then, now = (
-        None if np.isnan(value) else float(value)
-        for value in (value_of(side[members].sum(axis=0)) for side in (row.baseline, row.run))
-    )
-    verdict: RowVerdict = "equal" if row.equal else "no worse"
-    fall = 0.0
-    if then is None or now is None or not row.occurs[members].any():
-        then = now = None
-        verdict = "nothing to find"
-    elif then or row.score == "F1":
-        fall = row.in_margin_units(row.sign * (then - now), then)
+    then, now = (float(row.value(side[members].sum(axis=0))) for side in (row.baseline, row.run))
+    defined = not (np.isnan(then) or np.isnan(now))
+    verdict: RowVerdict = "nothing to find" if not defined else "equal" if row.equal else "no worse"
+    label, score, stratum, band = row.key
     return VerdictRow(
-        row.label, row.score, row.region, row.band, recording, then, now, fall, margin, margin, None, None, "", verdict
-    )  # fmt: skip
+        label=label,
+        score=score,
+        title=row.output.title,
+        stratum=stratum,
+        band=band,
+        recording=recording,
+        baseline=then if defined else None,
+        run=now if defined else None,
+        fall=row.fall(then, now) if defined else 0.0,
+        margin=margin,
+        smallest=margin,
+        p=None,
+        spread=None,
+        criterion="",
+        verdict=verdict,
+        relative=row.output.relative_margin,
+        higher_is_better=row.output.direction > 0,
+        default_margin=row.output.margin or MARGIN,
+    )
+
+
+def _margin(row: PairedRow, settings: GateSettings, *, enough_units: bool) -> float:
+    """The margin of a row: that of the score, scaled as the user scaled that of F1; 0 with too few units."""
+    own = row.output.margin or 0.0
+    return own * settings.margin_of(row.label, enough_units) / MARGIN
+
+
+def _rounding(row: PairedRow) -> float:
+    return 1e-4 if row.output.relative_margin else ROUNDING
 
 
 def _unit(row: PairedRow, found: VerdictRow) -> float:
-    """What a fall, as margins are given, is multiplied by to be one in the score."""
-    return 1.0 if row.score == "F1" else found.baseline or 1.0
+    """The factor from a fall as margins are given to one in the score."""
+    return found.baseline or 1.0 if row.output.relative_margin else 1.0
 
 
-def _smallest(test: RowTest, margin: float, limit: float, unit: float) -> float:
-    return margin if test.p is None else test.smallest(margin * unit, limit * unit) / unit
+def _largest(row: PairedRow) -> float:
+    """The largest value of the score: 1, or the loss of a probability that is clipped."""
+    return 1.0 if row.output.scale == "odds" else float(-np.log(CLIP))
 
 
 def _possible(row: PairedRow, found: VerdictRow, smallest: float) -> float:
     """`smallest`, as margins are given; infinite where the score cannot change by more than that."""
     then = found.baseline
-    if then is None or (row.score != "F1" and not then):
+    if then is None or (row.output.relative_margin and not then):
         return smallest
-    largest = then if row.score == "F1" else (LARGEST[row.score] - then) / then
-    return smallest if smallest < largest else float("inf")
+    room = then if row.output.direction > 0 else _largest(row) - then
+    return smallest if smallest < room / _unit(row, found) else float("inf")
+
+
+@dataclass(frozen=True, slots=True)
+class TypicalUnit:
+    """The rest `left` (U,) of the falls of units without the typical fall, and the `weights` (U,) of the units."""
+
+    left: Floats
+    weights: Floats
+
+    @classmethod
+    def of(cls, row: PairedRow) -> TypicalUnit:
+        """Of the units of a row in which the score is defined."""
+        then, now = row.by_unit(row.baseline), row.by_unit(row.run)
+        falls, sizes = row.output.direction * (row.value(then) - row.value(now)), row.size(then)
+        known = np.isfinite(falls) & (sizes > 0)
+        falls, weights = falls[known], sizes[known] / sizes.sum() if known.any() else sizes[known]
+        return cls(np.abs(falls - _weighted_median(falls, weights)) if len(falls) else falls, weights)
+
+    def standard_error(self, row: PairedRow, members: NDArray[np.bool_]) -> float:
+        """Standard error of the fall over the parts `members` (P,); with few units, from the cells alone."""
+        sizes = row.size(row.baseline)
+        share = float(sizes[members].sum() / sizes.sum()) if sizes.sum() else 0.0
+        cells = _error_of_cells(row, members)
+        if len(self.left) < LEAST_UNITS or not share:
+            return cells
+        alike = np.quantile(self.left, QUANTILE) / QUANTILE_OF_NORMAL
+        by_size = np.quantile(self.left * np.sqrt(self.weights), QUANTILE) / QUANTILE_OF_NORMAL
+        effective = max(1.0, share / float((self.weights**2).sum()))
+        return float(max(cells, alike / np.sqrt(effective), by_size / np.sqrt(share)))
+
+
+def _weighted_median(values: Floats, weights: Floats) -> float:
+    order = np.argsort(values)
+    reached = np.cumsum(weights[order]) >= weights.sum() / 2
+    return float(values[order][reached.argmax()])
+
+
+def _error_of_cells(row: PairedRow, members: NDArray[np.bool_]) -> float:
+    """The largest standard error that a mean of cells with this value can have: v (max - v) over their number."""
+    sums = row.baseline[members].sum(axis=0)
+    value, size = float(row.value(sums)), float(row.size(sums))
+    if np.isnan(value) or not size:
+        return 0.0
+    return float(np.sqrt(CELLS_TOGETHER * max(value * (_largest(row) - value), 0.0) / size))

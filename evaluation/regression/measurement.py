@@ -1,7 +1,7 @@
 """The models of a measurement and of a baseline.
 
-A measurement holds the counts of one run for each tracker, recording, statistical unit, stratum and step band, and is
-small enough for git. A baseline is the measurements of one or several earlier runs in one file.
+A measurement holds the sums of the judged scores of one run for each tracker, recording, statistical unit, stratum and
+step band, and is small enough for git. A baseline is the measurements of one or several earlier runs in one file.
 """
 
 from __future__ import annotations
@@ -14,17 +14,16 @@ from pydantic import Field, model_validator
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError, bounded_line
 
-BASELINE_SCHEMA: Final = 3
+BASELINE_SCHEMA: Final = 4
 BANDS: dict[str, tuple[float, float]] = {"short": (0.0, 0.5), "middle": (0.5, 1.5), "long": (1.5, 3600.0)}
 """Horizons of each step band in seconds, above the first and up to the second; step 0, the input frame, is in none."""
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
-Count = Annotated[int, Field(ge=0, le=2**53)]
+WholeNumber = Annotated[int, Field(ge=0, le=2**53)]
 Milliseconds = Annotated[float, Field(gt=0.0, le=1e9)]
-BandCounts = tuple[Count, Count, Count, Count, Annotated[float, Field(ge=0.0)]]
-"""TP, FP, FN, TN at the thresholds of the run, and the sum of the log loss in nats."""
-ScanLosses = tuple[Annotated[float, Field(ge=0.0)], Count]
-"""Sum over scans of the mean log loss of the classes of a scan's cells, nats, and the number of these scans."""
+FiniteSum = Annotated[float, Field(ge=-1e300, le=1e300)]
+BandSums = dict[str, tuple[FiniteSum, ...]]
+"""By step band the sums of a score, in the order of its parts."""
 
 
 class Unmeasured(GridtrackError):
@@ -50,19 +49,17 @@ class SplitKey(Settings):
     validation_sha256: str
 
 
-class UnitCounts(Settings):
+class UnitSums(Settings):
     """The scored frames of one recording in one statistical unit, which other recordings of its source may share.
 
-    Their number, a digest of their stamps and of the frames delivered before them, their counts by stratum and step
-    band, and by visibility and step band those of classes, of a tracker that gives them. `unit` numbers the units of
-    all recordings.
+    Their number, a digest of their stamps and of the frames delivered before them, and their sums by score, stratum and
+    step band. `unit` numbers the units of all recordings.
     """
 
     unit: Annotated[int, Field(ge=0, le=2**40)]
     frames: Annotated[int, Field(ge=1, le=2**40)]
     delivered: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
-    counts: Annotated[dict[Name, dict[Name, BandCounts]], Field(min_length=1, max_length=100)]
-    classes: Annotated[dict[Name, dict[Name, ScanLosses]], Field(max_length=100)] = Field(default_factory=dict)
+    sums: Annotated[dict[Name, dict[Name, BandSums]], Field(min_length=1, max_length=100)]
 
 
 class Speed(Settings):
@@ -72,12 +69,12 @@ class Speed(Settings):
     predict_ms: Milliseconds
 
 
-class TrialCounts(Settings):
+class MeasuredTrial(Settings):
     """One tracker on one recording: its units in the order of time, and what was measured in addition to the scores."""
 
     weights_sha256: str = ""
-    units: Annotated[tuple[UnitCounts, ...], Field(min_length=1, max_length=100_000)]
-    recoveries: Count = 0
+    units: Annotated[tuple[UnitSums, ...], Field(min_length=1, max_length=100_000)]
+    recoveries: WholeNumber = 0
     """How often the tracker continued after a failure inside it, by its own count."""
     speed: Speed | None = None
     deadline_rates: tuple[float, ...] = ()
@@ -86,7 +83,7 @@ class TrialCounts(Settings):
     """The values of each kind of degraded input on which it was scored."""
 
 
-class TrackerCounts(Settings):
+class TrackerSums(Settings):
     """One tracker with its options, on every recording."""
 
     tracker: str
@@ -96,19 +93,33 @@ class TrackerCounts(Settings):
     program: tuple[str, ...] = ()
     """The program that ran, with its arguments, without its folder."""
     seed: int = 0
-    recordings: Annotated[dict[Name, TrialCounts], Field(min_length=1)]
+    recordings: Annotated[dict[Name, MeasuredTrial], Field(min_length=1)]
 
 
 class Measurement(Settings):
-    """The counts of a complete run. `block_s`: length of a unit in seconds; None: the units are whole recordings."""
+    """The sums of a complete run. `block_s`: length of a unit in seconds; None: the units are whole recordings.
+    `scores`: the parts of each judged score."""
 
     command: tuple[str, ...]
     versions: dict[str, str]
     scoring_rules: int = 1
     """The `SCORING_RULES` of the run."""
     block_s: Annotated[float, Field(gt=0.0)] | None
+    scores: dict[Name, dict[Name, Annotated[tuple[Name, ...], Field(max_length=10_000)]]]
+    """By label and score."""
     recordings: Annotated[dict[Name, SplitKey], Field(min_length=1)]
-    trackers: Annotated[dict[Name, TrackerCounts], Field(min_length=1)]
+    trackers: Annotated[dict[Name, TrackerSums], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _sums_have_their_parts(self) -> Measurement:
+        for label, recording, trial in self.trials():
+            parts = self.scores.get(label, {})
+            for unit in trial.units:
+                for score, strata in unit.sums.items():
+                    expected = len(parts.get(score, ()))
+                    if any(len(sums) != expected for bands in strata.values() for sums in bands.values()):
+                        raise ValueError(f"{label}@{recording}: sums of {score} that are not {expected}")
+        return self
 
     @model_validator(mode="after")
     def _every_tracker_has_every_recording(self) -> Measurement:
@@ -119,7 +130,7 @@ class Measurement(Settings):
                 )
         return self
 
-    def trials(self) -> Iterator[tuple[str, str, TrialCounts]]:
+    def trials(self) -> Iterator[tuple[str, str, MeasuredTrial]]:
         """Every trial with its label and recording."""
         for label, entry in self.trackers.items():
             for recording, trial in entry.recordings.items():
@@ -132,7 +143,7 @@ class Baseline(Settings):
     Several runs have the same trackers and options, on the same frames (`pairing.require_comparable`).
     """
 
-    schema_version: Literal[3] = Field(default=BASELINE_SCHEMA, alias="schema")
+    schema_version: Literal[4] = Field(default=BASELINE_SCHEMA, alias="schema")
     digest: str
     """SHA-256 of `runs`, so that a change by hand is found."""
     runs: Annotated[tuple[Measurement, ...], Field(min_length=1, max_length=100)]

@@ -1,25 +1,35 @@
-"""Measuring a run: its folder checked for completeness and reduced to counts by unit, stratum and step band."""
+"""Measuring a run: its folder checked for completeness and reduced to sums by unit, stratum and step band."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.regression.measurement import Measurement, Speed, SplitKey, Unmeasured
-from gridtrack.evaluation.regression.units import ScoredTrial, read_scored_trial, units_by_recording
-from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.results.recording import RecordingIdentity
-from gridtrack.evaluation.results.run_record import RUN_FILE, RunRecord, RunSettings, TrialIdentity, read_run_record
-from gridtrack.evaluation.results.trial_record import TrialRecord, read_trial_record
-from gridtrack.evaluation.runs.measurements import missing_measurements
-from gridtrack.evaluation.statistics.score_intervals import Scope
-from gridtrack.evaluation.statistics.units import UnitRule, enough_sources
+from gridtrack.evaluation.regression.measurement import BANDS, Measurement, Speed, SplitKey, UnitSums, Unmeasured
+from gridtrack.evaluation.runs.finished import FinishedTrial, RunTrials
+from gridtrack.evaluation.runs.result_files import RunError
+from gridtrack.evaluation.runs.run_record import (
+    RUN_FILE,
+    RecordingIdentity,
+    RunRecord,
+    RunSettings,
+    TrialIdentity,
+    read_run_record,
+)
+from gridtrack.evaluation.runs.sums import ScoredFrames, TrialSums
+from gridtrack.evaluation.runs.trial_record import TrialRecord, missing_measurements, read_trial_record
+from gridtrack.evaluation.scores.definition import ScoreDefinition
+from gridtrack.evaluation.scores.registry import scores
+from gridtrack.evaluation.statistics.units import UnitRule
 
 SERVER = "gridtrack.trackers.serve"
 """The module that serves a tracker of a Python environment; what precedes it is the interpreter."""
@@ -27,18 +37,26 @@ SERVER = "gridtrack.trackers.serve"
 
 @dataclass(frozen=True, slots=True)
 class ReadTrial:
-    """A trial's record and its counts."""
+    """A trial's record, its sums, and the horizons of its steps, seconds."""
 
     record: TrialRecord
-    scored: ScoredTrial
+    sums: TrialSums
+    horizons_s: tuple[float, ...]
+
+    @property
+    def frames(self) -> ScoredFrames:
+        """The scored frames."""
+        return self.sums.frames
 
 
 ReadTrials = dict[str, dict[str, ReadTrial]]
 """The trials of a run by label and recording."""
 
 
-def measure_run(run: Path, like: Measurement | None = None) -> Measurement:
-    """The counts of a complete run, in the statistical units of `like`, else in units chosen for it.
+def measure_run(run: Path, like: Measurement | None = None, foreign: Sequence[str] = ()) -> Measurement:
+    """The sums of a complete run, in the statistical units of `like`, else in units chosen for it.
+
+    `foreign`: names of scores of other packages. A score is judged by those of its outputs that have a margin.
 
     Raises Unmeasured where the run is not complete: a trial failed, is partial or missing, nothing was scored, or a
     requested measurement is missing; RunError where `run` is not a run's folder.
@@ -51,17 +69,21 @@ def measure_run(run: Path, like: Measurement | None = None) -> Measurement:
         raise Unmeasured([f"{run}: the run has no trials: nothing was measured"])
     splits = {name: _split_key(run, name, split) for name, split in configuration.recordings.items()}
     trials = _read_trials(run, record, splits)
-    cycles = [split.cycle_s for split in configuration.recordings.values() if split.cycle_s]
-    block_s = like.block_s if like else _block_s(splits, trials, max(cycles, default=None))
+    block_s = like.block_s if like else _block_s(configuration.recordings, trials)
+    scored = [score for score in scores(foreign) if any(output.margin is not None for output in score.outputs)]
     judged = [name for name in splits if like is None or name in like.recordings]
     content = {
         "command": record.command,
         "versions": record.versions,
         "scoring_rules": configuration.scoring_rules,
         "block_s": block_s,
+        "scores": {label: _parts(own, scored) for label, own in trials.items()},
         "recordings": splits,
         "trackers": {
-            label: {**_identity(configuration.trials, label), "recordings": _counts(own, splits, judged, block_s)}
+            label: {
+                **_identity(configuration.trials, label),
+                "recordings": _units(own, splits, judged, block_s, scored),
+            }
             for label, own in trials.items()
         },
     }
@@ -104,40 +126,104 @@ def _read_trial(run: Path, name: str, split: SplitKey | None, requested: RunSett
     strata = tuple(record.thresholds.values)
     if not strata:
         raise Unmeasured([f"{name}: its record has no thresholds, so no stratum was scored: run it again"])
-    return ReadTrial(record, read_scored_trial(folder, split.horizons_s, strata, record.frames_scored))
+    sums = TrialSums(folder)
+    if len(sums.frames.stamps_ns) != record.frames_scored or sums.steps != len(split.horizons_s) - 1:
+        raise Unmeasured(
+            [f"{name}: its scores are not those of the {record.frames_scored} forecasts of its record: run it again"]
+        )
+    return ReadTrial(record, sums, split.horizons_s)
 
 
 def _repeated_frames(trials: Mapping[str, ReadTrial], splits: Mapping[str, SplitKey]) -> Iterator[str]:
     """A reason for each two recordings of one source with scored frames in common."""
     for one, other in combinations(trials, 2):
-        stamps = [trials[name].scored.frames.stamps_ns for name in (one, other)]
+        stamps = [trials[name].frames.stamps_ns for name in (one, other)]
         if splits[one].source_sha256 == splits[other].source_sha256 and (
             max(its[0] for its in stamps) <= min(its[-1] for its in stamps)
         ):
             yield f"{one} and {other} are of one source and overlap: compare with one of them, or shorter stretches"
 
 
-def _block_s(splits: Mapping[str, SplitKey], trials: ReadTrials, cycle_s: float | None) -> float | None:
+def _block_s(recordings: Mapping[str, RecordingIdentity], trials: ReadTrials) -> float | None:
     """The length of a block, as for the intervals of a comparison; None, whole sources, where these are enough."""
-    if enough_sources([split.source_sha256 for split in splits.values()]):
-        return None
-    read = [trial.scored for own in trials.values() for trial in own.values()]
-    return max(Scope(one.horizons_s, one.strata, cycle_s).block_s([one.frames]) for one in read)
+    finished = [
+        FinishedTrial(trial.record, trial.sums.path.parent, label, {}, "")
+        for label, own in trials.items()
+        for trial in own.values()
+    ]
+    return RunTrials(recordings, finished).unit_rule(list(recordings)).block_s
 
 
-def _counts(
-    trials: Mapping[str, ReadTrial], splits: Mapping[str, SplitKey], judged: Sequence[str], block_s: float | None
+def _parts(trials: Mapping[str, ReadTrial], scores: Sequence[ScoreDefinition]) -> dict[str, tuple[str, ...]]:
+    """The parts of each score of one tracker, which are the same on every recording."""
+    layouts = [trial.sums.layouts for trial in trials.values()]
+    names = [score.name for score in scores if all(score.name in trial.sums.scores for trial in trials.values())]
+    return {name: layouts[0][name].parts for name in names if len({one[name].parts for one in layouts}) == 1}
+
+
+def _units(
+    trials: Mapping[str, ReadTrial],
+    splits: Mapping[str, SplitKey],
+    judged: Sequence[str],
+    block_s: float | None,
+    scores: Sequence[ScoreDefinition],
 ) -> dict[str, dict[str, Any]]:
-    """The counts of one tracker by recording. Units are divided among the recordings to be `judged`, so that further
+    """The units of one tracker by recording. Units are divided among the recordings to be `judged`, so that further
     recordings of a run do not change them, and then among these further ones."""
     content: dict[str, dict[str, Any]] = {}
+    names_of_scores = list(_parts(trials, scores))
     for names in ([name for name in trials if name in judged], [name for name in trials if name not in judged]):
         rule = UnitRule(tuple(splits[name].source_sha256 for name in names), block_s)
-        stamps = [trials[name].scored.frames.stamps_ns for name in names]
-        numbers = dict(zip(names, rule.units_of(stamps), strict=True))
-        units = units_by_recording({name: trials[name].scored for name in names}, numbers)
-        content |= {name: {"units": units[name], **_beside_scores(trials[name].record)} for name in names}
+        numbers = rule.units_of([trials[name].frames.stamps_ns for name in names])
+        for name, own in zip(names, numbers, strict=True):
+            units = tuple(_unit_sums(trials[name], own, names_of_scores))
+            content[name] = {"units": units, **_beside_scores(trials[name].record)}
     return content
+
+
+def _unit_sums(trial: ReadTrial, numbers: NDArray[np.int64], scores: Sequence[str]) -> Iterator[UnitSums]:
+    """The units of a trial with frames in the units `numbers` (F,), in the order of time."""
+    units, steps = np.unique(numbers), _steps_by_band(trial.horizons_s)
+    own = np.searchsorted(units, numbers)
+    read = {
+        score: trial.sums.by_unit(score, own, range(trial.sums.steps + 1), layout.strata).values
+        for score, layout in ((score, trial.sums.layouts[score]) for score in scores)
+    }
+    for u, unit in enumerate(units.tolist()):
+        frames = trial.frames.at(own == u)
+        yield UnitSums(
+            unit=unit,
+            frames=len(frames.stamps_ns),
+            delivered=_digest(frames),
+            sums={
+                score: {
+                    stratum: {band: _rounded(sums[u, its, k].sum(axis=0)) for band, its in steps.items()}
+                    for k, stratum in enumerate(trial.sums.layouts[score].strata)
+                }
+                for score, sums in read.items()
+            },
+        )
+
+
+def band_of(horizon_s: float) -> str | None:
+    """The step band of a horizon; None for step 0."""
+    return next((name for name, (low, high) in BANDS.items() if low < horizon_s <= high + 1e-9), None)
+
+
+def _steps_by_band(horizons_s: Sequence[float]) -> dict[str, list[int]]:
+    bands = [band_of(horizon) for horizon in horizons_s]
+    return {name: [step for step, its in enumerate(bands) if its == name] for name in BANDS if name in bands}
+
+
+def _rounded(sums: NDArray[np.float64]) -> tuple[float, ...]:
+    """Whole numbers as they are, others to six digits: the order of additions changes digits beyond them."""
+    return tuple(int(one) if float(one).is_integer() else float(f"{one:.6g}") for one in sums.tolist())
+
+
+def _digest(frames: ScoredFrames) -> str:
+    """A digest of the stamps of the scored frames and of every frame delivered until then."""
+    content = list(zip(frames.stamps_ns.tolist(), frames.delivered.tolist(), strict=True))
+    return hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
 
 
 def _beside_scores(record: TrialRecord) -> dict[str, Any]:

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.regression.measurement import (
     Baseline,
+    MeasuredTrial,
     Measurement,
     SplitKey,
-    TrackerCounts,
-    TrialCounts,
-    UnitCounts,
+    TrackerSums,
+    UnitSums,
     Unmeasured,
 )
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
+CELLS = "cells"
+"""The part of a score that counts cells whatever the forecast: it is equal for the same frames and rules."""
 _SAME_ROW = ("tracker", "options", "points", "program")
 """What is one tracker under a label; its weights and its seed may be another training's."""
 
@@ -60,6 +62,7 @@ def _require_same_frames(baseline: Measurement, run: Measurement) -> None:
     Raises Unmeasured with every reason.
     """
     reasons = [*_other_rules(baseline, run), *_missing_entries(baseline, run), *_other_splits(baseline, run)]
+    reasons += _other_parts(baseline, run)
     if not reasons:
         reasons = [*_other_units(baseline, run), *_other_measurements(baseline, run)]
     if reasons:
@@ -75,8 +78,15 @@ def _other_rules(baseline: Measurement, run: Measurement) -> Iterator[str]:
         )
 
 
+def _other_parts(baseline: Measurement, run: Measurement) -> Iterator[str]:
+    for label, scores in baseline.scores.items():
+        for score, parts in scores.items():
+            if run.scores.get(label, {}).get(score, parts) != parts:
+                yield f"{label}: {score} has other sums than in the baseline: make the baseline again with --update"
+
+
 def _as_then(baseline: Measurement) -> str:
-    """What mends a run that is not like the baseline."""
+    """How to fix the mismatch."""
     return f"compare as for the baseline ({shlex.join(baseline.command)}), or make the baseline again with --update"
 
 
@@ -103,7 +113,8 @@ def _other_splits(baseline: Measurement, run: Measurement) -> Iterator[str]:
 def _other_units(baseline: Measurement, run: Measurement) -> Iterator[str]:
     usual: dict[str, int] = {}
     for label, name, then in baseline.trials():
-        problem = _unit_mismatch(then, run.trackers[label].recordings[name])
+        cells = {score: parts.index(CELLS) for score, parts in baseline.scores[label].items() if CELLS in parts}
+        problem = _unit_mismatch(then, run.trackers[label].recordings[name], cells)
         if not problem and len(then.units) != usual.setdefault(name, len(then.units)):
             problem = "its number of units is not that of the other trackers"
         if problem:
@@ -120,7 +131,7 @@ def _other_trackers(baseline: Measurement, run: Measurement) -> Iterator[str]:
             )
 
 
-def _difference(then: TrackerCounts, now: TrackerCounts) -> str:
+def _difference(then: TrackerSums, now: TrackerSums) -> str:
     """The first difference between two trackers under one label; empty for the same one."""
     for field in _SAME_ROW:
         old, new = getattr(then, field), getattr(now, field)
@@ -161,31 +172,24 @@ def _other_measurements(baseline: Measurement, run: Measurement) -> Iterator[str
                 yield f"{label}@{name}: measured with {option} {what} in the run: {_as_then(baseline)}"
 
 
-def _unit_mismatch(then: TrialCounts, now: TrialCounts) -> str:
-    """The reason why the units of two trials do not pair; empty where they do."""
+def _unit_mismatch(then: MeasuredTrial, now: MeasuredTrial, cells: Mapping[str, int]) -> str:
+    """The reason why the units of two trials do not pair; empty where they do. `cells`: the place of CELLS by score."""
     if len(then.units) != len(now.units):
         return f"{len(then.units)} units in the baseline, {len(now.units)} in the run"
     for one, other in zip(then.units, now.units, strict=True):
         if (one.frames, one.delivered) != (other.frames, other.delivered):
             return "other frames were delivered than for the baseline"
-        if _cells_by_row(one) != _cells_by_row(other):
+        if missing := one.sums.keys() - other.sums.keys():
+            return f"{', '.join(sorted(missing))} was scored for the baseline, and is not in the run"
+        if any(_places(one, score, cells) != _places(other, score, cells) for score in one.sums):
             return "other strata or cells were scored than for the baseline"
-        if one.classes and not other.classes:
-            return "it gave classes for the baseline, and gives none in the run"
-        if one.classes and _scans_by_row(one) != _scans_by_row(other):
-            return "classes were scored on other scans than for the baseline"
     return ""
 
 
-def _cells_by_row(unit: UnitCounts) -> dict[tuple[str, str], tuple[int, int]]:
-    """Occupied and free cells by stratum and band: they follow from the frames and not from the forecasts."""
+def _places(unit: UnitSums, score: str, cells: Mapping[str, int]) -> dict[str, dict[str, float | None]]:
+    """The step bands of each stratum of a score, with its cells where it counts them."""
+    place = cells.get(score)
     return {
-        (stratum, band): (tp + fn, fp + tn)
-        for stratum, bands in unit.counts.items()
-        for band, (tp, fp, fn, tn, _) in bands.items()
+        stratum: {band: None if place is None else sums[place] for band, sums in bands.items()}
+        for stratum, bands in unit.sums[score].items()
     }
-
-
-def _scans_by_row(unit: UnitCounts) -> dict[tuple[str, str], int]:
-    """Scans with a known class by visibility and band: they too follow from the frames."""
-    return {(kind, band): scans for kind, bands in unit.classes.items() for band, (_, scans) in bands.items()}

@@ -8,31 +8,30 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from gridtrack.common.config import validated
-from gridtrack.evaluation.engines.engine import RunObserver
 from gridtrack.evaluation.regression.measurement import Measurement, Unmeasured
 from gridtrack.evaluation.regression.measuring import measure_run
-from gridtrack.evaluation.results.run_record import RunRecord, read_run_record
-from gridtrack.evaluation.results.trial_record import code_differs, read_trial_record
 from gridtrack.evaluation.runs.plan import ComparisonPlan, resolve
-from gridtrack.evaluation.runs.provenance import versions
-from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.run_folder import versions
+from gridtrack.evaluation.runs.run_record import RunRecord, read_run_record
+from gridtrack.evaluation.runs.runner import RunObserver, run
 from gridtrack.evaluation.runs.settings import CompareSettings
+from gridtrack.evaluation.runs.trial_record import code_differs, read_trial_record
 
 Trials = Mapping[str, frozenset[str]]
 """The names of recordings by label."""
 
 
 def run_again(
-    folder: Path, trials: Trials, like: Measurement, latency: bool, progress: RunObserver
+    folder: Path, trials: Trials, like: Measurement, latency: bool, progress: RunObserver, foreign: Sequence[str]
 ) -> list[Measurement]:
     """Run `trials` of the run in `folder` again, with their times where `latency`; one measurement for each set of
-    recordings, in the units of `like`. What is written is removed.
+    recordings, in the units of `like`, with the `foreign` scores of other packages. What is written is removed.
 
     Raises Unmeasured where a trial cannot be run as it was, or fails.
     """
     record = read_run_record(folder)
     with TemporaryDirectory(prefix="gridtrack-again-") as scratch:
-        plan = _plan(folder, record, Path(scratch), latency)
+        plan = _plan(folder, record, Path(scratch), latency, foreign)
         measured = []
         for number, recordings in enumerate(dict.fromkeys(trials.values())):
             labels = [label for label, own in trials.items() if own == recordings]
@@ -40,7 +39,7 @@ def run_again(
             _require_unchanged(record, part)
             if run(part, record.command, progress).interrupted:
                 raise Unmeasured(["the second run was interrupted"])
-            measured.append(measure_run(part.settings.out, like))
+            measured.append(measure_run(part.settings.out, like, foreign))
             if reasons := list(_edited(folder, part)):
                 raise Unmeasured(reasons)
     return measured
@@ -49,7 +48,7 @@ def run_again(
 def plan_again(folder: Path, scratch: Path) -> ComparisonPlan:
     """The plan of the run in `folder`, whose files go to `scratch`. Raises Unmeasured where something changed."""
     record = read_run_record(folder)
-    plan = _plan(folder, record, scratch, latency=False)
+    plan = _plan(folder, record, scratch, latency=False, foreign=())
     _require_unchanged(record, plan)
     return plan
 
@@ -59,8 +58,11 @@ def why_edited(label: str, *sha256s: str) -> str:
     return f"{label}: the tracker's code was edited since the run: compare again" if code_differs(*sha256s) else ""
 
 
-def _plan(folder: Path, record: RunRecord, scratch: Path, latency: bool) -> ComparisonPlan:
-    """The plan of the whole run, with the scores and nothing beside them but times."""
+def _plan(folder: Path, record: RunRecord, scratch: Path, latency: bool, foreign: Sequence[str]) -> ComparisonPlan:
+    """The plan of the whole run, with the scores and nothing beside them but times.
+
+    Of scores of other packages it has those that the user names now: the record may be a stranger's.
+    """
     given = record.settings.model_dump(mode="json")
     if "recordings" not in given:
         raise Unmeasured([f"{folder}: its record has no settings, so it cannot be run again: compare again"])
@@ -71,6 +73,7 @@ def _plan(folder: Path, record: RunRecord, scratch: Path, latency: bool) -> Comp
         "resume": False,
         "engine": "local",
         "address": None,
+        "scores": tuple(foreign),
     }
     settings = {**given, **only_scores, "out": scratch, "latency": latency}
     return resolve(validated(CompareSettings, settings, f"{folder}: its settings"))

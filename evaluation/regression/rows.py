@@ -1,138 +1,164 @@
-"""The rows of a comparison: one score of one tracker in a part of the cells and a step band, baseline and run paired.
-
-F1, the log loss of cells and that of classes are ratios of two sums over units: 2 TP over 2 TP + FP + FN, nats over
-cells, nats over scans.
-"""
+"""The rows of the gate: one judged output of one tracker in a stratum and step band, baseline and run paired."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
-from gridtrack.evaluation.regression.measurement import BANDS, Baseline, Measurement, TrialCounts, UnitCounts
-from gridtrack.evaluation.scoring.counting import CLIP
-from gridtrack.evaluation.statistics.jackknife import Floats
-
-JudgedScore = Literal["F1", "log loss", "class log loss"]
-LARGEST: dict[JudgedScore, float] = {"F1": 1.0, "log loss": -np.log(CLIP), "class log loss": -np.log(CLIP)}
-"""The largest value of each score; the smallest is 0."""
-SHARE_PER_F1 = 10.0
-"""A fall of 0.005 F1 weighs as much as a rise of a log loss by 10 times that, 5 % of its value."""
-
-CountsOf = Callable[[UnitCounts], tuple[float, ...] | None]
+from gridtrack.evaluation.regression.measurement import BANDS, Baseline, Measurement
+from gridtrack.evaluation.scores.definition import Floats, Measure, Output, Ratio, ScoreDefinition, Sums, value_of
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, IntervalEstimate, Replicates, holm, replicates
+from gridtrack.evaluation.statistics.trainings import one_more, spread_between
 
 
 @dataclass(frozen=True, slots=True)
 class PairedRow:
-    """One score of one tracker in one region of cells (a stratum; of classes a visibility) and step band.
+    """One output of a score of one tracker in one stratum and step band.
 
-    `trainings` (K, P, 2) and `run` (P, 2): numerator and denominator of the score, of the K runs of the baseline and
-    of the run, in P parts: the frames of one recording in one unit. `units` (P,) and `recordings` (P,) say which;
-    `occurs` (P,) where there is something to score. `equal`: every count is that of one run of the baseline.
+    `trainings` (K, P, N) and `run` (P, N): the N sums of the score, of the K runs of the baseline and of the run, in P
+    parts: the frames of one recording in one unit. `units` (P,) and `recordings` (P,) identify the parts.
     """
 
     label: str
-    score: JudgedScore
-    region: str
+    score: ScoreDefinition
+    output: Output
+    stratum: str
     band: str
+    parts: tuple[str, ...]
     trainings: Floats
     run: Floats
     units: NDArray[np.int64]
     recordings: tuple[str, ...]
-    occurs: NDArray[np.bool_]
-    equal: bool
+
+    @property
+    def key(self) -> tuple[str, str, str, str]:
+        """Equal for the same row of another run."""
+        return self.label, f"{self.score.name}.{self.output.name}", self.stratum, self.band
+
+    @property
+    def equal(self) -> bool:
+        """Whether every sum is that of one run of the baseline."""
+        return bool((self.trainings == self.run).all(axis=(1, 2)).any())
 
     @property
     def baseline(self) -> Floats:
-        """Numerator and denominator (P, 2), the mean over the runs of the baseline."""
+        """The sums (P, N), the mean over the runs of the baseline."""
         mean: Floats = self.trainings.mean(axis=0)
         return mean
 
+    def value(self, sums: Floats) -> Floats:
+        """The output (...) of sums (..., N); NaN where it is undefined."""
+        return value_of(self.score.value(Sums(sums, self.parts))[self.output.name])
+
     def by_unit(self, sums: Floats) -> Floats:
-        """Sums (..., P, 2) over the parts of each of U units, (..., U, 2)."""
+        """Sums (..., P, N) over the parts of each of U units, (..., U, N)."""
         numbers = np.unique(self.units, return_inverse=True)[1]
         member = (np.arange(numbers.max() + 1)[:, None] == numbers).astype(np.float64)
         summed: Floats = member @ sums
         return summed
 
-    @property
-    def sign(self) -> float:
-        """1 where a lower value is worse, -1 where a higher one is."""
-        return 1.0 if self.score == "F1" else -1.0
+    def size(self, sums: Floats) -> Floats:
+        """How much sums (..., N) count: the denominator of a ratio."""
+        found = self.score.value(Sums(sums, self.parts))[self.output.name]
+        assert isinstance(found, Ratio | Measure), "an output with a margin is a ratio or a measure"
+        return found.whole if isinstance(found, Ratio) else found.size
 
-    def in_margin_units(self, fall: float, baseline: float) -> float:
-        """A deterioration as margins are given: of F1 as it is, of a loss as a share of the baseline's."""
-        return fall if self.score == "F1" else fall / baseline
+    def fall(self, then: float, now: float) -> float:
+        """How much worse `now` is than `then`, as margins are given: a share of `then` where the margin is one."""
+        fall = self.output.direction * (then - now)
+        return fall / then if self.output.relative_margin and then else fall
 
-    def margin_of(self, f1_margin: float) -> float:
-        """The margin of this row for a margin of F1."""
-        return f1_margin if self.score == "F1" else SHARE_PER_F1 * f1_margin
+    def replicates(self, sums: Floats) -> Replicates:
+        """The replicates () of sums (P, N) over units."""
+        by_unit = Sums(self.by_unit(sums), self.parts)
+        total = Sums(by_unit.values.sum(axis=0), self.parts)
+        return replicates(self.score.value, lambda: iter([by_unit]), total)[self.output.name]
 
 
-def paired_rows(baseline: Baseline, run: Measurement) -> tuple[PairedRow, ...]:
+@dataclass(frozen=True, slots=True)
+class RowTest:
+    """The test of a row: `p`, one-sided and corrected over all rows, and the difference of run and baseline; None with
+    too few units. `spread`: the standard deviation between trainings; None with one run in the baseline."""
+
+    p: float | None = None
+    difference: IntervalEstimate | None = None
+    spread: float | None = None
+    critical: float = 0.0
+    """The smallest fall, alike in all units, that would have been significant."""
+
+
+def paired_rows(baseline: Baseline, run: Measurement, scores: Sequence[ScoreDefinition]) -> tuple[PairedRow, ...]:
     """The rows of every tracker of the baseline; the two are paired (`pairing.require_paired`)."""
-    return tuple(row for label in baseline.first.trackers for row in _rows_of(label, baseline, run))
+    return tuple(row for label in baseline.first.trackers for row in _rows_of(label, baseline, run, scores))
 
 
-def _rows_of(label: str, baseline: Baseline, run: Measurement) -> Iterator[PairedRow]:
+def _rows_of(
+    label: str, baseline: Baseline, run: Measurement, scores: Sequence[ScoreDefinition]
+) -> Iterator[PairedRow]:
     sides = [side.trackers[label].recordings for side in (*baseline.runs, run)]
-    parts = [(name, part) for name, trial in sides[0].items() for part in range(len(trial.units))]
-    first = [sides[0][name].units[part] for name, part in parts]
-    members = np.array([unit.unit for unit in first]), tuple(name for name, _ in parts)
-    for region, band in _regions(unit.counts for unit in first):
-        counts = _stacked(sides, parts, _counts_in(region, band), 5)
-        tp, fp, fn, tn, loss = np.moveaxis(counts, -1, 0)
-        occupied = (tp + fn)[0] > 0
-        # F1 is undefined where no cell is occupied
-        f1 = np.stack([2 * tp, 2 * tp + fp + fn], axis=-1) * (1.0 if occupied.any() else 0.0)
-        cells = np.stack([loss, tp + fp + fn + tn], axis=-1)
-        yield _row(label, "F1", region, band, f1, members, occupied, counts[..., :4])
-        yield _row(label, "log loss", region, band, cells, members, cells[0, :, 1] > 0, cells)
-    for region, band in _regions(unit.classes for unit in first):
-        sums = _stacked(sides, parts, _classes_in(region, band), 2)
-        yield _row(label, "class log loss", region, band, sums, members, sums[0, :, 1] > 0, sums)
+    members = [(name, part) for name, trial in sides[0].items() for part in range(len(trial.units))]
+    first = [sides[0][name].units[part] for name, part in members]
+    units, recordings = np.array([unit.unit for unit in first]), tuple(name for name, _ in members)
+    for score in scores:
+        parts = baseline.first.scores[label].get(score.name)
+        strata = dict.fromkeys(stratum for unit in first for stratum in unit.sums.get(score.name, {}))
+        for stratum in strata if parts else ():
+            for band in BANDS:
+                nothing = (0.0,) * len(parts or ())
+                found = [
+                    [side[name].units[part].sums[score.name].get(stratum, {}).get(band) for name, part in members]
+                    for side in sides
+                ]
+                if any(one is not None for one in found[0]):
+                    sums = np.array([[one or nothing for one in side] for side in found], np.float64)
+                    for output in score.outputs:
+                        if output.margin is not None:
+                            yield PairedRow(
+                                label, score, output, stratum, band, parts or (), sums[:-1], sums[-1], units, recordings
+                            )
 
 
-def _row(
-    label: str,
-    score: JudgedScore,
-    region: str,
-    band: str,
-    sums: Floats,
-    members: tuple[NDArray[np.int64], tuple[str, ...]],
-    occurs: NDArray[np.bool_],
-    counts: Floats,
-) -> PairedRow:
-    """A row of sums (K + 1, P, 2), the run's last; it is equal where `counts` (K + 1, P, C) are."""
-    equal = bool((counts[:-1] == counts[-1]).all(axis=(1, 2)).any())
-    return PairedRow(label, score, region, band, sums[:-1], sums[-1], *members, occurs, equal)
+def row_tests(rows: Sequence[PairedRow]) -> list[RowTest]:
+    """The test of each row, with Holm's correction over all of them. With fewer than LEAST_UNITS units there is none.
+
+    With several runs in the baseline the difference is that from one more training, so that its variance includes the
+    spread between trainings.
+    """
+    if not rows or len(np.unique(rows[0].units)) < LEAST_UNITS:
+        return [RowTest() for _ in rows]
+    compared = [_compared(row) for row in rows]
+    p = [_one_sided(row, found) for row, (found, _) in zip(rows, compared, strict=True)]
+    adjusted = holm(np.array(p)).tolist()
+    return [
+        RowTest(None if np.isnan(own) else own, found, spread, _critical(found, len(rows)))
+        for own, (found, spread) in zip(adjusted, compared, strict=True)
+    ]
 
 
-def _counts_in(region: str, band: str) -> CountsOf:
-    return lambda unit: unit.counts.get(region, {}).get(band)
+def _compared(row: PairedRow) -> tuple[IntervalEstimate, float | None]:
+    """The run less the baseline, and the standard deviation between the trainings of the baseline."""
+    trainings = [row.replicates(sums) for sums in row.trainings]
+    found = one_more(row.replicates(row.run), trainings)
+    spread = float(spread_between(trainings).deviation) if len(trainings) > 1 else None
+    return found, spread
 
 
-def _classes_in(region: str, band: str) -> CountsOf:
-    return lambda unit: unit.classes.get(region, {}).get(band)
+def _one_sided(row: PairedRow, found: IntervalEstimate) -> float:
+    """The p-value of a fall."""
+    worse = row.output.direction * float(found.value) < 0
+    return float(found.p) / 2 if worse else 1.0 - float(found.p) / 2
 
 
-def _regions(counts: Iterator[Mapping[str, Mapping[str, object]]]) -> list[tuple[str, str]]:
-    """Region and band of every count of any unit, the bands of a region together."""
-    found: dict[str, set[str]] = {}
-    for regions in counts:
-        for region, bands in regions.items():
-            found.setdefault(region, set()).update(bands)
-    return [(region, band) for region, bands in found.items() for band in BANDS if band in bands]
+def _critical(found: IntervalEstimate, family: int) -> float:
+    """The smallest fall with a p-value that the correction for `family` rows leaves significant, from the interval."""
+    reach = float(found.high - found.low) / 2
+    return reach * _quantile_ratio(family) if np.isfinite(reach) else 0.0
 
 
-def _stacked(
-    sides: Sequence[Mapping[str, TrialCounts]], parts: Sequence[tuple[str, int]], counts_of: CountsOf, size: int
-) -> Floats:
-    """The counts (K + 1, P, size) of every side; zeros in a part without any."""
-    zeros = (0.0,) * size
-    rows = [[counts_of(side[name].units[part]) or zeros for name, part in parts] for side in sides]
-    return np.array(rows, np.float64)
+def _quantile_ratio(family: int) -> float:
+    """The normal quantile of a one-sided level of 5 % over `family` rows, over that of a two-sided one of 5 %."""
+    return float(ndtri(1 - 0.05 / family) / ndtri(0.975))

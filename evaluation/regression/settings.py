@@ -1,4 +1,4 @@
-"""The settings of the regression gate. Light to import: the command line reads its defaults here."""
+"""The settings of the regression gate. Light to import: they are options of the command line."""
 
 from __future__ import annotations
 
@@ -7,29 +7,44 @@ from typing import Annotated
 from pydantic import Field
 
 from gridtrack.common.config import Settings
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.options import Option, from_texts
 
 Margin = Annotated[float, Field(ge=0.0, lt=1.0)]
 
 
 MARGIN = 0.005
-"""The margin with enough units for significance, where none is given."""
+"""The default margin with enough units for significance."""
 SPEED_MARGIN, TURNS_MARGIN = 0.5, 0.1
-"""The margins of speed, where none is given: on a loaded machine a ratio to a reference varies by a third."""
+"""The default margins of speed: on a loaded machine a ratio to a reference varies by a third."""
+
+
+def _tolerance(text: str) -> tuple[str, float]:
+    """Read `LABEL=F1`. Raises ConfigurationError."""
+    label, _, value = text.rpartition("=")
+    try:
+        return label, float(value)
+    except ValueError:
+        raise ConfigurationError(f"--tolerance '{text}': expected LABEL=F1, such as my-tracker=0.01") from None
 
 
 class GateSettings(Settings):
     """From which fall in F1, and from which growth of a time, a tracker is worse."""
 
-    margin: Margin | None = None
-    """The largest fall in F1 that is not worse, however significant; a log loss may rise by ten times that as a share.
-    None: MARGIN, and 0 with too few units for significance: the margin is then the only criterion."""
-    tolerance: dict[str, Margin] = Field(default_factory=dict)
-    """The margin of single trackers, by label."""
-    speed_reference: str | None = None
-    """The tracker whose times are the unit of measurement of speed; None: speed is not judged."""
-    speed_margin: Annotated[float, Field(ge=0.0)] | None = None
-    """The largest growth, as a share, of a tracker's time that is not worse. None: SPEED_MARGIN of a ratio to the
-    reference's time, and TURNS_MARGIN of times measured in turns with a base."""
+    margin: Annotated[Margin | None, Option(metavar="F1")] = None
+    """Largest fall in F1 that is not worse, however significant; a log loss may rise by ten times that as a share;
+    default: 0.005 with 20 units or more, 0 with fewer, for which the margin is the only criterion"""
+    tolerance: Annotated[dict[str, Margin], Option(metavar="LABEL=F1"), from_texts(_tolerance)] = Field(
+        default_factory=dict
+    )
+    """Margin of one tracker, such as a learned one; repeat for several"""
+    scores: Annotated[tuple[str, ...], Option("score", "NAME")] = ()
+    """Judge by this score of another package too, which is loaded only by this name; repeat for several"""
+    speed_reference: Annotated[str | None, Option(metavar="LABEL")] = None
+    """Judge speed too, as the ratio to the times of this tracker"""
+    speed_margin: Annotated[float | None, Option(metavar="SHARE"), Field(ge=0.0)] = None
+    """Largest growth of a time that is not worse; default: 0.5 for a ratio to the reference, 0.1 for a time measured
+    in turns with a base (--speed-base)"""
 
     @property
     def ratio_margin(self) -> float:

@@ -20,13 +20,14 @@ from scipy.special import stdtrit
 from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
+from gridtrack.evaluation.referee.referee import WARM_UP
 from gridtrack.evaluation.regression.measurement import Unmeasured
 from gridtrack.evaluation.regression.rerun import plan_again, why_edited
 from gridtrack.evaluation.regression.speed import CALLS, CallKind, TurnsRow
-from gridtrack.evaluation.results.trial_record import read_trial_record
 from gridtrack.evaluation.runs.plan import Trial
-from gridtrack.evaluation.scoring.referee import WARM_UP
-from gridtrack.evaluation.statistics.jackknife import LEVEL, Floats
+from gridtrack.evaluation.runs.trial_record import read_trial_record
+from gridtrack.evaluation.scores.definition import Floats
+from gridtrack.evaluation.statistics.jackknife import LEVEL
 from gridtrack.trackers.selection import Launch
 
 TURN_ROUNDS, ROUND_FRAMES = 8, 40

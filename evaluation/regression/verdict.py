@@ -8,14 +8,14 @@ from typing import Literal
 import numpy as np
 
 from gridtrack.common.errors import ConfigurationError, did_you_mean
-from gridtrack.evaluation.regression.criteria import row_tests
 from gridtrack.evaluation.regression.judging import RowVerdict, VerdictRow, judged_recordings, judged_row
 from gridtrack.evaluation.regression.measurement import Baseline, Measurement, Unmeasured
 from gridtrack.evaluation.regression.pairing import require_paired
 from gridtrack.evaluation.regression.recoveries import RecoveryRow, compare_recoveries
-from gridtrack.evaluation.regression.rows import paired_rows
+from gridtrack.evaluation.regression.rows import paired_rows, row_tests
 from gridtrack.evaluation.regression.settings import GateSettings
 from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow, compare_speed
+from gridtrack.evaluation.scores.registry import scores
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
 Standing = RowVerdict | Literal["not confirmed"]
@@ -78,7 +78,11 @@ class Verdict:
         return "not confirmed" if refuted else row.verdict
 
 
-def compare_with_baseline(baseline: Baseline, run: Measurement, settings: GateSettings | None = None) -> Verdict:
+def compare_with_baseline(
+    baseline: Baseline,
+    run: Measurement,
+    settings: GateSettings | None = None,
+) -> Verdict:
     """The verdict on `run`, paired with `baseline` by units.
 
     Raises Unmeasured where they do not pair or no cell was occupied, ConfigurationError for an unknown label.
@@ -89,10 +93,10 @@ def compare_with_baseline(baseline: Baseline, run: Measurement, settings: GateSe
         if label not in known:
             raise ConfigurationError(f"the baseline has no tracker '{label}'; {did_you_mean(label, known)}")
     require_paired(baseline, run)
-    paired = paired_rows(baseline, run)
+    paired = paired_rows(baseline, run, scores(settings.scores))
     tests = row_tests(paired)
     rows = tuple(judged_row(row, test, settings) for row, test in zip(paired, tests, strict=True))
-    if all(row.verdict == "nothing to find" for row in rows if row.score == "F1"):
+    if all(row.verdict == "nothing to find" for row in rows if row.score == "f1.f1"):
         raise Unmeasured(["no cell was occupied in any stratum and step band: nothing was measured"])
     speed, speed_notes = compare_speed(baseline, run, settings.speed_reference, settings.ratio_margin)
     units = len(np.unique(paired[0].units)) if paired else 0

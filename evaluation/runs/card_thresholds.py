@@ -9,23 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.files import sha256_of
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.hosting.limits import Limits
+from gridtrack.evaluation.referee.kinds import CellKinds, Regions
+from gridtrack.evaluation.referee.referee import WARM_UP, Delivery
+from gridtrack.evaluation.referee.splits import EvaluationSplit
+from gridtrack.evaluation.referee.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.evaluation.runs.learned import LearnedWeights
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.trial import validation_tally
-from gridtrack.evaluation.scoring.counting import HALF, Tally
-from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery
-from gridtrack.evaluation.scoring.regions import Regions
-from gridtrack.evaluation.scoring.splits import EvaluationSplit
-from gridtrack.evaluation.scoring.strata import STRATA, STRATA_WITH_TRUTH
-from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds
-from gridtrack.evaluation.scoring.world_kinds import CellKinds
+from gridtrack.evaluation.scores.cells import HALF, Tally
+from gridtrack.evaluation.scores.thresholds import Thresholds, best_thresholds
 from gridtrack.recordings.stream import GridStream
-from gridtrack.trackers.card import CardThresholds
-from gridtrack.trackers.progress import Progress
 from gridtrack.trackers.selection import Selection, launch
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.card import CardThresholds
+from gridtrack.trackers.training.progress import Progress
+from gridtrack.trackers.training.weights import read_card
 
 HORIZON_STEP_S, LAST_S = 0.1, 2.5
 """The horizons that have a threshold on a card: every HORIZON_STEP_S up to LAST_S; a later one has that of LAST_S."""

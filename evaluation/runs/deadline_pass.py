@@ -9,18 +9,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.hosting.call_times import Call, Timings
-from gridtrack.evaluation.hosting.clock import Clock
-from gridtrack.evaluation.hosting.latency import TWENTIETHS
+from gridtrack.evaluation.hosting.timing import TWENTIETHS, Call, Timings
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
-from gridtrack.evaluation.results.passes import AtRate, CallTimes, Deadline, Quantiles
-from gridtrack.evaluation.results.trial_record import ThresholdsUsed
-from gridtrack.evaluation.results.values import Curves
+from gridtrack.evaluation.referee.deadline import RATES, Clock, Costs, DeadlineTracker, Timeline, spare_steps, timeline
+from gridtrack.evaluation.referee.referee import WARM_UP, Delivery
+from gridtrack.evaluation.referee.splits import SplitRegions
+from gridtrack.evaluation.runs.passes import AtRate, CallTimes, Deadline, Quantiles
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.replay import replayed_f1
-from gridtrack.evaluation.scoring.deadline import RATES, Costs, DeadlineTracker, Timeline, spare_steps, timeline
-from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery
-from gridtrack.evaluation.scoring.splits import SplitRegions
+from gridtrack.evaluation.runs.result_files import Curves
+from gridtrack.evaluation.runs.trial_record import ThresholdsUsed
 
 MAX_TIMED_FRAMES, MIN_TIMED_FRAMES, MAX_TIMED_S = 120, 30, 30.0
 """Frames whose update and forecast are timed after the warm-up: at most MAX_TIMED_FRAMES; of a slow tracker at least

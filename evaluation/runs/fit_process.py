@@ -1,64 +1,63 @@
 """The training process: `python -m gridtrack.evaluation.runs.fit_process NAME` runs a tracker's `fit`.
 
-It speaks messages of the wire with the command `train`, over its stdin and stdout: `load` is answered by `loaded`, and
-`fit` by any number of `report` and `regions`, then `done`; a failure of either by `error`. It receives files of frames,
-a copy of the general weights to start from, and no recording; and to each `regions` the file with the regions of one of
-the stretches, which is made then.
+Its messages are described in `training_process.py`, the other end.
 """
 
 from __future__ import annotations
 
 import faulthandler
-import signal
 import sys
 import threading
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, GridtrackError, PluginError
-from gridtrack.evaluation.hosting.supervisor import PR_SET_PDEATHSIG, prctl
 from gridtrack.evaluation.runs.fit_regions import FitScores
-from gridtrack.evaluation.runs.progress_lines import ProgressLines
-from gridtrack.evaluation.runs.stored_stretch import StoredStretch
+from gridtrack.evaluation.runs.stretch_files import StoredStretch
+from gridtrack.evaluation.runs.training_process import ProgressLines
 from gridtrack.trackers import registry
-from gridtrack.trackers.contract import FitOutput, Tracker
+from gridtrack.trackers.contract import FitTask, Tracker
 from gridtrack.trackers.serve import error_line, take_wire
 from gridtrack.trackers.wire import Message, encode, fill_from, receive, write_to
 
 
 def main() -> None:
-    """Load the tracker named on the command line, run its `fit`, and exit."""
+    """Run the `fit` of the tracker named on the command line, and exit."""
     read_fd, write_fd = take_wire()
     faulthandler.enable()
-    prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    fill = fill_from(read_fd)
+    try:
+        run_fit(sys.argv[1], read_fd, write_fd)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED_EXIT_CODE)
 
+
+def run_fit(name: str, read_fd: int, write_fd: int) -> None:
+    """Load the tracker `name` and run its `fit`, as the messages from `read_fd` request; answers go to `write_fd`."""
+    fill = fill_from(read_fd)
     sending, asking = threading.Lock(), threading.Lock()
 
     def send(kind: str, **fields: str | int) -> None:
         with sending:
             write_to(write_fd, encode(Message(kind, 0, fields)))
 
+    def regions_of(number: int) -> Path:
+        with asking:
+            send("regions", number=number)
+            return Path(receive(fill, 0).value("path", str))
+
     try:
         request = receive(fill, 0)
-        tracker, settings = _load(sys.argv[1], request)
+        tracker, settings = _load(name, request)
         send("loaded", starts_from_general=tracker.starts_from_general(settings))
         with ProgressLines(lambda text: send("report", text=text)) as lines:
-            fit = receive(fill, 0)
-
-            def regions_of(number: int) -> Path:
-                with asking:
-                    send("regions", number=number)
-                    return Path(receive(fill, 0).value("path", str))
-
-            _fit(tracker, settings, fit, lines, regions_of)
+            _fit(tracker, settings, receive(fill, 0), lines, regions_of)
         send("done")
-    except KeyboardInterrupt:
-        sys.exit(INTERRUPTED_EXIT_CODE)
-    except Exception as error:  # noqa: BLE001 - any exception of `fit` is reported to the command
-        send("error", **_error_fields(error))
+    except Exception as error:  # noqa: BLE001 any exception of `fit` is reported to the command
+        with suppress(BrokenPipeError):  # the command has ended
+            send("error", **_error_fields(error))
 
 
 def _load(name: str, request: Message) -> tuple[type[Tracker], Settings]:
@@ -82,23 +81,27 @@ def _fit(
     files = {use: [Path(path) for path in request.value(use, list)] for use in ("train", "validation")}
     train, validation = ([StoredStretch(path, lines.progress) for path in paths] for paths in files.values())
     scores = FitScores([*train, *validation], regions_of)
-    path, log_dir = (Path(request.value(name, str)) for name in ("path", "log_dir"))
+    out, log_dir = (Path(request.value(name, str)) for name in ("out", "log_dir"))
     start = request.value("start", str)
-    output = FitOutput(
-        path,
-        request.value("command", str),
-        request.value("seed", int),
+    task = FitTask(
+        train,
+        validation,
+        scores.score,
+        out,
+        settings,
         log_dir,
-        lines.report,
-        lines.progress,
+        request.value("seed", int),
+        request.value("command", str),
         general=request.value("general", bool),
         start=Path(start) if start else None,
+        report=lines.report,
+        progress=lines.progress,
     )
-    tracker.fit(train, validation, scores.score, output, settings)
+    tracker.fit(task)
 
 
 def _error_fields(error: Exception) -> dict[str, str]:
-    """`error` as the fields of the answer `error`: `error` is "" for an exception that is not a user's error."""
+    """The fields of the answer `error`; `error` is "" for an exception that is not a user's error."""
     if isinstance(error, GridtrackError):
         return {"error": type(error).__name__, "reason": str(error), "trace": ""}
     if isinstance(error, OSError) and error.filename:

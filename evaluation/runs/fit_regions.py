@@ -1,7 +1,7 @@
-"""Regions that the `score` of a training counts on: those of the referee, of whole stretches, as files.
+"""Regions for the score of a training: those of the referee, for whole stretches, as files.
 
 The command finds them, because static outlines and speeds are truth that `fit` does not receive. They are found once
-for each stretch that is scored, so every tracker, and every part of a stretch, is scored on the same cells.
+for each scored stretch, so every tracker, and every part of a stretch, is scored on the same cells.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,20 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Mask
-from gridtrack.evaluation.runs.stored_scans import ScansWriter, StoredScans
-from gridtrack.evaluation.scoring.in_process import score_in_process
-from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.observed_kinds import KindsOfTimes, StaticTiles, observed_kinds
-from gridtrack.evaluation.scoring.regions import Regions
-from gridtrack.evaluation.scoring.world_cells import WorldCells
-from gridtrack.evaluation.scoring.world_kinds import KindsOfPlaces, KindsOfWindow, kinds_of_outlines
-from gridtrack.recordings.observation import Observation, cells_in_window
+from gridtrack.common.scan import Scan
+from gridtrack.evaluation.referee.kinds import (
+    KindsOfPlaces,
+    KindsOfTimes,
+    KindsOfWindow,
+    Regions,
+    StaticTiles,
+    WorldCells,
+    kinds_of_outlines,
+    observed_kinds,
+)
+from gridtrack.evaluation.referee.motion import ObservedMotion
+from gridtrack.evaluation.runs.objective import score_in_process
+from gridtrack.recordings.observation import Observation, cells_in_window, reference_pose
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers.contract import FrameSource, StretchScore, Tracker
 
@@ -35,8 +41,8 @@ StoredKinds = KindsOfWindow | KindsOfPlaces | KindsOfTimes
 def cell_kinds_for(stream: GridStream, streams: Iterable[GridStream]) -> StoredKinds:
     """Kinds of the cells of `stream`, one of the `streams` of a training. Raises RecordingError.
 
-    Static cells are those of the true scene. Without truth they are found in all stretches of the recording that the
-    training has, and in no other: the rest of the recording may be scored later.
+    Static cells are those of the true scene. Without truth they are found in the training's own stretches of the
+    recording only: the rest of the recording may be scored later.
     """
     first = next(iter(stream.observations()))
     if first.scene is not None:
@@ -120,9 +126,9 @@ def _kinds_from(stored: Mapping[str, NDArray[Any]], grid: GridSpec) -> StoredKin
 class StretchRegions:
     """The regions of one stretch.
 
-    `kinds` of its cells; `scans` of its frames, none where the window does not move; `moves`: whether it does;
-    `stamps_ns` (N,) int64 of its frames; the returns in motion of frame n are the cells `moving[starts[n] : starts[n +
-    1]]`, row * M + column; `reference_T_world` (N, 3) float64 of its frames, x, y, theta.
+    `kinds`: of its cells; `moves`: whether the window moves; `scans`: of its frames, if it moves; `stamps_ns` (N,)
+    int64; the returns in motion of frame n are the cells `moving[starts[n] : starts[n + 1]]`, row * M + column;
+    `reference_T_world` (N, 3) float64: x, y, theta.
     """
 
     sha256: str
@@ -137,7 +143,7 @@ class StretchRegions:
 
     @classmethod
     def read(cls, path: Path) -> StretchRegions:
-        """From the file of `store_regions`. Raises OSError."""
+        """Read a file of `store_regions`. Raises OSError."""
         with np.load(path, allow_pickle=False) as stored:
             grid, arrays = str(stored["grid"]), {name: stored[name] for name in stored.files}
             kinds, scans = _kinds_from(arrays, GridSpec.parse(grid)), StoredScans.read(arrays)
@@ -145,7 +151,7 @@ class StretchRegions:
             return cls(str(stored["sha256"]), grid, kinds, scans, bool(stored["moves"]), *own)
 
     def has(self, source: FrameSource, stamp_ns: int) -> bool:
-        """Whether the frame of `source` with this stamp is one of the stretch."""
+        """Whether the frame of `source` with this stamp belongs to the stretch."""
         n = self._number(stamp_ns)
         same = source.sha256 == self.sha256 and str(source.grid) == self.grid
         return same and n < len(self.stamps_ns) and int(self.stamps_ns[n]) == stamp_ns
@@ -170,7 +176,7 @@ class StretchRegions:
 
 
 class StoredMotion:
-    """Motion in a source whose frames are those of a stretch, or some of them."""
+    """Motion in a source of frames of a stretch."""
 
     def __init__(self, regions: StretchRegions, source: FrameSource) -> None:
         self._regions, self._source = regions, source
@@ -223,7 +229,7 @@ class FitScores:
     """The `score` function of a training: it scores stretches that `fit` received, and parts of them."""
 
     def __init__(self, stretches: Sequence[FrameSource], regions_of: Callable[[int], Path]) -> None:
-        """`regions_of(n)` is the file with the regions of `stretches[n]`, asked for when that stretch is scored."""
+        """`regions_of(n)` is the file with the regions of `stretches[n]`, requested when that stretch is scored."""
         self._stretches, self._regions_of = tuple(stretches), regions_of
         self._read: dict[int, StretchRegions] = {}
 
@@ -232,7 +238,7 @@ class FitScores:
         first = next(iter(source))
         stretch = next((one for one in self._regions_beside(source) if one.has(source, first.stamp_ns)), None)
         if stretch is None:
-            raise RecordingError(f"{source.name}: not a stretch that fit received, nor a part of one: score needs one")
+            raise RecordingError(f"{source.name}: can't be scored: it is not part of a stretch that fit received")
         if stretch.moves and not tracker.moving_sensor:
             raise RecordingError(
                 f"{source.name}: the sensor moves, and {type(tracker).__name__} follows only a sensor at rest"
@@ -249,3 +255,59 @@ class FitScores:
                 if n not in self._read:
                     self._read[n] = StretchRegions.read(self._regions_of(n))
                 yield self._read[n]
+
+
+class ScansWriter:
+    """Collects the scans of frames, without labels and truth."""
+
+    def __init__(self) -> None:
+        self._counts: list[int] = []
+        self._ranges: list[NDArray[np.float32]] = []
+        self._geometry: list[tuple[float, ...]] = []
+
+    def add(self, scans: tuple[Scan, ...]) -> None:
+        """Add the scans of the next frame."""
+        self._counts.append(len(scans))
+        for scan in scans:
+            pose = reference_pose(scan)
+            self._ranges.append(scan.ranges)
+            self._geometry.append(
+                (scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max, pose.x, pose.y, pose.theta)
+            )
+
+    def arrays(self) -> dict[str, Any]:
+        """The arrays of `StoredScans.read`."""
+        return {
+            "scan_starts": np.cumsum([0, *self._counts]),
+            "range_starts": np.cumsum([0, *map(len, self._ranges)]),
+            "ranges": np.concatenate([np.zeros(0, np.float32), *self._ranges]),
+            "geometry": np.array(self._geometry, np.float64).reshape(-1, 7),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class StoredScans:
+    """The scans of frame n are `scan_starts[n]` to `scan_starts[n + 1]`.
+
+    Scan s has `ranges[range_starts[s] : range_starts[s + 1]]`, and in `geometry` (S, 7) float64 the angle of its first
+    beam, that between beams, its range limits, and its reference pose.
+    """
+
+    scan_starts: NDArray[np.int64]
+    range_starts: NDArray[np.int64]
+    ranges: NDArray[np.float32]
+    geometry: NDArray[np.float64]
+
+    @classmethod
+    def read(cls, stored: Mapping[str, NDArray[Any]]) -> Self:
+        """Read the arrays of `ScansWriter.arrays`."""
+        return cls(stored["scan_starts"], stored["range_starts"], stored["ranges"], stored["geometry"])
+
+    def of(self, frame: int, stamp_ns: int) -> tuple[Scan, ...]:
+        """The scans of a frame by its number, with this stamp, at their reference poses."""
+        return tuple(self._scan(s, stamp_ns) for s in range(self.scan_starts[frame], self.scan_starts[frame + 1]))
+
+    def _scan(self, s: int, stamp_ns: int) -> Scan:
+        ranges = self.ranges[self.range_starts[s] : self.range_starts[s + 1]]
+        angle_min, step, range_min, range_max, *pose = self.geometry[s].tolist()
+        return Scan(stamp_ns, ranges, angle_min, step, range_min, range_max, world_T_sensor=SE2(*pose))

@@ -1,4 +1,4 @@
-"""A trial that follows a recording while it is written: live in real time, then scored by what the whole shows."""
+"""A trial that follows a recording while it is written: live in real time, then scored on the whole recording."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ import numpy as np
 
 from gridtrack.evaluation.engines.engine import Interrupted
 from gridtrack.evaluation.hosting.outcome import TrialEnded
-from gridtrack.evaluation.results.passes import Followed, Quantiles
-from gridtrack.evaluation.results.trial_record import TrialEnding, TrialRecord
+from gridtrack.evaluation.referee.deadline import DeadlineTracker, spare_steps
+from gridtrack.evaluation.referee.live_timeline import ForecastStore, LiveTimeline, Presented, StoredForecasts
+from gridtrack.evaluation.referee.referee import WARM_UP, Delivery, Schedule, TrackerLike
+from gridtrack.evaluation.referee.splits import SplitRegions
 from gridtrack.evaluation.runs.deadline_pass import TRIAL_FORECASTS
+from gridtrack.evaluation.runs.passes import Followed, Quantiles
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.runs.trial import OnFrame, TrialRun
-from gridtrack.evaluation.scoring.deadline import DeadlineTracker, spare_steps
-from gridtrack.evaluation.scoring.live_timeline import ForecastStore, LiveTimeline, Presented, StoredForecasts
-from gridtrack.evaluation.scoring.referee import WARM_UP, Delivery, Schedule, TrackerLike
-from gridtrack.evaluation.scoring.splits import SplitRegions
-from gridtrack.evaluation.scoring.thresholds import Thresholds
+from gridtrack.evaluation.runs.trial_record import TrialEnding, TrialRecord
+from gridtrack.evaluation.scores.thresholds import Thresholds
 from gridtrack.trackers.contract import Forecast
 
 
 class FollowedTrial(TrialRun):
     """A trial of a recording that is still being written. `run` is for a thread of its own.
 
-    `ready` is set when the tracker can receive frames, or cannot be used at all. Frames are presented in `live`; after
-    its end `score` says what the whole recording is, and the forecasts are scored.
+    `ready` is set when the tracker can receive frames, or cannot be used at all. Frames are presented in `live`; at
+    the end `score` hands in the whole recording, and the forecasts are scored.
     """
 
     def __init__(
@@ -40,12 +40,12 @@ class FollowedTrial(TrialRun):
         self.live = LiveTimeline()
         self.store = ForecastStore(folder)
         self.endless = Schedule(1 << 62, trial.split.steps, trial.split.every)
-        """The frames that are forecast from, while the last one is not known."""
+        """The frames that are forecast from, while the end of the recording is not known."""
         self._whole: Future[tuple[Trial, SplitRegions]] = Future()
         self._reach = trial.split.steps
         self._trial_ms = 0.0
         self._is_scored = False
-        self._taken: int | None = None
+        self._last_frame: int | None = None
         self._failed: tuple[int, Exception] | None = None
 
     @property
@@ -54,7 +54,7 @@ class FollowedTrial(TrialRun):
         return self._thresholds
 
     def close_deadline(self, index: int) -> None:
-        """The deadline of the frame `index`, presented last, is over: keep the forecast that is scored at it.
+        """Keep the forecast that is scored at the frame `index`, presented last, whose deadline has passed.
 
         Raises OSError.
         """
@@ -63,11 +63,11 @@ class FollowedTrial(TrialRun):
             self.store.add(delivered)
 
     def score(self, trial: Trial, regions: SplitRegions) -> None:
-        """Let the forecasts be scored on `trial`, which has the frames that were presented."""
+        """Start the scoring on `trial`, which has the frames that were presented."""
         self._whole.set_result((trial, regions))
 
     def abandon(self) -> None:
-        """End the trial now: it has no record where it is not scored yet."""
+        """End the trial now, without a record if it is not scored yet."""
         self.live.end()
         if not self._whole.done():
             self._whole.set_exception(Interrupted())
@@ -88,26 +88,26 @@ class FollowedTrial(TrialRun):
         return ending
 
     def _score(self, thresholds: Thresholds) -> None:
-        """Take the frames in real time, and score the forecasts when the whole recording is known."""
+        """Process the frames in real time, and score the forecasts when the whole recording is known."""
         try:
             self._process.reset(self.trial.seed)
             self.ready.set()
             while (presented := self.live.take()) is not None:
-                self._take(presented)
+                self._process_frame(presented)
         except TrialEnded as ended:
-            if self._taken is None:
+            if self._last_frame is None:
                 raise
-            self._failed = self._taken, ended
+            self._failed = self._last_frame, ended
         self._leave()
         self._await_whole()
         self._is_scored = True
         self._refuse_moving(self._process.description)
         super()._score(thresholds)
 
-    def _take(self, presented: Presented) -> None:
-        """Update, and forecast: at the end of the warm-up, and after it at frames that are due or have a deadline."""
+    def _process_frame(self, presented: Presented) -> None:
+        """Update, and forecast at the end of the warm-up, and after it at frames that are due or have a deadline."""
         index, began_s = presented.number, time.perf_counter()
-        self._taken = index
+        self._last_frame = index
         self._process.update(presented.frame)
         forecast: Forecast | None = None
         on_trial = WARM_UP - TRIAL_FORECASTS <= index < WARM_UP
@@ -117,10 +117,10 @@ class FollowedTrial(TrialRun):
         if on_trial and index > WARM_UP - TRIAL_FORECASTS:
             self._trial_ms = max(self._trial_ms, (time.perf_counter() - began_s) * 1e3)
         if index == WARM_UP - 1:
-            self._reach_further()
+            self._extend_horizon()
 
-    def _reach_further(self) -> None:
-        """Let the forecasts of a tracker that is slower than the frames cover its delay."""
+    def _extend_horizon(self) -> None:
+        """Extend the horizon of a tracker that is slower than the frames by its delay."""
         period_ms = self.trial.test.period_s * 1e3
         if self._trial_ms > period_ms:
             self._reach += spare_steps(self._trial_ms, period_ms, self._reach)
@@ -135,7 +135,7 @@ class FollowedTrial(TrialRun):
         self._delivery = Delivery(trial.test, self._on_frame, regions.test)
 
     def _tracker(self) -> TrackerLike:
-        """The forecasts that were in time."""
+        """The tracker of the forecasts that were in time."""
         timeline, test = self.live.timeline, self.trial.test
         stored = StoredForecasts(self.store, timeline, self._failed)
         return DeadlineTracker(stored, timeline.lasting(self._test.frames), self._test, self._reach, test.grid.cell_m)

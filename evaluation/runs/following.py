@@ -5,35 +5,42 @@ from __future__ import annotations
 import hashlib
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from gridtrack.common.errors import RecordingError
-from gridtrack.evaluation.engines.engine import WAKE_S, Engine, Interrupted, RunObserver
-from gridtrack.evaluation.results.summary import RunSummary
-from gridtrack.evaluation.results.trial_record import TrialRecord
-from gridtrack.evaluation.runs.arrivals import BEHIND_S, Arrival, Arrivals, FileWatch, Pace, Turns, Watch
-from gridtrack.evaluation.runs.engine_choice import engine_of
-from gridtrack.evaluation.runs.follow_notices import Ending, follow_notices
+from gridtrack.evaluation.engines.engine import WAKE_S, Engine, Interrupted
+from gridtrack.evaluation.referee.kinds import regions_of
+from gridtrack.evaluation.referee.referee import WARM_UP
+from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitRegions, split_of
+from gridtrack.evaluation.runs.arrivals import (
+    BEHIND_S,
+    Arrival,
+    Arrivals,
+    FileWatch,
+    FramePace,
+    RealTimePace,
+    Watch,
+    open_growing,
+    path_to_follow,
+    refuse_raw,
+)
 from gridtrack.evaluation.runs.followed_trial import FollowedTrial
-from gridtrack.evaluation.runs.growing_recording import open_growing, path_to_follow, refuse_raw
 from gridtrack.evaluation.runs.live_scores import LiveObserver, LiveScores, LiveStatus
 from gridtrack.evaluation.runs.plan import ComparisonPlan, resolve, sampling_of, with_copied_weights
-from gridtrack.evaluation.runs.run_folder import RunFolder, refuse_earlier_run
-from gridtrack.evaluation.runs.run_lock import run_lock
+from gridtrack.evaluation.runs.run_folder import RunFolder, refuse_earlier_run, run_lock
+from gridtrack.evaluation.runs.runner import RunObserver, Stages, engine_of
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
-from gridtrack.evaluation.runs.stages import Stages
+from gridtrack.evaluation.runs.summary import RunSummary
 from gridtrack.evaluation.runs.trial import error_with_location, failed
-from gridtrack.evaluation.scoring.referee import WARM_UP
-from gridtrack.evaluation.scoring.regions import regions_of
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions, split_of
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.growth import Growth
+from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.stream import frame_digest
 from gridtrack.recordings.stretches import parse_stretch
 
@@ -42,7 +49,7 @@ from gridtrack.recordings.stretches import parse_stretch
 def following(
     settings: CompareSettings, watch: Watch | None = None, note: Callable[[str], None] = lambda text: None
 ) -> Iterator[Following]:
-    """The following of the recording that `settings` names, when it can begin, in the locked folder of its run.
+    """Wait until the recording of `settings` can be followed, and lock the folder of its run.
 
     `note` receives a line for the user while it waits. Raises a GridtrackError.
     """
@@ -58,22 +65,23 @@ def following(
 
 
 class Following:
-    """One recording that is followed by all trackers at the same time: first `follow`, then `finish`."""
+    """One recording, followed by all trackers at the same time: first `follow`, then `finish`."""
 
     def __init__(self, settings: CompareSettings, path: Path, watch: Watch, folder: Path) -> None:
         """`folder`: for copies of the weights."""
         self.interrupted = False
-        """Whether Ctrl-C ended the following."""
+        """Whether Ctrl-C ended the recording."""
         self._watch, self._path = watch, path
         self._recording = open_growing(path, settings, watch.more)
         assert self._recording.growth is not None
         self._growth: Growth = self._recording.growth
         self._sampling = sampling_of(settings)
-        self._validation = open_recording(parse_stretch(settings.validation)[0]) if settings.validation else None
+        validation, form = settings.validation, settings.format
+        self._validation = open_recording(parse_stretch(validation)[0], format=form) if validation else None
         self._split = self._split_of(settings)
         self._plan = with_copied_weights(resolve(settings, (self._split,)), folder)
         refuse_raw(self._plan.trials)
-        self.pace: Turns = Pace(self._split.test.period_s)
+        self.pace: FramePace = RealTimePace(self._split.test.period_s)
         self._arrivals = Arrivals(self._split.test, self._growth)
         shared, regions = SharedThresholds(folder), self._validation_regions()
         self.runs = [
@@ -91,7 +99,7 @@ class Following:
         self._begun_bytes = 0
 
     def follow(self, table: LiveObserver) -> None:
-        """Give the frames to the trackers as they are written, up to the end of the file or Ctrl-C."""
+        """Present the frames to the trackers as they are written, up to the end of the file or Ctrl-C."""
         for notice in self._plan.notices:
             table.note(notice)
         try:
@@ -103,7 +111,7 @@ class Following:
                 table.update(self._status)
                 if all(run.live.left for run in self.runs):
                     break
-            self._await_turn(has_deadline=self._frames > self._frames_before, behind=True)
+            self._await_next(has_deadline=self._frames > self._frames_before, behind=True)
         except KeyboardInterrupt:
             self.interrupted = True
         finally:
@@ -115,9 +123,9 @@ class Following:
         self._scores.stop()
 
     def finish(self, command: Sequence[str], progress: RunObserver) -> RunSummary:
-        """Score what was delivered in time, and return the summary; `command` is stored with the results.
+        """Score the forecasts that were in time, and return the summary; `command` is stored with the results.
 
-        A second Ctrl-C keeps the scores so far. Raises RecordingError where there is nothing to score.
+        A second Ctrl-C keeps the scores so far. Raises RecordingError if there is nothing to score.
         """
         plan = self._whole_plan()
         with engine_of(plan.settings, progress) as engine:
@@ -166,9 +174,9 @@ class Following:
         self._growth.more = self._watch.more
 
     def _present(self, arrival: Arrival) -> None:
-        """Present the next frame at its time: the deadline of the one before is over then."""
+        """Present the next frame at its time, when the deadline of the previous one has passed."""
         frame, has_deadline = arrival.observation.frame, arrival.position > self._begun_bytes
-        self._await_turn(has_deadline=has_deadline, behind=self._arrivals.behind_s(frame.stamp_ns) > BEHIND_S)
+        self._await_next(has_deadline=has_deadline, behind=self._arrivals.behind_s(frame.stamp_ns) > BEHIND_S)
         self._close_deadline()
         for run in self.runs:
             run.live.present(frame, has_deadline=has_deadline)
@@ -176,8 +184,8 @@ class Following:
         self._newest, self._frames = arrival, self._frames + 1
         self._frames_before += not has_deadline
 
-    def _await_turn(self, *, has_deadline: bool, behind: bool) -> None:
-        """Wait until the next frame may be presented: without a deadline until every tracker is free."""
+    def _await_next(self, *, has_deadline: bool, behind: bool) -> None:
+        """Wait until it is time for the next frame: without a deadline, until every tracker is free."""
         if has_deadline:
             self.pace.wait(self._all_free, behind=behind)
             return
@@ -186,7 +194,7 @@ class Following:
         self.pace.restart()
 
     def _all_free(self, timeout_s: float) -> bool:
-        """Wait until every tracker is free, or the time is over; whether they are."""
+        """Wait until every tracker is free, for at most `timeout_s`. Returns True if all are."""
         end_s = time.monotonic() + timeout_s
         return all(run.live.wait_until_free(max(0.0, end_s - time.monotonic())) for run in self.runs)
 
@@ -210,7 +218,7 @@ class Following:
             self._records[run.trial.name] = run.run()
         except Interrupted:
             return
-        except Exception as error:  # noqa: BLE001 as in a run of finished recordings
+        except Exception as error:  # noqa: BLE001 the other trials continue
             self._records[run.trial.name] = failed(run.trial, error_with_location(error))
 
     def _next_frame(self, name: str) -> None:
@@ -223,13 +231,13 @@ class Following:
         return split_of(self._recording, self._path.stem, None, settings.validation, self._sampling, self._validation)
 
     def _validation_regions(self) -> SplitRegions:
-        """Those of the validation stretch; the test stretch has its own when it is known."""
+        """The regions of the validation stretch; those of the test stretch are found at its end."""
         stretch = self._split.validation or self._split.test
         regions = regions_of(stretch, self._split.strata)
         return SplitRegions(regions, regions)
 
     def _whole_plan(self) -> ComparisonPlan:
-        """The plan of the frames that were presented. Raises RecordingError where there are too few."""
+        """The plan for the frames that were presented. Raises RecordingError if there are too few."""
         growth = self._growth
         growth.more = Growth().more
         if growth.cut or not self._arrivals.ended:
@@ -255,7 +263,7 @@ class Following:
         return ComparisonPlan(settings, (split,), trials, tuple(notices))
 
     def _score(self, plan: ComparisonPlan, progress: RunObserver) -> None:
-        progress.note(f"{self._path}: ended; scoring what was delivered in time")
+        progress.note(f"{self._path}: ended; scoring the forecasts that were in time")
         regions = plan.splits[0].regions()
         progress.planned({trial.name: len(trial.test) for trial in plan.trials})
         for trial in plan.trials:
@@ -283,3 +291,55 @@ class Following:
             delivered=self._digest.hexdigest(),
         )
         return follow_notices(ending, self._records.values())
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """The end of the recording at `path`, `at_s` seconds after its first frame."""
+
+    path: Path
+    at_s: float
+    frames_before: int
+    """Frames that were written before the comparison began."""
+    problem: str
+    """The reason why the rest of the recording cannot be read; empty if it can."""
+    interrupted: bool
+    idle: bool
+    limit: int | None
+    """Bytes that were read, if the recorder had not closed the file."""
+    table_problem: str
+    """The reason why the live table lacks scores; empty if it does not."""
+    delivered: str
+    """Hash of the frames that were presented."""
+
+
+def follow_notices(ending: Ending, records: Iterable[TrialRecord]) -> list[str]:
+    """The notices of the run, one line each."""
+    return [*_about_the_end(ending), *(line for record in records for line in _about_a_trial(record, ending))]
+
+
+def _about_the_end(ending: Ending) -> Iterator[str]:
+    path, ended = ending.path, f"{ending.path}: ended at {ending.at_s:.1f} s"
+    if ending.frames_before:
+        yield f"{path}: the first {ending.frames_before} frames, written before the comparison began, have no deadline"
+    if ending.problem:
+        yield f"{ended}: {ending.problem}"
+    elif ending.interrupted:
+        yield f"{ended} by Ctrl-C"
+    elif ending.idle:
+        yield f"{ended}: nothing was written to it for --idle-timeout"
+    if ending.limit is not None:
+        yield f"{path}: its recorder had not closed it: its first {ending.limit} bytes were read"
+    if ending.table_problem:
+        yield f"the live table lacks scores: {ending.table_problem}"
+
+
+def _about_a_trial(record: TrialRecord, ending: Ending) -> Iterator[str]:
+    followed = record.followed
+    if followed and followed.missed and followed.age_frames:
+        yield (
+            f"{record.label} missed {followed.missed} of {followed.frames} frames with a deadline; its newest forecast"
+            f" in time was {followed.age_frames.p99:g} frames old at the 99th percentile"
+        )
+    if record.complete and record.delivered != ending.delivered:
+        yield f"{record.label} received different frames from those that it was scored on"

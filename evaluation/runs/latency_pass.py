@@ -5,11 +5,10 @@ from __future__ import annotations
 from itertools import islice
 from pathlib import Path
 
-from gridtrack.evaluation.hosting.call_times import Timings
-from gridtrack.evaluation.hosting.latency import Latencies
-from gridtrack.evaluation.results.passes import CallTimes, Latency, Quantiles
+from gridtrack.evaluation.hosting.timing import Latencies, Timings
+from gridtrack.evaluation.referee.referee import WARM_UP
+from gridtrack.evaluation.runs.passes import CallTimes, Latency, Quantiles
 from gridtrack.evaluation.runs.plan import Trial
-from gridtrack.evaluation.scoring.referee import WARM_UP
 
 TIMED_FRAMES = 120
 """Frames timed after the warm-up; every second one is forecast from."""

@@ -1,26 +1,33 @@
-"""Learned weights: where a tracker's weights for a site are found, and their provenance."""
+"""Learned weights: the search for the weights of a tracker at a site, their provenance, and their leaks.
+
+A leak: weights learned from frames that the tracker is scored on, or that its thresholds are chosen on.
+"""
 
 from __future__ import annotations
 
 import re
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib import resources
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
-from gridtrack.common.errors import WeightsError
+from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import sha256_of, user_data_folder
-from gridtrack.evaluation.results.run_record import WeightsUsed
-from gridtrack.trackers.card import GENERAL, Card
+from gridtrack.evaluation.referee.splits import EvaluationSplit, common_with
+from gridtrack.evaluation.runs.run_record import WeightsUsed
+from gridtrack.recordings.stream import GridStream
+from gridtrack.recordings.stretches import RecordedTime
 from gridtrack.trackers.selection import CardKind
-from gridtrack.trackers.weights import ARRAYS_SUFFIX, arrays_content, read_card
+from gridtrack.trackers.training.card import GENERAL, Card, TrainingData
+from gridtrack.trackers.training.weights import ARRAYS_SUFFIX, arrays_content, read_card
 
 SITE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
-READ_ATTEMPTS, READ_AGAIN_S = 3, 0.1
-"""Attempts to read a card and its arrays while they are replaced, and the time between two of them."""
+READ_TRIES, READ_AGAIN_S = 3, 0.1
+"""Tries to read a card and its arrays while they are replaced, and the time between two of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +41,11 @@ class LearnedWeights:
     card: Card
     sha256: str
     original: Path
-    """The folder of the card, or of the one that it was copied from."""
+    """The folder of the card, or of the card that it is a copy of."""
 
     @property
     def kind(self) -> Literal["site", "general"]:
-        """Whether they are of a site or general."""
+        """Weights of a site, or general ones."""
         return "general" if self.card.general else "site"
 
     @property
@@ -52,11 +59,11 @@ class LearnedWeights:
 
 
 def find_weights(tracker: str, site: str, override: Path | None, kind: CardKind = "any") -> LearnedWeights | None:
-    """The weights of `tracker` for `site`, or general ones: in `override`, else the best of the other folders.
+    """The weights of `tracker` for `site`, or general ones, from `override` or else from the other folders.
 
-    The site's own weights, the user's before the shipped ones, come before general ones; None where there are none.
-    `kind` restricts the search to one of the two. Raises WeightsError where the file cannot be read, or where there is
-    no folder `override`.
+    The site's own weights, the user's before the shipped ones, come before general ones; None if there are none.
+    `kind` restricts the search to one of the two. Raises WeightsError if the file cannot be read, or the folder
+    `override` does not exist.
     """
     if override is not None:
         _require_folder(override, "; omit --weights to use your own and the shipped ones")
@@ -75,7 +82,7 @@ def sites_with_weights(tracker: str, override: Path | None) -> tuple[str, ...]:
 
 
 def weights_in(folder: Path, tracker: str, site: str, kind: CardKind = "any") -> LearnedWeights:
-    """The weights of `tracker` for `site` in `folder` only, as in `find_weights`. Raises WeightsError without any."""
+    """The weights of `tracker` for `site` in `folder`, as `find_weights`. Raises WeightsError if there are none."""
     _require_folder(folder)
     paths = [weights_path(folder, tracker, name) for name in _names(site, kind) or (site,)]
     found = next((path for path in paths if path.is_file()), None)
@@ -85,14 +92,14 @@ def weights_in(folder: Path, tracker: str, site: str, kind: CardKind = "any") ->
     return read_weights(found, found.parent)
 
 
-def _require_folder(folder: Path, mend: str = "") -> None:
-    """Raises WeightsError where there is no such folder; `mend` ends its line."""
+def _require_folder(folder: Path, remedy: str = "") -> None:
+    """Raise WeightsError, whose line ends with `remedy`, if the folder does not exist."""
     if not folder.is_dir():
-        raise WeightsError(f"{folder}: no such folder of weights{mend}")
+        raise WeightsError(f"{folder}: no such folder of weights{remedy}")
 
 
 def _names(site: str, kind: CardKind) -> tuple[str, ...]:
-    """The names of the cards that may be used at `site`, the best first; a site whose name cannot name one has none."""
+    """The names of the cards that may be used at `site`, the best first, where they are valid file names."""
     names = {"site": (site,), "general": (GENERAL,), "any": (site, GENERAL)}[kind]
     return tuple(name for name in names if SITE_NAME.fullmatch(name))
 
@@ -105,7 +112,7 @@ def copy_weights(weights: LearnedWeights, folder: Path) -> LearnedWeights:
     """
     copied = weights_path(folder, weights.path.parent.name, weights.path.stem)
     copied.parent.mkdir(parents=True)
-    for _ in range(READ_ATTEMPTS):
+    for _ in range(READ_TRIES):
         shutil.copyfile(weights.path, copied)
         sha256 = read_card(copied).arrays_sha256
         try:
@@ -125,7 +132,7 @@ def read_weights(path: Path, original: Path) -> LearnedWeights:
 
 
 def weights_path(folder: Path, tracker: str, site: str) -> Path:
-    """`<folder>/<tracker>/<site>.toml`. Raises WeightsError for a site whose name cannot name a file."""
+    """`<folder>/<tracker>/<site>.toml`. Raises WeightsError if the site's name is not a valid file name."""
     if not SITE_NAME.fullmatch(site):
         raise WeightsError(
             f"site '{site}' cannot name a weights file: letters, digits and . _ - only; set it when the recording is"
@@ -144,3 +151,44 @@ def _folders(override: Path | None) -> Iterator[Path]:
         yield override
     yield user_weights_folder()
     yield Path(str(resources.files("gridtrack.data") / "weights"))
+
+
+def leaks_of(split: EvaluationSplit, weights: LearnedWeights | None) -> tuple[str, ...]:
+    """The leaks of `weights` on the frames of `split`, a line for each stretch."""
+    return tuple(dict.fromkeys(_leaks(split, weights))) if weights else ()
+
+
+def refuse_leaks(leaks: Iterable[tuple[str, ...]]) -> None:
+    """Raise ConfigurationError if any trial of a comparison has leaks; `leaks` has those of each trial."""
+    found = list(dict.fromkeys(chain.from_iterable(leaks)))
+    if found:
+        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+        raise ConfigurationError(
+            f"{found[0]}{more}: compare on other frames, or with --allow-leak, which marks such rows and does not"
+            " rank them"
+        )
+
+
+def _leaks(split: EvaluationSplit, weights: LearnedWeights) -> Iterator[str]:
+    card = weights.card
+    for seen, use in ((card.train, "was trained on"), (card.validation, "was selected on")):
+        yield from _common(weights, split.test, seen, f"{use} frames of the test stretch")
+    if split.validation:
+        yield from _common(
+            weights, split.validation, card.train, "was trained on frames of the stretch that thresholds are chosen on"
+        )
+
+
+def _common(weights: LearnedWeights, stretch: GridStream, seen: Iterable[TrainingData], use: str) -> Iterator[str]:
+    """A line for each part of the training data that has frames of the `stretch`."""
+    for data in seen:
+        common = common_with(stretch, data)
+        if common is not None:
+            yield f"{weights.name} {use} {stretch.name}, {_in_recording(stretch, common)}, as {data.recording}"
+
+
+def _in_recording(stretch: GridStream, time: RecordedTime) -> str:
+    """A time in seconds of the recording of `stretch`, and its stamps."""
+    first_ns = stretch.recording.survey.first_ns
+    start_s, end_s = ((at_ns - first_ns) / 1e9 for at_ns in (time.start_ns, time.end_ns))
+    return f"{start_s:g} s to {end_s:g} s (stamps {time.start_ns} to {time.end_ns})"

@@ -13,19 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import shift_between
-from gridtrack.common.horizons import nearest_step
+from gridtrack.common.grid import nearest_step, shift_between
+from gridtrack.evaluation.referee.deadline import read_later
+from gridtrack.evaluation.referee.kinds import CellKinds, KindsOfOutlines, KindsOfWindow, ObservedCounts, Regions
+from gridtrack.evaluation.referee.motion import ObservedMotion
+from gridtrack.evaluation.referee.referee import Moment
+from gridtrack.evaluation.referee.splits import EvaluationSplit
+from gridtrack.evaluation.referee.strata import LastSeen
 from gridtrack.evaluation.runs.followed_trial import FollowedTrial
-from gridtrack.evaluation.scoring import metrics
-from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.deadline import read_later
-from gridtrack.evaluation.scoring.moments import Moment
-from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.observed_kinds import ObservedCounts
-from gridtrack.evaluation.scoring.regions import Regions
-from gridtrack.evaluation.scoring.splits import EvaluationSplit
-from gridtrack.evaluation.scoring.strata import LastSeen
-from gridtrack.evaluation.scoring.world_kinds import CellKinds, KindsOfOutlines, KindsOfWindow
+from gridtrack.evaluation.scores.cells import Tally, count_cells
+from gridtrack.evaluation.scores.f1 import f1_of
 from gridtrack.recordings.observation import Observation
 
 SHOWN_STRATUM, SHOWN_S = "dynamic", 1.0
@@ -119,7 +116,7 @@ class ScoresSoFar:
                 continue
             shift = shift_between(self._windows[-1 - age], first.frame.world_T_grid, self._grid.cell_m)
             forecast = read_later(self._runs[label].store.read(made_at), due.frame - made_at, shift, self._split.steps)
-            self.tallies[label].add(count_forecast(forecast.occupancy, targets, maps, due.ages))
+            self.tallies[label].add(count_cells(forecast.occupancy, targets, maps, due.ages))
             self.scored[label] += 1
 
     def _kinds(self, observation: Observation) -> CellKinds:
@@ -174,7 +171,7 @@ class LiveScores:
         if run.chosen is None or not self._scores.scored[label]:
             return math.nan
         tally = self._scores.tallies[label]
-        return float(metrics.f1_score(tally.confusion(run.chosen.bins))[self.step, tally.strata.index(SHOWN_STRATUM)])
+        return float(f1_of(tally.confusion(run.chosen.bins))[self.step, tally.strata.index(SHOWN_STRATUM)])
 
     def _work(self) -> None:
         while True:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,19 +19,18 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
-from gridtrack.evaluation.results.summary import ORACLE
-from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialRecord, hashes_of
+from gridtrack.evaluation.referee.referee import Delivery, scored_forecasts
+from gridtrack.evaluation.referee.splits import ORACLE, EvaluationSplit, SplitRegions
+from gridtrack.evaluation.runs.scorekeeper import SCORE_FILES, Scorekeeper, facts_of
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds, oracle_key
 from gridtrack.evaluation.runs.trial import OnFrame, validation_tally
-from gridtrack.evaluation.scoring.referee import Delivery, scored_forecasts
-from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
-from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds, half
+from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, ThresholdsUsed, Times, TrialRecord, hashes_of
+from gridtrack.evaluation.scores.definition import ScoreDefinition
+from gridtrack.evaluation.scores.thresholds import Thresholds, best_thresholds, half
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.truth import OUTLINE, truth_grid
-from gridtrack.simulation.expected_scan import ExpectedScan
-from gridtrack.simulation.range_errors import RangeErrors, measure_range_errors, true_ranges
+from gridtrack.simulation.expected_scan import ExpectedScan, RangeErrors, measure_range_errors, true_ranges
 from gridtrack.trackers.contract import Forecast
 
 ORACLE_REPLACES = (OUTCOME_FILE, *SCORE_FILES)
@@ -110,9 +109,14 @@ def _scenes(observation: Observation) -> Iterator[tuple[Scan, Scene]]:
 
 
 def run_oracle(
-    split: EvaluationSplit, regions: SplitRegions, folder: Path, on_frame: OnFrame, shared: SharedThresholds
+    split: EvaluationSplit,
+    regions: SplitRegions,
+    folder: Path,
+    on_frame: OnFrame,
+    shared: SharedThresholds,
+    scores: Sequence[ScoreDefinition],
 ) -> TrialRecord:
-    """Score the oracle on the test stretch of a split like a tracker, and write its record to `folder`.
+    """Score the oracle on the test stretch of a split like a tracker, by `scores`, and write its record to `folder`.
 
     Its thresholds are chosen like a tracker's; `shared` holds those that are chosen already. `on_frame` is called
     before each frame. Raises what `on_frame` raises, RecordingError and OSError; no record is written then.
@@ -123,7 +127,7 @@ def run_oracle(
     began = time.perf_counter()
     thresholds = shared.of(oracle_key(split), lambda: _choose_thresholds(split, regions, on_frame))
     delivery = Delivery(split.test, on_frame, regions.test)
-    with Scorekeeper(folder, split, thresholds, ()) as scorekeeper:
+    with Scorekeeper(folder, split, facts_of(split, thresholds), scores) as scorekeeper:
         for scored in scored_forecasts(Oracle(split.test), delivery, split.schedule, seed=0):
             scorekeeper.add(scored, delivery.digest)
     record = TrialRecord(
@@ -135,7 +139,7 @@ def run_oracle(
         frames_delivered=delivery.frames,
         delivered=delivery.digest,
         steps=split.steps,
-        thresholds=thresholds.used(),
+        thresholds=ThresholdsUsed.of(thresholds),
         files=hashes_of(folder, SCORE_FILES),
         times=Times(wall_s=time.perf_counter() - began, frames=delivery.frames),
     )

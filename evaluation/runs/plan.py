@@ -12,20 +12,26 @@ from pathlib import Path
 
 from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
+from gridtrack.common.files import check_utf8
 from gridtrack.common.grid import GridSpec
-from gridtrack.common.names import check_utf8
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.sandbox import check_sandbox
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess, describe
-from gridtrack.evaluation.results.run_record import RunConfiguration, TrialIdentity
-from gridtrack.evaluation.results.summary import ALL_RECORDINGS, ORACLE
-from gridtrack.evaluation.runs.leaks import leaks_of, refuse_leaks
-from gridtrack.evaluation.runs.learned import LearnedWeights, copy_weights, find_weights, weights_in
+from gridtrack.evaluation.referee.splits import ORACLE, EvaluationSplit, Sampling, plan_splits, segments_of, with_points
+from gridtrack.evaluation.referee.strata import OCCLUDED, SCORING_RULES
+from gridtrack.evaluation.runs.learned import (
+    LearnedWeights,
+    copy_weights,
+    find_weights,
+    leaks_of,
+    refuse_leaks,
+    weights_in,
+)
+from gridtrack.evaluation.runs.run_record import RunConfiguration, TrialIdentity, identity_of
 from gridtrack.evaluation.runs.settings import CompareSettings, check_together
+from gridtrack.evaluation.runs.summary import ALL_RECORDINGS
 from gridtrack.evaluation.runs.training_hints import stretches_to_train_on
-from gridtrack.evaluation.scoring.segments import segments_of
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, Sampling, plan_splits, with_points
-from gridtrack.evaluation.scoring.strata import OCCLUDED, SCORING_RULES
+from gridtrack.evaluation.scores.registry import scores
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
@@ -43,7 +49,9 @@ class Trial:
     seed: int
     limits: Limits
     others: tuple[EvaluationSplit, ...] = ()
-    """The other splits of its recording: its tracker is not to be trained on these either."""
+    """The other splits of its recording, on which its tracker must not be trained either."""
+    scores: tuple[str, ...] = ()
+    """Names of the scores of other packages by which it is scored."""
 
     @property
     def label(self) -> str:
@@ -68,20 +76,19 @@ class Trial:
 
     @property
     def beyond_training(self) -> str:
-        """A notice where its general weights were trained on other cells or periods than those of the stream, or ""."""
+        """A notice if its general weights were trained on other cell sizes or periods than the stream's, or ""."""
         beyond = self.weights and self.weights.card.beyond_training(self.test.grid.cell_m, self.test.period_s)
         return f"{self.label}, {self.split.name}: its general weights were trained on {beyond}" if beyond else ""
 
     @property
     def leaks(self) -> tuple[str, ...]:
-        """What its weights learned from the frames that it is scored on, or that its thresholds are chosen on."""
+        """Frames that its weights learned from and that it is scored on, or its thresholds are chosen on."""
         return leaks_of(self.split, self.weights)
 
     def tracker_process(self, log: Path, *, scored: bool = False) -> TrackerProcess:
         """The tracker, not started yet, on the test stretch's grid and period; its stderr goes to `log`.
 
-        `scored`: whether its forecasts get the scores of a trial: classes among them where the recording has some,
-        velocities with ground truth.
+        `scored`: whether its forecasts get all scores of a trial, such as those of classes and velocities.
         """
         stream = replace(stream_of(self.test), velocity_scored=scored and OCCLUDED in self.split.strata)
         if self.weights:
@@ -98,7 +105,7 @@ class Trial:
         )
 
     def with_original_paths(self, reason: str) -> str:
-        """`reason` with the folder of the weights where it names that of their copy."""
+        """`reason` with the original folder of the weights in place of the folder of their copy."""
         return reason.replace(str(self.weights.path.parent), str(self.weights.original)) if self.weights else reason
 
     @property
@@ -117,14 +124,14 @@ class Trial:
         return f"{missing}; run `{command}`, then compare {then}"
 
     def _sampling_options(self) -> list[str]:
-        """The grid and rate of this comparison as command-line options, where they differ from the recording's own."""
+        """The grid and rate of this comparison as command-line options, if they differ from the recording's own."""
         test = self.split.test
         own = GridStream(test.recording)
         grid = [] if test.grid == own.grid else ["--grid", str(test.grid)]
         return grid if test.period_ns == own.period_ns else [*grid, "--rate", f"{1 / test.period_s:g}"]
 
     def identity(self) -> TrialIdentity:
-        """What the trial's scores depend on, learned weights apart; a resumed run keeps scores of the same identity."""
+        """All that the scores depend on, except learned weights; a resumed run keeps scores of the same identity."""
         return TrialIdentity(
             tracker=self.selection.name,
             options=dict(self.selection.options),
@@ -148,7 +155,7 @@ class ComparisonPlan:
         """The resolved configuration; a resumed run must have the same."""
         return RunConfiguration(
             scoring_rules=SCORING_RULES,
-            recordings={split.name: split.identity() for split in self.splits},
+            recordings={split.name: identity_of(split) for split in self.splits},
             trials={trial.name: trial.identity() for trial in self.trials},
         )
 
@@ -167,21 +174,22 @@ def with_copied_weights(plan: ComparisonPlan, folder: Path) -> ComparisonPlan:
 def sampling_of(settings: CompareSettings) -> Sampling:
     """Horizon, interval, grid and rate as `settings` give them. Raises ConfigurationError."""
     grid = GridSpec.parse(settings.grid) if settings.grid else None
-    return Sampling(settings.horizon_s, settings.every_s, grid, settings.rate_hz)
+    return Sampling(settings.horizon_s, settings.every_s, grid, settings.rate_hz, settings.format)
 
 
 def segmented(whole: EvaluationSplit, settings: CompareSettings) -> Iterable[EvaluationSplit]:
-    """The segments of a split that `settings` ask for; the split itself where they ask for none."""
+    """The segments of a split that `settings` request, or the split itself."""
     return (whole,) if settings.segment_s is None else segments_of(whole, settings.segment_s, settings.warm_up_s)
 
 
 def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | None = None) -> ComparisonPlan:
-    """Look up everything that `settings` names, before any trial runs; `splits` of its recordings where they are known.
+    """Look up everything that `settings` names, before any trial runs; `splits` of its recordings if they are known.
 
     Raises a GridtrackError for a recording, stretch, tracker, option or weights file that cannot be used.
     """
     check_utf8(settings.out, ConfigurationError)
     check_together(settings)
+    scores(settings.scores)  # an unknown one is an error before anything runs
     if settings.limits.sandbox:
         check_sandbox()
     external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
@@ -209,6 +217,7 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
             settings.seed,
             settings.limits,
             others,
+            settings.scores,
         )
         for split, others in zip(splits, _others_of_recording(splits), strict=True)
         for selection in selections
@@ -235,7 +244,7 @@ def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
 
 
 def _check_options(selection: Selection, start: Launch, limits: Limits) -> None:
-    """Let the tracker validate its options; defaults need no check, and starting a process costs time."""
+    """Let the tracker validate its options; defaults need no check, which would start a process."""
     if not selection.options:
         return
     # a tracker that cannot be loaded ends as `unavailable` in its own trial, and stops no other
@@ -273,7 +282,7 @@ def _refuse_equal_names(splits: tuple[EvaluationSplit, ...]) -> None:
 
 
 def _refuse_overlaps(splits: tuple[EvaluationSplit, ...]) -> None:
-    """A frame is scored once: a repeated one looks like more evidence than there is."""
+    """Refuse stretches that overlap: a repeated frame would look like more evidence."""
     for one, other in combinations(splits, 2):
         times = one.test.recorded, other.test.recorded
         if times[0].source_sha256 == times[1].source_sha256 and times[0].overlaps(times[1]):
@@ -293,7 +302,7 @@ def _others_of_recording(splits: Sequence[EvaluationSplit]) -> Iterator[tuple[Ev
 
 
 def _refuse_thresholds_of_another_site(trial: Trial) -> None:
-    """The map and the calibration of a site do not hold at another one, nor do thresholds that are chosen there."""
+    """The map, the calibration and the thresholds of one site do not hold at another one."""
     site, validation = trial.split.test.site, trial.split.validation
     if trial.weights is None or trial.weights.card.general or validation is None or validation.site == site:
         return
@@ -305,7 +314,7 @@ def _refuse_thresholds_of_another_site(trial: Trial) -> None:
 
 
 def _weights_of(selection: Selection, site: str, override: Path | None) -> LearnedWeights | None:
-    """The weights of a row. Raises WeightsError where its own folder has none."""
+    """The weights of a row. Raises WeightsError if the row's own folder has none."""
     if selection.weights is None:
         return find_weights(selection.name, site, override, selection.card)
     return weights_in(selection.weights, selection.name, site, selection.card)

@@ -5,16 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from pyarrow import parquet
 
+from gridtrack.common.files import atomic_write
 from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.results.columns import PRIOR_TABLE
-from gridtrack.evaluation.results.trial_record import TrialRecord
 from gridtrack.evaluation.runs.plan import Trial
-from gridtrack.evaluation.scoring.prior_store import write_prior
+from gridtrack.evaluation.runs.trial_record import TrialRecord
 
 PRIOR_LOG = "prior.log"
+PRIOR_FILE = "prior.parquet"
+PRIOR_COLUMNS: dict[str, tuple[Any, str]] = {
+    "row": (pa.int16(), "of the cell"),
+    "column": (pa.int16(), "of the cell"),
+    "visible": (pa.int32(), "frames of the test stretch in which the cell is visible"),
+    "occupied": (pa.int32(), "frames of the test stretch in which it is occupied"),
+    "probability": (pa.float32(), "P(occupied) one step after a first frame that shows nothing"),
+}
+"""Type and meaning of each column of the prior: a row is a cell of the window, row by row."""
 
 
 def trials_with_priors(trials: Iterable[Trial], records: Mapping[str, TrialRecord]) -> list[Trial]:
@@ -27,7 +39,7 @@ def trials_with_priors(trials: Iterable[Trial], records: Mapping[str, TrialRecor
     for trial in trials:
         if trial.weights and not trial.weights.card.general and trial.test.first_move_s is None:
             first.setdefault((trial.label, trial.test.site, str(trial.test.grid)), trial)
-    return [trial for trial in first.values() if PRIOR_TABLE.file not in records[trial.name].files]
+    return [trial for trial in first.values() if PRIOR_FILE not in records[trial.name].files]
 
 
 class PriorRun:
@@ -65,3 +77,14 @@ def without_returns(frame: GridFrame) -> GridFrame:
     return replace(
         frame, visible=nothing, occupied=nothing, points=frame.points[:0], point_origin=frame.point_origin[:0]
     )
+
+
+def write_prior(
+    folder: Path, visible: NDArray[np.int32], occupied: NDArray[np.int32], probability: NDArray[np.float32]
+) -> None:
+    """Write the frames (M, M) in which each cell is visible and occupied, and its expected probability (M, M)."""
+    row, column = np.indices(visible.shape, np.int16).reshape(2, -1)
+    cells = (row, column, *(values.ravel() for values in (visible, occupied, probability)))
+    schema = pa.schema([(name, kind) for name, (kind, _) in PRIOR_COLUMNS.items()])
+    with atomic_write(folder / PRIOR_FILE) as file:
+        parquet.write_table(pa.table(list(cells), schema=schema), file, compression="zstd")

@@ -7,17 +7,18 @@ import re
 import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import read_bounded
+from gridtrack.common.options import Option, option_words
 from gridtrack.common.remote_files import local_folder
 from gridtrack.common.untrusted import parse_toml
-from gridtrack.recordings.fetching import fetched
-from gridtrack.trackers.weights import read_card
+from gridtrack.recordings.stretches import fetched
+from gridtrack.trackers.training.weights import read_card
 
 MAX_RECIPE_BYTES = 1 << 20
 
@@ -26,31 +27,40 @@ class Recipe(Settings):
     """One training of one tracker. Paths are relative to the working directory, as on the command line; recordings and
     weights may be named by URLs.
 
-    `recordings` and `validation` as RECORDING[@range], or a folder for all recordings in it; without `validation` it is
-    the recordings' own validation stretch. `grid` as CELLSxMETRES[@X,Y]; without `grid` and `rate_hz` they are the
-    recordings'. `out` is the folder of weights. A recipe file may leave `tracker` and `recordings` to the command line.
+    A recipe file may leave `tracker` and `recordings` to the command line, and name no `validation`, `grid` or
+    `rate_hz`: they are then those of the recordings.
     """
 
     tracker: str = ""
     options: dict[str, Any] = Field(default_factory=dict)
+    """Options of the tracker"""
     recordings: tuple[str, ...] = ()
-    validation: tuple[str, ...] = ()
+    """To train on: RECORDING[@range], or a folder for all recordings in it"""
+    validation: Annotated[tuple[str, ...], Option(metavar="RECORDING[@RANGE]")] = ()
+    """Recording, or folder of recordings, to validate on; repeat for several; default: the validation stretch of each
+    recording"""
     seed: int = Field(1, ge=0, lt=2**31)
-    out: Path | None = None
-    grid: str | None = None
+    """Seed of the training; without it, the seed of the recipe or the card"""
+    grid: Annotated[str | None, Option(metavar="CELLSxMETRES[@X,Y]")] = None
+    """Grid, such as 100x0.2; default: the grid of the recordings"""
     rate_hz: float | None = Field(None, gt=0.0, le=1000.0)
+    """Frames per second; default: the rate of the recordings"""
+    format: Annotated[str | None, Option(metavar="NAME")] = None
+    """Recording format of another package, which is loaded only by this name"""
     general: bool = False
-    """Learn for any place, from recordings of many places."""
-    weights: str | None = None
-    """Folder in which general weights to start from are searched first, as by `compare`. A general training starts from
-    general weights only where it names one."""
+    """Learn for any site, from recordings of many sites"""
     from_scratch: bool = False
-    """Do not start from general weights."""
+    """Do not start from general weights"""
+    weights: Annotated[str | None, Option(metavar="FOLDER")] = None
+    """Folder of general weights to start from, or its URL, searched before your own and the shipped ones; a general
+    training starts from general weights only if this names them"""
+    out: Annotated[Path | None, Option(metavar="FOLDER")] = None
+    """Folder of weights to write to; default: your own"""
 
     @model_validator(mode="after")
     def _one_start(self) -> Recipe:
         if self.weights and self.from_scratch:
-            raise ValueError("weights (of which folder to start) and from_scratch (from none): leave one of them out")
+            raise ValueError("weights (the folder to start from) and from_scratch: leave one of them out")
         return self
 
     @property
@@ -58,22 +68,14 @@ class Recipe(Settings):
         """The command line that repeats this training; it does not need the recipe file."""
         options = ",".join(f"{key}={_option_text(value)}" for key, value in self.options.items())
         words = ["gridtrack", "train", f"{self.tracker}:{options}" if options else self.tracker, *self.recordings]
-        for stretch in self.validation:
-            words += ["--validation", stretch]
-        words += ["--seed", str(self.seed)]
-        words += ["--grid", self.grid] if self.grid else []
-        words += ["--rate", f"{self.rate_hz:g}"] if self.rate_hz else []
-        words += ["--general"] if self.general else []
-        words += ["--from-scratch"] if self.from_scratch else []
-        words += ["--weights", self.weights] if self.weights else []
-        words += ["--out", str(self.out)] if self.out else []
+        words += option_words(Recipe, self.model_dump(exclude={"tracker", "options", "recordings"}))
         return shlex.join(words)
 
 
 def with_local_copies(recipe: Recipe, note: Callable[[str], None]) -> Recipe:
-    """The recipe with the local copies of what it names by URLs. Raises StoreError.
+    """The recipe with local copies of the files that it names by URLs. Raises StoreError.
 
-    Its `command` is for this machine only: that of `recipe` repeats the training anywhere.
+    Its `command` is for this machine only: the command of `recipe` repeats the training anywhere.
     """
     return recipe.model_copy(
         update={
@@ -105,7 +107,7 @@ def read_recipe(path: Path) -> Recipe:
 def recipe_like(path: Path) -> Recipe:
     """Tracker, settings, seed and start of the training that wrote the card at `path`. Raises WeightsError.
 
-    A card names recordings without their folders, and its grid belongs to its site: the user names both.
+    The user names recordings and grid: a card has no folders, and its grid belongs to its site.
     """
     card = read_card(path)
     from_scratch = card.started_from is None
@@ -113,9 +115,9 @@ def recipe_like(path: Path) -> Recipe:
 
 
 def complete_recipe(base: Recipe, overrides: Mapping[str, Any]) -> Recipe:
-    """`base` with the fields in `overrides` replaced, and of its options those that `overrides` name.
+    """`base` with the fields in `overrides` replaced; `options` are replaced one by one.
 
-    Raises ConfigurationError where a field is invalid, or no tracker or recording is named.
+    Raises ConfigurationError if a field is invalid, or no tracker or recording is named.
     """
     fields = base.model_dump(exclude_unset=True) | dict(overrides)
     fields["options"] = {**base.options, **overrides.get("options", {})}

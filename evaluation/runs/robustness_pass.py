@@ -7,14 +7,13 @@ from pathlib import Path
 
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
-from gridtrack.evaluation.results.passes import AtStrength, Robustness
-from gridtrack.evaluation.results.trial_record import ThresholdsUsed
+from gridtrack.evaluation.referee.motion import ObservedMotion
+from gridtrack.evaluation.referee.referee import Delivery, TrackerLike, moments
+from gridtrack.evaluation.referee.splits import SplitRegions
+from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.replay import replayed_f1
-from gridtrack.evaluation.scoring.moments import moments
-from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.referee import Delivery, TrackerLike
-from gridtrack.evaluation.scoring.splits import SplitRegions
+from gridtrack.evaluation.runs.trial_record import ThresholdsUsed
 from gridtrack.recordings.degradation import Degradation, degrader
 from gridtrack.trackers.contract import Forecast
 

@@ -1,27 +1,91 @@
-"""A run's folder while it is filled: its record, the folders of its trials, and its summary."""
+"""A run's folder while it is filled: its lock, its record, the trials that a resumed run keeps, and its summary."""
 
 from __future__ import annotations
 
+import errno
 import json
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+import os
+import platform
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cache
+from importlib import metadata
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, TextIO
 
-from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, SCORES_TABLE
-from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.results.run_record import RUN_FILE, RunConfiguration, RunRecord, RunSettings, read_run_record
-from gridtrack.evaluation.results.summary import ORACLE, RunSummary, read_summary
-from gridtrack.evaluation.results.trial_record import TrialRecord, read_trial_record
-from gridtrack.evaluation.runs.plan import ComparisonPlan
-from gridtrack.evaluation.runs.provenance import machine, versions
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.evaluation.statistics.summary import summarise
+import psutil
 
-OF_OTHER_VERSIONS = "trials kept from a run with"
-"""In the notice of a resumed run that says so, and that every further one keeps."""
+from gridtrack.evaluation.hosting.outcome import TrialEnded
+from gridtrack.evaluation.referee.splits import ORACLE
+from gridtrack.evaluation.runs.finished import FinishedTrial
+from gridtrack.evaluation.runs.plan import ComparisonPlan, Trial
+from gridtrack.evaluation.runs.result_files import RunError
+from gridtrack.evaluation.runs.run_record import (
+    RUN_FILE,
+    Machine,
+    RunConfiguration,
+    RunRecord,
+    RunSettings,
+    description_of,
+    read_run_record,
+)
+from gridtrack.evaluation.runs.summarise import summarise
+from gridtrack.evaluation.runs.summary import RunSummary, read_summary
+from gridtrack.evaluation.runs.sums import SUMS_FILE
+from gridtrack.evaluation.runs.trial_record import TrialRecord, code_differs, read_trial_record
+from gridtrack.evaluation.scores.registry import scores
+from gridtrack.trackers import registry
+
+LOCK = ".lock"
+UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+"""Errors of file systems without locks, such as some network file systems: the run continues without a lock."""
+OTHER_VERSIONS = "trials kept from a run with"
+"""In the notice of a resumed run about trials of other versions, which every later run repeats."""
+DISTRIBUTIONS = (
+    "gridtrack", "numpy", "numba", "pydantic", "polars", "pyarrow", "mcap", "safetensors",
+    "torch", "filterpy", "scipy", "scikit-learn", "gtsam",
+)  # fmt: skip
+"""Distributions whose version can change a score."""
+
+
+@contextmanager
+def run_lock(folder: Path) -> Iterator[None]:
+    """Create `folder` if it does not exist, and lock it against other runs.
+
+    The lock file is never removed. The system releases the lock when this process ends; child processes do not inherit
+    it. Raises RunError if another run has the lock, or the folder cannot be created.
+    """
+    if folder.is_file():
+        raise RunError(f"{folder}: is a file; a run needs a folder: name one with --out")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError(f"{folder}: cannot be created ({error.strerror}): name another folder with --out") from None
+    with (folder / LOCK).open("a+", encoding="utf-8") as file:
+        _lock(file, folder)
+        file.truncate(0)
+        file.write(f"{os.getpid()}\n")
+        file.flush()
+        yield
+
+
+def _lock(file: TextIO, folder: Path) -> None:
+    import fcntl  # POSIX only, like the limits of a tracker process; modules that only read runs do not need it
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.seek(0)
+        raise RunError(
+            f"{folder}: in use by another run (process {file.read(20).strip() or 'unknown'}): wait until it has ended,"
+            " stop it, or name another folder with --out"
+        ) from None
+    except OSError as error:
+        if error.errno not in UNSUPPORTED:
+            raise
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,23 +96,23 @@ class RunFolder:
     plan: ComparisonPlan
     record: RunRecord
     earlier: RunRecord | None = None
-    """That of the run which is continued."""
+    """The record of the run that is continued."""
     kept: dict[str, TrialRecord] = field(default_factory=dict)
-    """What `kept_records` has found."""
+    """The records found by `kept_records`."""
 
     @classmethod
     def prepare(cls, plan: ComparisonPlan, command: Sequence[str]) -> RunFolder:
         """Start a run in the folder, or with `resume` continue an earlier one.
 
-        What is compared may have got more trackers and recordings since; nothing else may differ. The folder exists
-        and is locked (`run_lock`). Raises RunError where it holds another run.
+        A continued run may have more trackers and recordings; nothing else may differ. The folder exists and is locked
+        (`run_lock`). Raises RunError if it holds a different run.
         """
         path = plan.settings.out
         record = _new_record(plan, command)
         earlier = _earlier_record(path)
         if earlier is not None and not plan.settings.resume:
             raise holds_a_run(path)
-        changed = _what_changed(earlier.configuration, record.configuration) if earlier else ""
+        changed = _difference(earlier.configuration, record.configuration) if earlier else ""
         if changed:
             raise RunError(
                 f"{path} holds a run of another configuration ({changed}): name another folder with --out, or repeat"
@@ -58,7 +122,7 @@ class RunFolder:
         return cls(path, plan, record, earlier)
 
     def kept_records(self) -> dict[str, TrialRecord]:
-        """Records by trial name of what an earlier run scored in full with the same weights. Raises RunError."""
+        """Records by trial name of trials that an earlier run scored in full with the same weights. Raises RunError."""
         if not self.plan.settings.resume:
             return {}
         weights = {trial.name: trial.weights.sha256 if trial.weights else "" for trial in self.plan.trials}
@@ -79,67 +143,104 @@ class RunFolder:
         ]
         oracles = [name for split in plan.splits if (name := split.oracle_name) in records]
         trials += [FinishedTrial(records[name], self.path / name, ORACLE, {}, "centres") for name in oracles]
-        recordings = {split.name: split.description() for split in plan.splits}
-        told = [*plan.notices, *self._of_other_versions(records), *notices]
-        summary = summarise(recordings, trials, told, interrupted, plan.settings.reference)
+        recordings = {split.name: description_of(split) for split in plan.splits}
+        all_notices = [*plan.notices, *self._notices_of_versions(records), *notices]
+        summary = summarise(
+            recordings, trials, all_notices, interrupted, plan.settings.reference, scores(plan.settings.scores)
+        )
         summary.write(self.path)
         status = "interrupted" if interrupted else "complete"
         self.record.model_copy(update={"status": status, "finished": _now()}).write(self.path)
         return summary
 
-    def _of_other_versions(self, records: Mapping[str, TrialRecord]) -> list[str]:
-        """Notices of the trials among `records` that ran with other versions than those of now, or of a run before."""
+    def _notices_of_versions(self, records: Mapping[str, TrialRecord]) -> list[str]:
+        """Notices of kept trials that ran with other versions than the current ones, in this run or an earlier one."""
         kept = [
             t.name for t in self.plan.trials if t.name in self.kept and _is_kept(self.kept[t.name], records[t.name])
         ]
         if self.earlier is None or not kept:
             return []
-        told: list[str] = []
+        notices: list[str] = []
         with suppress(FileNotFoundError, RunError):
-            told = [notice for notice in read_summary(self.path).notices if OF_OTHER_VERSIONS in notice]
+            notices = [notice for notice in read_summary(self.path).notices if OTHER_VERSIONS in notice]
         then, now = _differing(self.earlier.versions, self.record.versions)
         if then:
-            told.append(f"{OF_OTHER_VERSIONS} {then}: {len(kept)}; now {now}")
-        return list(dict.fromkeys(told))
+            notices.append(f"{OTHER_VERSIONS} {then}: {len(kept)}; now {now}")
+        return list(dict.fromkeys(notices))
 
 
 def _is_kept(kept: TrialRecord, record: TrialRecord) -> bool:
-    """Whether a trial did not run again: it would have taken another time."""
+    """Whether a trial did not run again: its times would differ."""
     return record.outcome == "ok" and record.times == kept.times
 
 
 def _differing(then: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, str]:
-    """The versions that differ, in words, of both; "" where none does, or those of `then` are not known."""
-    names = [name for name in sorted(then.keys() | now.keys()) if then and then.get(name) != now.get(name)]
-    told = [
+    """The differing versions of both, as text; empty if none differ."""
+    names = [name for name in sorted(then.keys() | now.keys()) if then.get(name) != now.get(name)]
+    old, new = (
         ", ".join(f"{name} {versions[name]}" if name in versions else f"no {name}" for name in names)
         for versions in (then, now)
-    ]
-    return told[0], told[1]
+    )
+    return old, new
 
 
 def refuse_earlier_run(path: Path) -> None:
-    """Raise RunError where the folder holds a run, or files of something else."""
+    """Raise RunError if the folder holds a run, or other files."""
     if _earlier_record(path) is not None:
         raise holds_a_run(path)
     refuse_other_files(path)
 
 
 def refuse_other_files(path: Path) -> None:
-    """Raise RunError where the folder has files, but no run."""
+    """Raise RunError if the folder has files, but no run."""
     if not (path / RUN_FILE).exists() and any(not file.name.startswith(".") for file in path.iterdir()):
-        raise RunError(f"{path}: has files, and none of a run: name a new or an empty folder with --out")
+        raise RunError(f"{path}: has files, but no run: name a new or an empty folder with --out")
 
 
 def holds_a_run(path: Path | str) -> RunError:
-    """The error of a folder, or a URL, at which a run cannot begin."""
+    """The error for a folder, or a URL, that holds a run already."""
     return RunError(f"{path} holds a run already: continue it with --resume, or name another folder with --out")
 
 
 def _is_done(weights_sha256: str, record: TrialRecord, folder: Path) -> bool:
-    whole = all((folder / table.file).is_file() for table in (SCORES_TABLE, HISTOGRAM_TABLE))
+    whole = (folder / SUMS_FILE).is_file()
     same = record.weights_sha256 == weights_sha256 and record.changed_file(folder) is None
     return whole and record.outcome == "ok" and same
+
+
+def without_edited(
+    plan: ComparisonPlan, kept: Mapping[str, TrialRecord], note: Callable[[str], None]
+) -> dict[str, TrialRecord]:
+    """The `kept` records by trial name, without trials of a tracker whose code was edited since; `note` reports them.
+
+    Each tracker of the user is started once to hash its code; trackers of gridtrack are not, because the run records
+    its version. The scores of a tracker that no longer starts are kept.
+    """
+    trials = [trial for trial in plan.trials if trial.name in kept and _is_users(trial)]
+    edited: set[str] = set()
+    for label in dict.fromkeys(trial.label for trial in trials):
+        own = [trial for trial in trials if trial.label == label]
+        now = _current_code(own[0], note)
+        other = [trial.name for trial in own if code_differs(kept[trial.name].code_sha256, now)]
+        if other:
+            note(f"{label}: its code was edited since it ran: {len(other)} of its trials run again")
+        edited |= set(other)
+    return {name: record for name, record in kept.items() if name not in edited}
+
+
+def _is_users(trial: Trial) -> bool:
+    return trial.launch.external or not registry.find(trial.launch.name).value.startswith("gridtrack.")
+
+
+def _current_code(trial: Trial, note: Callable[[str], None]) -> str:
+    """The hash of the tracker's code; "" if it does not start."""
+    with TemporaryDirectory(prefix="gridtrack-code-") as folder:
+        try:
+            with trial.tracker_process(Path(folder, "stderr.log")) as process:
+                return process.description.code_sha256
+        except TrialEnded as ended:
+            note(f"{trial.label}: its scores are kept, but it does not start now: {ended}")
+            return ""
 
 
 def _new_record(plan: ComparisonPlan, command: Sequence[str]) -> RunRecord:
@@ -172,15 +273,15 @@ def _earlier_record(path: Path) -> RunRecord | None:
         return None
 
 
-def _what_changed(earlier: RunConfiguration, now: RunConfiguration) -> str:
-    """What keeps `now` from continuing `earlier`, in words, or "": something left out, or the first difference."""
+def _difference(earlier: RunConfiguration, now: RunConfiguration) -> str:
+    """The reason, as text, why `now` cannot continue `earlier`, or "": something missing, or the first difference."""
     compared = (
         ("recording", set(earlier.recordings), set(now.recordings)),
         ("tracker", _labels(earlier), _labels(now)),
     )
-    for what, then, requested in compared:
-        if left := sorted(then - requested):
-            return f"{what} '{left[0]}' was in it and is not requested now"
+    for kind, then, requested in compared:
+        if missing := sorted(then - requested):
+            return f"{kind} '{missing[0]}' was in it and is not requested now"
     return _first_difference(earlier.model_dump(), now.model_dump())
 
 
@@ -189,12 +290,46 @@ def _labels(configuration: RunConfiguration) -> set[str]:
 
 
 def _first_difference(earlier: Any, now: Any, where: str = "") -> str:
-    """The key at which two configurations differ first, and both values; "" where `now` has all of `earlier`.
+    """The first key at which two configurations differ, and both values; "" if `now` contains all of `earlier`.
 
-    Recordings and trials that are new are no difference; within one of them each key counts.
+    New recordings and trials are no difference; within one of them each key counts.
     """
     if not (isinstance(earlier, dict) and isinstance(now, dict)):
         return f"{where}: then {json.dumps(earlier)[:80]}, now {json.dumps(now)[:80]}" if earlier != now else ""
     keys = earlier.keys() if where in ("", "recordings", "trials") else earlier.keys() | now.keys()
     found = (_first_difference(earlier.get(k), now.get(k), f"{where}.{k}".removeprefix(".")) for k in sorted(keys))
     return next(filter(None, found), "")
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of Python and of the installed distributions of DISTRIBUTIONS, read once."""
+    found = {"python": platform.python_version()}
+    for name in DISTRIBUTIONS:
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
+def machine() -> Machine:
+    """The properties of the machine that latency depends on; no host name, no address."""
+    return Machine(
+        cpu=_cpu_model(),
+        cores=usable_cores(),
+        memory_gb=round(psutil.virtual_memory().total / 1e9, 1),
+        system=f"{platform.system()} {platform.machine()}",
+    )
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    return len(psutil.Process().cpu_affinity() or ()) or psutil.cpu_count() or 1
+
+
+def _cpu_model() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        for line in cpuinfo.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()

@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 
 from gridtrack.common.files import read_bounded, write_text
-from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.results.summary import ORACLE
-from gridtrack.evaluation.results.trial_record import MAX_OUTCOME_BYTES, ThresholdsUsed
+from gridtrack.evaluation.referee.splits import ORACLE, EvaluationSplit
 from gridtrack.evaluation.runs.plan import Trial
-from gridtrack.evaluation.scoring.splits import EvaluationSplit
-from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of, thresholds_of
+from gridtrack.evaluation.runs.result_files import RunError
+from gridtrack.evaluation.runs.trial_record import MAX_OUTCOME_BYTES, ThresholdsUsed
+from gridtrack.evaluation.scores.thresholds import Thresholds, bins_of
 
 
 class SharedThresholds:
@@ -55,7 +54,7 @@ class SharedThresholds:
             text = read_bounded(self._path(key), MAX_OUTCOME_BYTES, RunError)
         except FileNotFoundError:
             return None
-        return thresholds_of(ThresholdsUsed.model_validate_json(text))
+        return ThresholdsUsed.model_validate_json(text).thresholds()
 
     def _path(self, key: str) -> Path:
         return self._folder / f"{hashlib.sha256(key.encode()).hexdigest()}.thresholds.json"

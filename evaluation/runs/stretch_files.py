@@ -1,41 +1,45 @@
-"""The files of the stretches of one training, most of them kept from an earlier one.
+"""The files of the stretches of one training: frames with labels, and regions; most are kept from an earlier training.
 
-What is kept: the survey of each recording, and of each stretch its frames with labels, and its regions. A training gets
-copies in a folder that has nothing else, so its `fit` reaches no other stretch by them and cannot damage what is kept.
+What is kept: the survey of each recording, and the frames with labels and the regions of each stretch. A training gets
+copies in its own folder, so its `fit` reaches no other stretch, and cannot damage the kept files.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import gzip
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import IO, Any
 
 from gridtrack.common.cache import FileCache
+from gridtrack.common.grid import GridFrame, LabelledFrame
 from gridtrack.evaluation.runs.fit_regions import StoredKinds, StretchRegions, cell_kinds_for, store_regions
-from gridtrack.evaluation.runs.stored_stretch import store_stretch
 from gridtrack.recordings import Recording
+from gridtrack.recordings.observation import check_labels, labelled_returns
 from gridtrack.recordings.stream import GridStream
-from gridtrack.recordings.survey_file import recall_survey, write_survey
-from gridtrack.trackers.progress import Progress
-from gridtrack.trackers.wire import WireError
+from gridtrack.recordings.survey import recall_survey, write_survey
+from gridtrack.trackers import messages
+from gridtrack.trackers.contract import stream_of
+from gridtrack.trackers.training.progress import Progress
+from gridtrack.trackers.wire import Fill, Message, WireError, encode, receive
 
 STRETCHES_VERSION = 3
-"""Increases with every change by which the same recording has another survey, other frames or labels."""
+"""Increases with every change to the survey, the frames or the labels of the same recording."""
 KINDS_VERSION = 2
-"""Increases with every change by which the same frames have other kinds of cells, or other returns in motion."""
+"""Increases with every change to the kinds of cells, or the returns in motion, of the same frames."""
 MAX_CACHE_BYTES = 10 << 30
 """Frames of about a hundred hours of simulated worlds."""
 
 
 def stretch_cache(report: Callable[[str], None]) -> FileCache:
-    """The folder `stretches` of the user's cache; `report` is told of faults."""
+    """The folder `stretches` of the user's cache; `report` receives its problems."""
     return FileCache("stretches", MAX_CACHE_BYTES, report)
 
 
 def surveyed(recording: Recording, cache: FileCache) -> Recording:
-    """The `recording`, its survey taken from the cache, or made and kept there. Raises RecordingError, OSError."""
+    """The `recording` with its survey from the cache, where it is made if missing. Raises RecordingError, OSError."""
     with TemporaryDirectory(prefix="gridtrack-survey-") as folder:
         key = {"survey": _recording_key(recording)}
         path = cache.fetch(key, Path(folder) / "survey", lambda made: write_survey(recording, made))
@@ -44,7 +48,7 @@ def surveyed(recording: Recording, cache: FileCache) -> Recording:
 
 
 class StretchFiles:
-    """The files of the `streams` of a training: frames first, regions when they are asked for."""
+    """The files of the `streams` of a training: frames first, regions when they are requested."""
 
     def __init__(self, streams: Sequence[GridStream], folder: Path, cache: FileCache) -> None:
         """They are copied to `folder`, which is the training's own."""
@@ -81,7 +85,7 @@ class StretchFiles:
 
 
 def _recording_key(recording: Recording) -> dict[str, Any]:
-    """What the scans of a recording depend on."""
+    """Everything that the scans of a recording depend on."""
     return {
         "versions": [STRETCHES_VERSION, version("gridtrack"), recording.scans_version],
         "name": recording.name,
@@ -91,7 +95,7 @@ def _recording_key(recording: Recording) -> dict[str, Any]:
 
 
 def _stretch_key(stream: GridStream) -> dict[str, Any]:
-    """What the frames of a stretch depend on, and what their file says of it."""
+    """Everything that the frames of a stretch and the header of their file depend on."""
     return {
         "recording": _recording_key(stream.recording),
         "stretch": [stream.name, stream.start_s, len(stream)],
@@ -99,3 +103,82 @@ def _stretch_key(stream: GridStream) -> dict[str, Any]:
         "period_ns": stream.period_ns,
         "points": stream.points,
     }
+
+
+def store_stretch(stream: GridStream, path: Path) -> Path:
+    """Write the frames of `stream` and the classes of their occupied cells to `path`, without truth; returns `path`.
+
+    The file is a series of wire messages, compressed: a header, and one message for each frame. Equal streams give
+    equal files. Raises RecordingError, OSError.
+    """
+    header = {
+        "stream": messages.stream_fields(stream_of(stream)),
+        "name": stream.name,
+        "sha256": stream.sha256,
+        "frames": len(stream),
+        "start_s": stream.start_s,
+    }
+    with path.open("wb") as raw, gzip.GzipFile("", "wb", compresslevel=1, fileobj=raw, mtime=0) as file:
+        file.writelines(encode(Message("stretch", 0, header)))
+        for number, observation in enumerate(stream.observations(), start=1):
+            cells, labels = labelled_returns(observation.scans, observation.grid_T_sensor, stream.grid)
+            arrays = messages.frame_arrays(observation.frame) | {"cells": cells, "labels": labels}
+            file.writelines(encode(Message("frame", number, {}, arrays)))
+    return path
+
+
+class StoredStretch:
+    """A FrameSource that reads a file of `store_stretch`, with the members of a FrameSource and no others."""
+
+    def __init__(self, path: Path, progress: Progress | None = None) -> None:
+        """Reading is a stage of `progress`. Raises WireError, OSError."""
+        with gzip.open(path, "rb") as file:
+            header = receive(_fill_from(file), 0)
+        stream = messages.stream_from(header)
+        self.name = header.value("name", str)
+        self.sha256 = header.value("sha256", str)
+        self.grid = stream.grid
+        self.period_s = stream.period_s
+        self.site = stream.site
+        self.classes = stream.classes
+        self._frames = header.value("frames", int)
+        self._start_s = header.value("start_s", float)
+        self._path, self._progress = path, progress or Progress()
+
+    def __len__(self) -> int:
+        return self._frames
+
+    def __iter__(self) -> Iterator[GridFrame]:
+        return (messages.frame_from(message) for message in self._messages())
+
+    def labelled(self) -> Iterator[LabelledFrame]:
+        """The frames with the classes of their occupied cells. Raises RecordingError for a label without a class."""
+        for number, message in enumerate(self._messages()):
+            frame = messages.frame_from(message)
+            cells, labels = message.array("cells", "int64", (None,)), message.array("labels", "uint8", (None,))
+            check_labels(labels, self.classes, self._start_s + number * self.period_s)
+            yield LabelledFrame(frame, cells, labels)
+
+    def _messages(self) -> Iterator[Message]:
+        # a cell has at most one label, of an int64 and a uint8
+        limit = messages.update_limit(self.grid) + 9 * self.grid.size**2
+        with gzip.open(self._path, "rb") as file:
+            fill = _fill_from(file)
+            receive(fill, 0)
+            with self._progress.stage(f"{self.name}, frame", self._frames) as stage:
+                for _ in range(self._frames):
+                    yield receive(fill, limit)
+                    stage.advance()
+
+
+def _fill_from(file: IO[bytes] | gzip.GzipFile) -> Fill:
+    """Reads of `file`. Raises EOFError if it ends inside a message."""
+
+    def fill(buffers: list[memoryview]) -> None:
+        for buffer in (b for b in buffers if b.nbytes):
+            content = file.read(buffer.nbytes)
+            if len(content) < buffer.nbytes:
+                raise EOFError
+            buffer[:] = content
+
+    return fill

@@ -11,44 +11,48 @@ from gridtrack.common.cache import FileCache
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.remote_files import is_url
+from gridtrack.evaluation.referee.kinds import CellKinds
+from gridtrack.evaluation.referee.splits import TRAIN, VALIDATION, common_with, own_validation, shares_frames
 from gridtrack.evaluation.runs.card_thresholds import choose_card_thresholds
-from gridtrack.evaluation.runs.general_start import general_start
-from gridtrack.evaluation.runs.learned import LearnedWeights, user_weights_folder, weights_path
-from gridtrack.evaluation.runs.progress_lines import ProgressLines
+from gridtrack.evaluation.runs.learned import (
+    LearnedWeights,
+    copy_weights,
+    find_weights,
+    user_weights_folder,
+    weights_path,
+)
 from gridtrack.evaluation.runs.recipe import Recipe, with_local_copies
 from gridtrack.evaluation.runs.stretch_files import StretchFiles, stretch_cache, surveyed
 from gridtrack.evaluation.runs.training_hints import in_two
-from gridtrack.evaluation.runs.training_process import TrainingProcess
-from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, own_validation, shares_frames
-from gridtrack.evaluation.scoring.world_kinds import CellKinds
+from gridtrack.evaluation.runs.training_process import ProgressLines, TrainingProcess
 from gridtrack.recordings import Recording, open_recording, recordings_at
 from gridtrack.recordings.recording_info import Stretch, stretch_text
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
-from gridtrack.trackers.card import GENERAL, StartedFrom, TrainingData
-from gridtrack.trackers.contract import FitOutput
-from gridtrack.trackers.progress import Progress
-from gridtrack.trackers.weights import add_thresholds, complete_card, read_card
+from gridtrack.trackers.training.card import GENERAL, StartedFrom, TrainingData
+from gridtrack.trackers.training.progress import Progress
+from gridtrack.trackers.training.weights import add_thresholds, complete_card, read_card
 
 NamedStretch = tuple[Path, Stretch | str | None]
-"""A recording, and what is named of it: a stretch, its name, or nothing."""
+"""A recording, with a stretch, the name of a stretch, or None for its own."""
 COMMAND = "the command of the training"
-"""What `fit` receives in place of the command, which names the files of recordings; the card gets the command after."""
+"""`fit` receives this instead of the command, which names files of recordings; the card gets the command afterwards."""
 
 
 def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path:
     """Fit the recipe's tracker to the recordings and return the card it wrote, `<out>/<tracker>/<site>.toml`.
 
-    A general training writes `general.toml`. One at a site starts from general weights, where there are some and the
-    tracker can; a general one where the recipe names some.
+    A general training writes `general.toml`; it starts from general weights if the recipe names some. A training at a
+    site starts from general weights if there are some and the tracker supports it.
 
-    A recording without a range, and validation where none is given, is the recording's stretch of that name. `fit` runs
-    in a process of its own, which receives the frames of these stretches and nothing else of the recordings. Logs and
-    checkpoints are written beside the card to `<site>.logs`; a second call resumes there. Raises GridtrackError, and
-    KeyboardInterrupt with a line about what is kept.
+    Without ranges the recordings' own stretches `train` and `validation` are used. `fit` runs in its own process, which
+    receives the frames of these stretches and nothing else of the recordings. Logs and checkpoints are written beside
+    the card to `<site>.logs`; a second call resumes there. Raises GridtrackError, and KeyboardInterrupt with a line
+    that says what is kept.
     """
     cache, local = stretch_cache(report), with_local_copies(recipe, report)
-    named = {use: _named(texts) for use, texts in ((TRAIN, local.recordings), (VALIDATION, local.validation))}
+    uses = ((TRAIN, local.recordings), (VALIDATION, local.validation))
+    named = {use: _named(texts, local.format) for use, texts in uses}
     with (
         TrainingProcess(recipe.tracker, [path for found in named.values() for path, _ in found]) as process,
         TemporaryDirectory(prefix="gridtrack-train-") as folder,
@@ -63,14 +67,23 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         path = weights_path(recipe.out or user_weights_folder(), recipe.tracker, site)
         _make_folder(path.parent)
         logs = path.with_suffix(".logs")
-        from_weights = start.path if start else None
-        output = FitOutput(path, COMMAND, recipe.seed, logs, report, general=recipe.general, start=from_weights)
         stretches = StretchFiles([*train_on, *validate_on], Path(folder), cache)
         with ProgressLines(report) as lines:
             files = stretches.frames(lines.progress)
         train, validation = files[: len(train_on)], files[len(train_on) :]
         try:
-            process.fit(train, validation, output, stretches.regions)
+            process.fit(
+                train,
+                validation,
+                stretches.regions,
+                report,
+                out=path,
+                log_dir=logs,
+                seed=recipe.seed,
+                command=COMMAND,
+                general=recipe.general,
+                start=start.path if start else None,
+            )
         except KeyboardInterrupt:
             interrupted = True
         else:
@@ -105,7 +118,7 @@ def _complete(
     validate_on: Sequence[GridStream],
     start: LearnedWeights | None,
 ) -> bool:
-    """Write command, training data and start on the card that a `fit` wrote. Whether it wrote one."""
+    """Add command, training data and start to the card that `fit` wrote. Returns False if it wrote none."""
     train, validation = _data_of(train_on), _data_of(validate_on)
     if start is None:
         return complete_card(path, COMMAND, recipe.command, train, validation)
@@ -125,15 +138,15 @@ def _site_of(stream: GridStream) -> str:
 
 
 def _what_is_kept(path: Path, *, written: bool) -> str:
-    """What an interrupted training leaves, and how to go on, in one line; `written`: it has written a card."""
-    again = "the same command goes on"
+    """The result of an interrupted training, and how to continue, in one line; `written`: it has written a card."""
+    again = "the same command continues it"
     if not path.exists():
         return f"interrupted before there was a result; {again}"
     reached = read_card(path).interrupted
     if reached:
         return f"interrupted at {reached}; {path} has the best so far; {again}"
     if written:
-        return f"interrupted; {path} has the weights, but not what is learned after them, as classes; {again}"
+        return f"interrupted; {path} has the weights, but not what is learned after them, such as classes; {again}"
     return f"interrupted; {path} keeps the weights of an earlier training; {again}"
 
 
@@ -147,7 +160,7 @@ def _stretches(
     with progress.stage("recording", sum(map(len, named.values()))) as stage:
         for use, found in named.items():
             for path, stretch in found:
-                recording = surveyed(open_recording(path), cache)
+                recording = surveyed(open_recording(path, format=recipe.format), cache)
                 opened[use].append(_stretch(recording, stretch, use, grid, recipe.rate_hz))
                 stage.advance(path.name)
     train_on, validate_on = opened[TRAIN], opened[VALIDATION]
@@ -159,7 +172,7 @@ def _stretches(
 
 
 def _data_of(streams: Sequence[GridStream]) -> list[TrainingData]:
-    """What tells the frames of `streams` again, under whatever name or cut their recordings come."""
+    """Fingerprints of the frames of `streams`, which identify them under other names and ranges."""
     recorded = [(stream, stream.recorded) for stream in streams]
     return [
         TrainingData(
@@ -175,7 +188,7 @@ def _data_of(streams: Sequence[GridStream]) -> list[TrainingData]:
 
 
 def _make_folder(folder: Path) -> None:
-    """Made before the training, which may take hours: a folder that cannot be written to is refused at once."""
+    """Refuse a folder that cannot be written to before the training, which may take hours."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -186,25 +199,25 @@ def _make_folder(folder: Path) -> None:
         raise ConfigurationError(f"{folder}: may not be written to; name another folder for weights with --out")
 
 
-def _named(texts: Sequence[str]) -> list[NamedStretch]:
-    """What each RECORDING[@range] names: a recording and its stretch, or those of all recordings in a folder."""
+def _named(texts: Sequence[str], format: str | None) -> list[NamedStretch]:
+    """The recordings and stretches of each RECORDING[@range], or of all recordings in a folder."""
     parsed = map(parse_stretch, texts)
-    return [(found, stretch) for path, stretch in parsed for found in recordings_at(path)]
+    return [(found, stretch) for path, stretch in parsed for found in recordings_at(path, format)]
 
 
-def _each_of(text: str) -> list[str]:
-    """RECORDING[@range] of each recording that `text` names, as of `_named`; a URL as it is."""
+def _each_of(text: str, format: str | None) -> list[str]:
+    """RECORDING[@range] of each recording that `text` names; a URL unchanged."""
     if is_url(text):
         return [text]
     path, stretch = parse_stretch(text)
-    of_it = "" if stretch is None else f"@{text.rpartition('@')[2]}"
-    return [f"{found}{of_it}" for found in recordings_at(path)]
+    range_ = "" if stretch is None else f"@{text.rpartition('@')[2]}"
+    return [f"{found}{range_}" for found in recordings_at(path, format)]
 
 
 def _stretch(
     recording: Recording, stretch: Stretch | str | None, use: str, grid: GridSpec | None, rate_hz: float | None
 ) -> GridStream:
-    """The `stretch` of a recording, or its own for this use, or the whole of a recording without any."""
+    """The `stretch` of a recording, or its own one for this `use`, or all of a recording without any."""
     own, path = recording.info.stretches, recording.path
     if stretch is None and own and use not in own:
         raise ConfigurationError(
@@ -218,7 +231,10 @@ def _own_validation(recipe: Recipe, train_on: Sequence[GridStream]) -> list[Grid
     found = [own_validation(stream) for stream in train_on if VALIDATION in stream.recording.info.stretches]
     if not found:
         cut = in_two(train_on[0])
-        recordings = (cut.recording, *[text for named in recipe.recordings for text in _each_of(named)][1:])
+        recordings = (
+            cut.recording,
+            *[text for named in recipe.recordings for text in _each_of(named, recipe.format)][1:],
+        )
         command = recipe.model_copy(update={"recordings": recordings, "validation": (cut.validation,)}).command
         raise ConfigurationError(
             f"{train_on[0].name}: no validation stretch; name one with --validation, or run `{command}`"
@@ -231,10 +247,10 @@ def _refuse_unlike_places(streams: Sequence[GridStream]) -> None:
     first = streams[0]
     for stream in streams[1:]:
         here, there = _place(first), _place(stream)
-        differing = [what for what in here if here[what] != there[what]]
+        differing = [name for name in here if here[name] != there[name]]
         if differing:
-            others = " and ".join(f"the {what} {there[what]}" for what in differing)
-            own = " and ".join(here[what] for what in differing)
+            others = " and ".join(f"the {name} {there[name]}" for name in differing)
+            own = " and ".join(here[name] for name in differing)
             raise WeightsError(
                 f"{stream.name} has {others}, but {first.name} {own}: train and validate on recordings of one grid,"
                 " period and site, or for any place with --general"
@@ -242,7 +258,7 @@ def _refuse_unlike_places(streams: Sequence[GridStream]) -> None:
 
 
 def _place(stream: GridStream) -> dict[str, str]:
-    """What the weights of a site are made for, by its name."""
+    """The site, grid and period that weights of a site are made for, as text."""
     return {"site": f"'{stream.site}'", "grid": str(stream.grid), "period": f"{stream.period_s} s"}
 
 
@@ -252,4 +268,43 @@ def _refuse_shared(train_on: Sequence[GridStream], validate_on: Sequence[GridStr
             if shares_frames(stream, other):
                 raise ConfigurationError(
                     f"{other.name} shares frames with {stream.name}: validate on frames that are not trained on"
+                )
+
+
+def general_start(
+    recipe: Recipe, validation: Sequence[GridStream], folder: Path, report: Callable[[str], None], *, can_start: bool
+) -> LearnedWeights | None:
+    """The general weights that a training starts from, copied to `folder`; None from scratch. A line reports which.
+
+    At a site they are those that `compare` would find. `can_start`: whether the tracker can start from weights. Raises
+    WeightsError, and ConfigurationError if they learned from frames of `validation`.
+    """
+    if not can_start:
+        if recipe.weights:
+            report(f"from scratch: a training of {recipe.tracker} does not start from weights; --weights has no effect")
+        return None
+    if recipe.from_scratch:
+        report("from scratch, not from general weights")
+        return None
+    if recipe.general and not recipe.weights:
+        report("from scratch: a general training starts from general weights only if --weights names their folder")
+        return None
+    found = find_weights(recipe.tracker, GENERAL, Path(recipe.weights) if recipe.weights else None, "general")
+    if found is None:
+        report(f"from scratch: there are no general weights of {recipe.tracker}")
+        return None
+    _refuse_seen(found, validation)
+    start = copy_weights(found, folder)
+    report(f"starts from the general weights {start.name}, sha256 {start.sha256[:12]}")
+    return start
+
+
+def _refuse_seen(found: LearnedWeights, validation: Sequence[GridStream]) -> None:
+    """Refuse weights that learned from the validation stretch: a selection there would be worthless."""
+    for stream in validation:
+        for data in found.card.train:
+            if common_with(stream, data) is not None:
+                raise ConfigurationError(
+                    f"{found.name} was trained on {data.recording}, which has frames of {stream.name}: validate on"
+                    " other frames, or train with --from-scratch"
                 )

@@ -1,4 +1,4 @@
-"""Hints of how to train: stretches to train and to validate on that share no frame with what is scored."""
+"""Advice on training: stretches to train and to validate on that share no frame with the scored ones."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from gridtrack.common.errors import RecordingError
-from gridtrack.evaluation.scoring.referee import WARM_UP
-from gridtrack.evaluation.scoring.splits import TRAIN, VALIDATION, EvaluationSplit, like, shares_frames
+from gridtrack.evaluation.referee.referee import WARM_UP
+from gridtrack.evaluation.referee.splits import TRAIN, VALIDATION, EvaluationSplit, like, shares_frames
 from gridtrack.recordings.recording_info import Stretch, stretch_text
 from gridtrack.recordings.stream import GridStream
 
 TRAIN_SHARE = 0.6
-"""Share of a stretch to train on; the rest is to validate on."""
+"""Share of a stretch to train on; the rest is for validation."""
 TRAIN_PART, VALIDATION_PART = 0.6, 0.8
-"""Ends of the parts to train and to validate on, where the rest of a recording is to be compared on."""
+"""Ends of the parts for training and for validation, if the rest of a recording is compared on."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingStretches:
     """Arguments of `gridtrack train`: `recording` and `validation` as RECORDING[@range], "" for the recording's own.
 
-    `compare` is the rest to compare on, "" where the stretch that was compared on can stay.
+    `compare` is the rest to compare on, "" if the compared stretch can stay.
     """
 
     recording: str
@@ -36,9 +36,9 @@ class TrainingStretches:
 
 
 def stretches_to_train_on(split: EvaluationSplit, others: Sequence[EvaluationSplit] = ()) -> TrainingStretches | None:
-    """What to train on for a comparison on `split` and `others`; None where its recording is too short for it.
+    """The stretches to train on for a comparison on `split` and `others`; None if its recording is too short.
 
-    The recording's own stretches, else the longest part without frames of the comparison, else three parts of it all.
+    The recording's own stretches, or the longest part without frames of the comparison, or three parts of it all.
     """
     test, path, compared = split.test, str(split.path), (split, *others)
     if _has_own(test, compared):

@@ -1,67 +1,62 @@
-"""The command's side of a training process: what it receives, its lines of progress, and its end."""
+"""A training in a process of its own: the command's side, which sends stretches and receives lines of progress.
+
+The process (`fit_process.py`) speaks messages of the wire with the command `train`. `load` is answered by `loaded`, and
+`fit` by any number of `report` and `regions`, then `done`; a failure of either by `error`. It receives files of frames,
+a copy of the general weights to start from, and no recording; and for each `regions` the file with the regions of one
+stretch, which is made then.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
-import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Self
 
 from gridtrack.common import errors
 from gridtrack.common.errors import GridtrackError, PluginError
-from gridtrack.evaluation.hosting.orphans import forget_leader, start_leader
-from gridtrack.evaluation.hosting.shielding import shielded_environment
-from gridtrack.evaluation.hosting.supervised import ProcessExit
-from gridtrack.trackers.contract import FitOutput
-from gridtrack.trackers.wire import Message, WireError, encode, fill_from, receive, write_to
+from gridtrack.evaluation.hosting.host import shielded_environment
+from gridtrack.evaluation.hosting.supervised import SupervisedProgram
+from gridtrack.trackers.training.progress import Progress
+from gridtrack.trackers.wire import Message, WireError
 
 INTERRUPT_S = 30.0
 """Time for `fit` to end after Ctrl-C, in which it may save its state."""
+LINE_EVERY_S = 9.0
+"""A line is promised every ten seconds; the processor may be busy."""
 
 
 class TrainingProcess:
     """A context manager: entering starts a process for the `fit` of the tracker `name`, leaving ends all its processes.
 
-    The process runs in a session of its own, so that Ctrl-C reaches it once, through this process.
+    Ctrl-C reaches the process once, through this one.
     """
 
     def __init__(self, name: str, recordings: Iterable[Path]) -> None:
         """The environment of the process contains no path of the `recordings`."""
         self.name = name
         self._environment = shielded_environment(recordings)
-        self._process: subprocess.Popen[bytes]
+        self._program: SupervisedProgram
 
-    def __enter__(self) -> TrainingProcess:
-        command = [sys.executable, "-P", "-m", "gridtrack.evaluation.runs.fit_process", self.name]
-        self._process = start_leader(
-            lambda: subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                bufsize=0,
-                start_new_session=True,
-                env=self._environment,
-            )
-        )
+    def __enter__(self) -> Self:
+        command = (sys.executable, "-P", "-m", "gridtrack.evaluation.runs.fit_process", self.name)
+        self._program = SupervisedProgram(command, self._environment)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._end()
-        self._process.communicate()
-        forget_leader(self._process, orderly=True)
+        self._program.close(orderly=False)
 
     def load(self, options: Mapping[str, Any], *, general: bool) -> bool:
         """Load the tracker with these options, to learn for any place if `general`.
 
-        Whether its training starts from general weights where there are some. Raises PluginError, ConfigurationError.
+        Returns whether its training can start from general weights. Raises PluginError, ConfigurationError.
         """
         self._send("load", options=dict(options), general=general)
         return self._answer("loaded", lambda text: None).value("starts_from_general", bool)
@@ -70,28 +65,35 @@ class TrainingProcess:
         self,
         train: Sequence[Path],
         validation: Sequence[Path],
-        output: FitOutput,
         regions_of: Callable[[int], Path],
+        report: Callable[[str], None],
+        *,
+        out: Path,
+        log_dir: Path,
+        seed: int,
+        command: str,
+        general: bool,
+        start: Path | None,
     ) -> None:
-        """Run `fit` on these files of stretches; its lines go to `output.report`.
+        """Run `fit` on these files of stretches, with the other fields of its FitTask; its lines go to `report`.
 
-        `regions_of(n)` makes the file with the regions of the n-th stretch, those of training first, when `fit` asks
-        for it. Raises GridtrackError.
+        `regions_of(n)` makes the file with the regions of the n-th stretch, training before validation, when `fit`
+        requests it. Raises GridtrackError, KeyboardInterrupt.
         """
         self._send(
             "fit",
             train=[str(path) for path in train],
             validation=[str(path) for path in validation],
-            path=str(output.path),
-            command=output.command,
-            seed=output.seed,
-            log_dir=str(output.log_dir),
-            general=output.general,
-            start=str(output.start or ""),
+            out=str(out),
+            log_dir=str(log_dir),
+            seed=seed,
+            command=command,
+            general=general,
+            start=str(start or ""),
         )
         with self._passing_on_interrupts() as interrupted:
             try:
-                self._answer("done", output.report, lambda n: self._send("regions", path=str(regions_of(n))))
+                self._answer("done", report, lambda n: self._send("regions", path=str(regions_of(n))))
             except GridtrackError:
                 if not interrupted.is_set():
                     raise
@@ -100,18 +102,18 @@ class TrainingProcess:
 
     @contextlib.contextmanager
     def _passing_on_interrupts(self) -> Iterator[threading.Event]:
-        """Inside it Ctrl-C interrupts `fit`, which has INTERRUPT_S to save its state; a second one ends it.
+        """Inside it Ctrl-C interrupts `fit`, which has INTERRUPT_S to save its state; a second Ctrl-C ends it.
 
-        No exception is raised here: it could come in the middle of a message, and the last lines would be lost.
+        It raises no exception: one in the middle of a message would lose the last lines.
         """
-        interrupted, too_late = threading.Event(), threading.Timer(INTERRUPT_S, self._end)
+        interrupted, too_late = threading.Event(), threading.Timer(INTERRUPT_S, self._program.kill)
 
         def pass_on(*_: object) -> None:
             if interrupted.is_set():
-                self._end()
+                self._program.kill()
                 return
             interrupted.set()
-            self._process.send_signal(signal.SIGINT)
+            self._program.interrupt()
             too_late.start()
 
         if threading.current_thread() is not threading.main_thread():
@@ -124,27 +126,19 @@ class TrainingProcess:
             signal.signal(signal.SIGINT, before)
             too_late.cancel()
 
-    def _end(self) -> None:
-        """Kill the process and all that it started in its session."""
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-
     def _send(self, kind: str, **fields: Any) -> None:
-        assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # the missing answer says why it ended
-            write_to(self._process.stdin.fileno(), encode(Message(kind, 0, fields)))
+        with contextlib.suppress(BrokenPipeError):  # the missing answer gives the reason
+            self._program.send(Message(kind, 0, fields))
 
     def _answer(
         self, expected: str, report: Callable[[str], None], send_regions: Callable[[int], None] | None = None
     ) -> Message:
-        """Wait for the answer `expected`; before it lines of progress go to `report`, requests to `send_regions`."""
-        assert self._process.stdout is not None
-        fill = fill_from(self._process.stdout.fileno())
+        """Wait for the answer `expected`; lines before it go to `report`, requests for regions to `send_regions`."""
         while True:
             try:
-                answer = receive(fill, 0)
+                answer = self._program.receive()
             except EOFError:
-                raise self._failed(str(ProcessExit(_status(self._process.wait())))) from None
+                raise self._failed(str(self._program.close())) from None
             if answer.kind == "report":
                 report(answer.value("text", str))
             elif answer.kind == "regions" and send_regions is not None:
@@ -170,6 +164,33 @@ class TrainingProcess:
         return PluginError(f"tracker '{self.name}': its training failed: {reason}")
 
 
-def _status(code: int) -> int:
-    """The exit code of a Popen as the status of `os.waitpid`."""
-    return -code if code < 0 else code << 8
+class ProgressLines:
+    """A context manager: inside it `progress` is reported after `every_s` seconds without another line."""
+
+    def __init__(self, send: Callable[[str], None], every_s: float = LINE_EVERY_S) -> None:
+        """`send` is called from two threads."""
+        self.progress = Progress()
+        self._send, self._every_s = send, every_s
+        self._last_s = time.monotonic()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="progress", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def report(self, text: object) -> None:
+        """Send a line of the tracker."""
+        self._last_s = time.monotonic()
+        self._send(str(text))
+
+    def _run(self) -> None:
+        while not self._ended.wait(max(0.0, self._last_s + self._every_s - time.monotonic())):
+            if time.monotonic() - self._last_s >= self._every_s:
+                self.report(self.progress.text())

@@ -13,18 +13,27 @@ from gridtrack.common.errors import RecordingError, bounded_line
 from gridtrack.evaluation.engines.engine import Interrupted
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.tracker_process import TrackerDescription
-from gridtrack.evaluation.results.columns import HISTOGRAM_TABLE, PRIOR_TABLE, SCORES_TABLE
-from gridtrack.evaluation.results.trial_record import OUTCOME_FILE, Times, TrialEnding, TrialRecord, hashes_of
+from gridtrack.evaluation.referee.referee import Delivery, TrackerLike, refuse_moving, scored_forecasts
+from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitRegions
 from gridtrack.evaluation.runs.plan import Trial
+from gridtrack.evaluation.runs.prior_pass import PRIOR_FILE
+from gridtrack.evaluation.runs.scorekeeper import SCORE_FILES, Scorekeeper, facts_of
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds, thresholds_of_card, trial_key
-from gridtrack.evaluation.scoring.counting import Tally, count_forecast
-from gridtrack.evaluation.scoring.referee import Delivery, TrackerLike, refuse_moving, scored_forecasts
-from gridtrack.evaluation.scoring.scorekeeper import SCORE_FILES, Scorekeeper
-from gridtrack.evaluation.scoring.splits import EvaluationSplit, SplitRegions
-from gridtrack.evaluation.scoring.thresholds import Thresholds, best_thresholds, half
+from gridtrack.evaluation.runs.sums import SUMS_FILE
+from gridtrack.evaluation.runs.trial_record import (
+    OUTCOME_FILE,
+    ThresholdsUsed,
+    Times,
+    TrialEnding,
+    TrialRecord,
+    hashes_of,
+)
+from gridtrack.evaluation.scores.cells import Tally, count_cells
+from gridtrack.evaluation.scores.registry import scores
+from gridtrack.evaluation.scores.thresholds import Thresholds, best_thresholds, half
 
 STDERR_LOG = "stderr.log"
-REPLACED = (OUTCOME_FILE, *SCORE_FILES, PRIOR_TABLE.file)
+REPLACED = (OUTCOME_FILE, *SCORE_FILES, PRIOR_FILE)
 """Files of an earlier run that a trial replaces."""
 INTERRUPTED_REASON = "the run was interrupted; continue it with --resume"
 OnFrame = Callable[[], None]
@@ -130,8 +139,9 @@ class TrialRun:
 
     def _score(self, thresholds: Thresholds) -> None:
         """Stream the test stretch and write the score of each forecast once its last frame is observed."""
-        split, classes = self.trial.split, self._process.description.classes
-        with Scorekeeper(self._folder, split, thresholds, classes) as scorekeeper:
+        split = self.trial.split
+        facts = facts_of(split, thresholds, self._process.description.classes)
+        with Scorekeeper(self._folder, split, facts, scores(self.trial.scores)) as scorekeeper:
             for scored in scored_forecasts(self._tracker(), self._delivery, self._test, self.trial.seed):
                 scorekeeper.add(scored, self._delivery.digest)
                 self._scored = scorekeeper.scored
@@ -141,8 +151,8 @@ class TrialRun:
         return self._process
 
     def _has_scores(self) -> bool:
-        """Whether the score files are complete: the disk may be full before the last one is written."""
-        return all((self._folder / name).is_file() for name in (SCORES_TABLE.file, HISTOGRAM_TABLE.file))
+        """Whether the sums are complete: the disk may be full before they are written."""
+        return (self._folder / SUMS_FILE).is_file()
 
     def _record(self, ending: TrialEnding, reason: str) -> TrialRecord:
         chosen = self._thresholds or half(self.trial.split.steps, self.trial.split.strata)
@@ -155,7 +165,7 @@ class TrialRun:
                 "frames_scored": self._scored if self._has_scores() else 0,
                 "frames_delivered": self._delivery.frames,
                 "delivered": self._delivery.digest,
-                "thresholds": chosen.used(),
+                "thresholds": ThresholdsUsed.of(chosen),
                 **self._reported_fields(),
                 "times": Times(
                     start_s=self._start_s,
@@ -188,7 +198,7 @@ def validation_tally(tracker: TrackerLike, delivery: Delivery, split: Evaluation
     """The counts of `tracker` on the validation stretch of `split`, which `delivery` delivers."""
     tally = Tally.empty(split.steps, split.strata)
     for scored in scored_forecasts(tracker, delivery, split.validation_schedule, seed):
-        tally.add(count_forecast(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
+        tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
     return tally
 
 

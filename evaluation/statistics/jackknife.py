@@ -1,4 +1,4 @@
-"""Intervals of pooled scores, and paired differences of two trackers, from the counts of statistical units.
+"""Intervals of scores, and paired differences of two trackers, by the jackknife over statistical units.
 
 A unit is a whole recording, or a block of time longer than the autocorrelation of the frames (`units`). How the
 method was chosen, and its coverage: docs/statistics.md, `studies/coverage.py`.
@@ -6,240 +6,198 @@ method was chosen, and its coverage: docs/statistics.md, `studies/coverage.py`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit, stdtr, stdtrit
 
-from gridtrack.evaluation.results.columns import CONFUSION
+from gridtrack.evaluation.scores.definition import Floats, Measure, Ratio, Scale, Sums, divided, value_of
 
-Floats = NDArray[np.float64]
-
-COUNTS = (*CONFUSION, "squared_error", "log_loss")
-"""The columns C of counts (..., C): cells at the threshold in use, and sums over cells."""
-_CELLS = dict.fromkeys(CONFUSION, 1)
-RATIO_SCORES: dict[str, tuple[dict[str, int], dict[str, int]]] = {
-    "f1": ({"tp": 2}, {"tp": 2, "fp": 1, "fn": 1}),
-    "precision": ({"tp": 1}, {"tp": 1, "fp": 1}),
-    "recall": ({"tp": 1}, {"tp": 1, "fn": 1}),
-    "brier": ({"squared_error": 1}, _CELLS),
-    "nll": ({"log_loss": 1}, _CELLS),
-}
-"""The scores that are ratios of sums over cells: weights of the counts in the numerator and in the denominator."""
-PROPORTIONS = ("f1", "precision", "recall", "brier")
-"""The scores whose numerator is a part of their denominator."""
+Value = Callable[[Sums], Mapping[str, Ratio | Measure | Floats]]
+"""The outputs of a score from sums (..., P)."""
 LEVEL = 0.95
+ALPHA = 0.05
+"""Significance level of a test."""
 LEAST_UNITS = 20
 """With fewer units no interval is computed: no method that was tried reaches its nominal coverage there."""
 LEAST_AGREEING = 6
-"""Units that agree exactly have no spread to go by: six equal ones are the fewest by which a sign test tells any."""
+"""Units that agree exactly have no spread to go by: with fewer than six a sign test cannot be significant."""
 TOO_SHORT = "too short for an interval"
 HALF_A_COUNT = 0.5
 """Added to counts of cells before the logarithm. A sum of losses is no count: half a nat may be most of it."""
-_COUNTED = ("f1", "precision", "recall")
-"""The scores of which both sums of the odds are counts."""
 WITHIN_ROUNDING = 1e-9
-"""Differences that are no larger are none."""
+"""Smaller differences count as zero."""
 _NEAREST_TO_0_OR_1 = 1e-9
 """Scores without a unit are no nearer to 0 and 1, where log odds are infinite; a sum that is no count is no smaller
 share of that over all units."""
 
 
 @dataclass(frozen=True, slots=True)
-class PairedDifferences:
-    """Score of a tracker less score of its reference (...), interval [low, high], p-value of no difference."""
+class IntervalEstimate:
+    """A value (...), the ends of its interval, and the p-value of no difference where it is one; NaN where unknown."""
 
     value: Floats
     low: Floats
     high: Floats
     p: Floats
 
-    def column(self, k: int) -> PairedDifferences:
-        """The differences of one index of the last axis."""
-        return PairedDifferences(self.value[..., k], self.low[..., k], self.high[..., k], self.p[..., k])
-
-    def at(self, index: int) -> PairedDifferences:
-        """The differences at one index of the first axis."""
-        return PairedDifferences(self.value[index], self.low[index], self.high[index], self.p[index])
+    def at(self, *index: int) -> IntervalEstimate:
+        """The estimate at one index of each of the first axes."""
+        return IntervalEstimate(self.value[index], self.low[index], self.high[index], self.p[index])
 
 
-def pooled(counts: NDArray[np.floating], score: str) -> Floats:
-    """The score (...) of all units together, of `counts` (U, ..., C): a ratio of sums; NaN where it is undefined."""
-    part, whole = ratio_sums(counts, score)
-    return _ratio(part.sum(axis=0), whole.sum(axis=0))
+@dataclass(frozen=True, slots=True)
+class Replicates:
+    """A value (...) of all units together, and its values (U, ...) without each of the units.
 
-
-def ratio_sums(counts: NDArray[np.floating], score: str) -> tuple[Floats, Floats]:
-    """Numerator and denominator (U, ...) of a score in RATIO_SCORES of `counts` (U, ..., C) of units.
-
-    F1 is undefined where no cell was occupied in any unit, as in `metrics.f1_score`: its denominators are 0 there.
+    `size` (U, ...): how much each unit counts, for the effective number of units. `ratio`: the sums (U, ...) of the
+    units, of a value that is a ratio of sums.
     """
-    weights = (np.array([side.get(name, 0) for name in COUNTS], np.float64) for side in RATIO_SCORES[score])
-    part, whole = (np.asarray(counts, np.float64) @ weight for weight in weights)
-    if score == "f1":
-        positives = counts[..., COUNTS.index("tp")] + counts[..., COUNTS.index("fn")]
-        whole *= positives.sum(axis=0) > 0
-    return part, whole
+
+    value: Floats
+    without: Floats
+    size: Floats
+    ratio: Ratio | None = None
+
+    @property
+    def units(self) -> int:
+        """The number of units."""
+        return len(self.without)
+
+    def minus(self, other: Replicates) -> Replicates:
+        """This value less another one of the same units, itself a value to compare."""
+        size = np.minimum(self.size, other.size)
+        return Replicates(self.value - other.value, self.without - other.without, size)
 
 
-def interval(counts: NDArray[np.floating], score: str = "f1", level: float = LEVEL) -> tuple[Floats, Floats]:
-    """Confidence interval (low, high), each (...), of a pooled score from `counts` (U, ..., C) of units; NaN where
-    there are fewer than LEAST_UNITS, or the score is undefined.
+def replicates(value: Value, groups: Callable[[], Iterable[Sums]], total: Sums) -> dict[str, Replicates]:
+    """The outputs of a score that are ratios or measures, of the sums (U, ..., P) of the units of each group.
 
-    The jackknife over units of the logarithm of the odds (of the ratio, for `nll`), with Student's t: its degrees of
-    freedom are the effective number of units less one (Kish 1965), the smaller of those of the two sums in the odds.
-    Half a count is added to each sum where both are counts. Where the score is 0 in all units, or 1 in all, the
-    interval is that point; NaN where these are fewer than LEAST_AGREEING effective units.
+    `total` (..., P) are the sums of all units. `groups()` goes through the units group by group, twice where an output
+    is a measure: its value without a unit is computed from all sums less those of the unit.
     """
-    part, whole = ratio_sums(counts, score)
-    if score in PROPORTIONS:
-        return proportion_interval(part, whole, level, counted=score in _COUNTED)
-    return ratio_interval(part, whole, level)
+    by_unit: dict[str, list[Ratio | Measure]] = {}
+    for sums in groups():
+        for name, output in value(sums).items():
+            if isinstance(output, Ratio | Measure):
+                by_unit.setdefault(name, []).append(output)
+    found: dict[str, Replicates] = {}
+    measures: list[str] = []
+    for name, outputs in by_unit.items():
+        ratios = [output for output in outputs if isinstance(output, Ratio)]
+        if ratios:
+            found[name] = ratio_replicates(_joined(ratios))
+        else:
+            measures.append(name)
+    if measures:
+        pooled = value(total)
+        each = [value(Sums(total.values - own, total.parts)) for sums in groups() for own in sums.values]
+        for name in measures:
+            without = np.stack([value_of(one[name]) for one in each])
+            size = np.concatenate([output.size for output in by_unit[name] if isinstance(output, Measure)])
+            found[name] = Replicates(value_of(pooled[name]), without, size)
+    return found
 
 
-def ratio_interval(part: Floats, whole: Floats, level: float = LEVEL) -> tuple[Floats, Floats]:
-    """`interval` of the ratio of two sums over units (U, ...), neither a part of the other; the first is no count."""
-    return _interval(part, whole, whole, np.exp, level, counted=False)
+def _joined(ratios: Sequence[Ratio]) -> Ratio:
+    part, whole = (np.concatenate([getattr(one, name) for one in ratios]) for name in ("part", "whole"))
+    supports = [one.support for one in ratios if one.support is not None]
+    return Ratio(part, whole, np.concatenate(supports) if supports else None, ratios[0].counted)
 
 
-def proportion_interval(
-    part: Floats, whole: Floats, level: float = LEVEL, *, counted: bool = True
-) -> tuple[Floats, Floats]:
-    """`interval` of the ratio of two sums over units (U, ...), the first a part of the second; `counted`: of counts."""
-    return _interval(part, whole - part, whole, expit, level, counted=counted)
+def ratio_replicates(ratio: Ratio) -> Replicates:
+    """The replicates of a ratio of the sums (U, ...) of units. It is undefined where the sum of its support is 0."""
+    whole = ratio.whole if ratio.support is None else ratio.whole * (ratio.support.sum(axis=0) > 0)
+    value = divided(ratio.part.sum(axis=0), whole.sum(axis=0))
+    without = divided(_without_each(ratio.part), _without_each(whole))
+    return Replicates(value, without, whole, Ratio(ratio.part, whole, counted=ratio.counted))
 
 
-def _interval(
-    part: Floats, other: Floats, whole: Floats, back: Callable[[Floats], Floats], level: float, *, counted: bool
-) -> tuple[Floats, Floats]:
-    """Interval of the score `part` / `whole` (...); `back` maps the logarithm of the odds `part` / `other` (U, ...) to
-    it. `counted`: both sums of the odds are counts.
+def interval(found: Replicates, scale: Scale, level: float = LEVEL) -> IntervalEstimate:
+    """The value with its confidence interval, which is symmetric on `scale`.
+
+    The jackknife over units of the log odds, of the logarithm, or of the value, with Student's t: its degrees of
+    freedom are the effective number of units less one (Kish 1965). The interval is NaN with fewer than LEAST_UNITS, and
+    where the value is undefined, also without one of the units.
     """
-    value = _ratio(part.sum(axis=0), whole.sum(axis=0))
-    if len(part) < LEAST_UNITS:
-        return np.full_like(value, np.nan), np.full_like(value, np.nan)
+    if not scale or found.units < LEAST_UNITS:
+        nothing = np.full_like(found.value, np.nan)
+        return IntervalEstimate(found.value, nothing, nothing, nothing)
+    if scale == "linear":
+        error = _standard_error(np.nan_to_num(found.without))
+        return difference_of(found.value, error, degrees_of_freedom(found.size), level)
+    low, high = (_interval_of_ratio if found.ratio else _interval_of_measure)(found, scale, level)
+    return IntervalEstimate(found.value, low, high, np.full_like(found.value, np.nan))
+
+
+def _interval_of_ratio(found: Replicates, scale: Scale, level: float) -> tuple[Floats, Floats]:
+    """Half a count is added to each sum of the odds where both are counts. Where the value is 0 in all units, or 1 in
+    all, the interval is that point; NaN where fewer than LEAST_AGREEING effective units agree.
+    """
+    assert found.ratio is not None
+    part, whole, counted = found.ratio.part, found.ratio.whole, found.ratio.counted and scale == "odds"
+    other, back = (whole - part, expit) if scale == "odds" else (whole, np.exp)
     of_part, of_other = (_log_without_each(sums, counted=counted) for sums in (part, other))
-    error = _standard_error(of_part - of_other)
     freedom = degrees_of_freedom(part, other)
-    reach = _quantile(freedom, level) * error
+    reach = _quantile(freedom, level) * _standard_error(of_part - of_other)
     with np.errstate(divide="ignore", invalid="ignore"):
         centre = np.log(part.sum(axis=0)) - np.log(other.sum(axis=0))
     low, high = (back(centre + side * reach) for side in (-1, 1))
     agreed = (part.sum(axis=0) == 0) | (other.sum(axis=0) == 0)
-    unknown = np.isnan(value) | (agreed & (freedom < LEAST_AGREEING - 1))
-    low, high = (np.where(unknown, np.nan, np.where(agreed, value, end)) for end in (low, high))
+    unknown = np.isnan(found.value) | (agreed & (freedom < LEAST_AGREEING - 1))
+    low, high = (np.where(unknown, np.nan, np.where(agreed, found.value, end)) for end in (low, high))
     return low, high
 
 
-def differences(
-    counts: NDArray[np.floating], reference: NDArray[np.floating], score: str = "f1", level: float = LEVEL
-) -> PairedDifferences:
-    """Pooled score less the reference's, paired: `counts` and `reference` (U, ..., C) are of the same units.
+def _interval_of_measure(found: Replicates, scale: Scale, level: float) -> tuple[Floats, Floats]:
+    forth, back = (logit, expit) if scale == "odds" else (np.log, np.exp)
+    bounds = (_NEAREST_TO_0_OR_1, 1 - _NEAREST_TO_0_OR_1) if scale == "odds" else (0.0, np.inf)
+    reach = _quantile(degrees_of_freedom(found.size), level) * _standard_error(forth(np.clip(found.without, *bounds)))
+    with np.errstate(divide="ignore"):
+        centre = forth(found.value)
+    low, high = (np.where(np.isnan(found.value), np.nan, back(centre + side * reach)) for side in (-1, 1))
+    return low, high
 
-    The jackknife over units of the difference itself, with Student's t as in `interval`; the effective number of units
-    is that of the denominators. Two trackers with the same counts differ by 0 with p = 1. The interval and p are NaN
-    with fewer than LEAST_UNITS, and where fewer than LEAST_AGREEING effective units agree.
+
+def difference(own: Replicates, reference: Replicates, level: float = LEVEL) -> IntervalEstimate:
+    """The value less that of the reference, paired: both are of the same units.
+
+    The jackknife over units of the difference itself, with Student's t as in `interval`. Two trackers with the same
+    sums differ by 0 with p = 1. The interval and p are NaN with fewer than LEAST_UNITS, and where fewer than
+    LEAST_AGREEING effective units agree. Raises ValueError for other numbers of units.
     """
-    value = pooled(counts, score) - pooled(reference, score)
-    return _differences(ratio_sums(counts, score), ratio_sums(reference, score), value, level)
-
-
-def ratio_differences(
-    own: tuple[Floats, Floats], reference: tuple[Floats, Floats], level: float = LEVEL
-) -> PairedDifferences:
-    """`differences` of the ratios of two sums, each side's part and whole (U, ...) by the same units."""
-    ratios = [_ratio(part.sum(axis=0), whole.sum(axis=0)) for part, whole in (own, reference)]
-    return _differences(own, reference, ratios[0] - ratios[1], level)
-
-
-def _differences(
-    own: tuple[Floats, Floats], reference: tuple[Floats, Floats], value: Floats, level: float
-) -> PairedDifferences:
-    units, others = len(own[0]), len(reference[0])
-    if units != others:
-        raise ValueError(f"{units} units cannot be paired with {others}")
-    if units < LEAST_UNITS:
+    value = own.value - reference.value
+    if own.units != reference.units:
+        raise ValueError(f"{own.units} units cannot be paired with {reference.units}")
+    if own.units < LEAST_UNITS:
         nothing = np.full_like(value, np.nan)
-        return PairedDifferences(value, nothing, nothing.copy(), nothing.copy())
-    without = [_ratio(_without_each(part), _without_each(whole)) for part, whole in (own, reference)]
-    error = _standard_error(np.nan_to_num(without[0] - without[1]))
-    return difference_of(value, error, degrees_of_freedom(own[1], reference[1]), level)
+        return IntervalEstimate(value, nothing, nothing, nothing)
+    error = _standard_error(np.nan_to_num(own.without - reference.without))
+    return difference_of(value, error, degrees_of_freedom(own.size, reference.size), level)
 
 
-def difference_of(value: Floats, error: Floats, freedom: Floats, level: float = LEVEL) -> PairedDifferences:
+def difference_of(value: Floats, error: Floats, freedom: Floats, level: float = LEVEL) -> IntervalEstimate:
     """Interval and p-value of the difference `value` (...) by its standard error and the degrees of freedom of this.
 
-    Up to WITHIN_ROUNDING it is none; above it, with an error below, LEAST_AGREEING effective units are needed.
+    A difference up to WITHIN_ROUNDING is none; above it, with an error below, it needs LEAST_AGREEING effective units.
     """
     reach = _quantile(freedom, level) * error
     none = np.abs(value) <= WITHIN_ROUNDING
     with np.errstate(divide="ignore", invalid="ignore"):
         p = np.where(none, 1.0, 2 * stdtr(freedom, -np.abs(value) / error))
     unknown = np.isnan(value) | (~none & (error <= WITHIN_ROUNDING) & (freedom < LEAST_AGREEING - 1))
-    return PairedDifferences(value, *(np.where(unknown, np.nan, x) for x in (value - reach, value + reach, p)))
+    return IntervalEstimate(value, *(np.where(unknown, np.nan, x) for x in (value - reach, value + reach, p)))
 
 
-@dataclass(frozen=True, slots=True)
-class JackknifedScore:
-    """A score (...) that is no ratio of sums, such as PR-AUC or a median, and its values (U, ...) without each unit.
-
-    `sizes` (U, ...): how much each unit counts, for the effective number of units.
-    """
-
-    value: Floats
-    without: Floats
-    sizes: Floats
-
-    @property
-    def rests_on_one_unit(self) -> NDArray[np.bool_]:
-        """Whether the score (...) is undefined without one of the units, which then gives no interval."""
-        rests: NDArray[np.bool_] = ~np.isnan(self.value) & np.isnan(self.without).any(axis=0)
-        return rests
-
-    def interval(self, level: float = LEVEL) -> tuple[Floats, Floats]:
-        """`interval` of a score in [0, 1]: the jackknife of its log odds. NaN with fewer than LEAST_UNITS, and where
-        it rests on one unit.
-        """
-        inside = np.clip(self.without, _NEAREST_TO_0_OR_1, 1 - _NEAREST_TO_0_OR_1)
-        return self._interval_of(logit, inside, expit, level)
-
-    def positive_interval(self, level: float = LEVEL) -> tuple[Floats, Floats]:
-        """`interval` of a score above 0, such as a median error: the jackknife of its logarithm."""
-        return self._interval_of(np.log, self.without, np.exp, level)
-
-    def _interval_of(
-        self, forth: Callable[[Floats], Floats], without: Floats, back: Callable[[Floats], Floats], level: float
-    ) -> tuple[Floats, Floats]:
-        """Interval by the jackknife of `forth` of the score, which `back` inverts."""
-        if len(without) < LEAST_UNITS:
-            return np.full_like(self.value, np.nan), np.full_like(self.value, np.nan)
-        reach = _quantile(degrees_of_freedom(self.sizes), level) * _standard_error(forth(without))
-        with np.errstate(divide="ignore"):
-            centre = forth(self.value)
-        low, high = (np.where(np.isnan(self.value), np.nan, back(centre + side * reach)) for side in (-1, 1))
-        return low, high
-
-    def minus(self, other: JackknifedScore) -> JackknifedScore:
-        """This score less another one of the same units, itself a score to compare."""
-        sizes = np.minimum(self.sizes, other.sizes)
-        return JackknifedScore(self.value - other.value, self.without - other.without, sizes)
-
-    def less(self, reference: JackknifedScore, level: float = LEVEL) -> PairedDifferences:
-        """`differences` of this score and the reference's, of the same units."""
-        value = self.value - reference.value
-        if len(self.without) < LEAST_UNITS:
-            nothing = np.full_like(value, np.nan)
-            return PairedDifferences(value, nothing, nothing.copy(), nothing.copy())
-        error = _standard_error(np.nan_to_num(self.without - reference.without))
-        return difference_of(value, error, degrees_of_freedom(self.sizes, reference.sizes), level)
-
-
-def jackknifed(counts: NDArray[np.floating], score: str = "f1") -> JackknifedScore:
-    """The pooled score of `counts` (U, ..., C), and its values without each of the units."""
-    part, whole = ratio_sums(counts, score)
-    return JackknifedScore(pooled(counts, score), _ratio(_without_each(part), _without_each(whole)), whole)
+def verdict_of(difference: float, p: float) -> str:
+    """The verdict of a difference, above 0 where the tracker is better, with its corrected p-value."""
+    if np.isnan(p):
+        return "not tested"
+    if p >= ALPHA:
+        return "no difference shown"
+    return "better" if difference > 0 else "worse"
 
 
 def holm(p: NDArray[np.floating]) -> Floats:
@@ -263,15 +221,9 @@ def degrees_of_freedom(*sizes: Floats) -> Floats:
     The effective number is that of equal units with the same information (Kish 1965); of several `sizes` (U, ...) of
     the units the smallest, without those that are 0 in all units.
     """
-    effective = np.fmin.reduce([_ratio(one.sum(axis=0) ** 2, (one**2).sum(axis=0)) for one in sizes])
+    effective = np.fmin.reduce([divided(one.sum(axis=0) ** 2, (one**2).sum(axis=0)) for one in sizes])
     freedom: Floats = np.fmax(effective - 1, 1.0)
     return freedom
-
-
-def _ratio(part: Floats, whole: Floats) -> Floats:
-    ratio = np.full(whole.shape, np.nan)
-    np.divide(part, whole, out=ratio, where=whole > 0)
-    return ratio
 
 
 def _without_each(sums: Floats) -> Floats:

@@ -106,16 +106,6 @@ def number_of_units(units: Iterable[NDArray[np.int64]]) -> int:
     return 1 + max((int(numbers.max()) for numbers in units if len(numbers)), default=-1)
 
 
-def sum_by_unit(counts: Sequence[NDArray[np.floating]], units: Sequence[NDArray[np.int64]]) -> NDArray[np.float64]:
-    """Counts (F, ...) of the frames of each recording summed over the units (U, ...) that `units` (F,) number."""
-    summed = np.zeros((number_of_units(units), *counts[0].shape[1:]))
-    for frames, numbers in zip(counts, units, strict=True):
-        starts = np.flatnonzero(np.diff(numbers, prepend=-1))
-        if len(starts):
-            summed[numbers[starts]] += np.add.reduceat(frames, starts, axis=0, dtype=np.float64)
-    return summed
-
-
 def _blocks(stamps_ns: Sequence[NDArray[np.int64]], block_s: float | None) -> NDArray[np.int64]:
     """The block of each frame (F,) of the stretches of one source, in their order, counted without gaps."""
     frames = sum(map(len, stamps_ns))

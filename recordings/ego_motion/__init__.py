@@ -6,6 +6,6 @@ from gridtrack.recordings.ego_motion.estimation import (
     matched_trajectory,
     with_matched_poses,
 )
-from gridtrack.recordings.ego_motion.settings import MatchingSettings
+from gridtrack.recordings.ego_motion.fit import MatchingSettings
 
 __all__ = ["MatchedTrajectory", "MatchingSettings", "PoseSource", "matched_trajectory", "with_matched_poses"]

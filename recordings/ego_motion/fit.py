@@ -1,9 +1,4 @@
-"""How the returns of a scan lie on the local map at a pose, and the step from there to a better pose.
-
-The directions of the pose that the surroundings leave open are seen in the information of the distances across the
-walls (Zhang, Kaess and Singh, ICRA 2016, "solution remapping"). One that a single compact cluster alone constrains is
-open too: along a street the car in front is the only thing that seems to tell how far one has driven.
-"""
+"""Point-to-line fit of a scan to the local map at a pose, and the step to a better pose."""
 
 from __future__ import annotations
 
@@ -12,28 +7,65 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.spatial import cKDTree
 
+from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
-from gridtrack.recordings.ego_motion.moving_returns import OBJECT_M
-from gridtrack.recordings.ego_motion.returns import PlaneArray, ScanReturns
-from gridtrack.recordings.ego_motion.settings import MatchingSettings
+from gridtrack.recordings.ego_motion.returns import OBJECT_M, PlaneArray, ScanReturns
+
+
+class MatchingSettings(Settings):
+    """Parameters of matching scans with the local map, and of rejecting matches. Metres, radians, seconds."""
+
+    max_range_m: float = Field(default=20.0, gt=0.0, le=1e3)
+    """Range of the returns that are matched, and of the local map."""
+    voxel_m: float = Field(default=0.3, gt=0.0, le=10.0)
+    """Side of the voxels of the local map."""
+    point_spacing_m: float = Field(default=0.1, gt=0.0, le=10.0)
+    """Voxel size by which returns are thinned for the registration."""
+    map_spacing_m: float = Field(default=0.03, gt=0.0, le=10.0)
+    """Voxel size by which returns are thinned for the map."""
+    kernel_m: float = Field(default=0.1, gt=0.0, le=10.0)
+    """Scale of the robust kernel: the weight is a quarter at this distance from the map, and 0 at three times it."""
+    coarse_kernel_m: float = Field(default=0.5, gt=0.0, le=10.0)
+    """Scale of the registration's kernel without odometry."""
+    return_noise_m: float = Field(default=0.02, gt=0.0, le=10.0)
+    """Standard deviation of the distance of a return to its wall, which weighs the match against the prior."""
+    odometry_drift: float = Field(default=0.05, ge=0.0, le=10.0)
+    """Standard deviation of odometry's position, metres per metre driven."""
+    odometry_turn_drift: float = Field(default=1.0, ge=0.0, le=10.0)
+    """Standard deviation of odometry's heading, radians per radian turned, and half of it per metre driven."""
+    acceleration: float = Field(default=3.0, ge=0.0, le=100.0)
+    """Without odometry: standard deviation of the acceleration, m/s^2."""
+    turn_acceleration: float = Field(default=10.0, ge=0.0, le=1e3)
+    """Without odometry: standard deviation of the angular acceleration, rad/s^2."""
+    min_returns: int = Field(default=20, ge=3)
+    """Minimum number of returns in range for a match."""
+    min_inlier_share: float = Field(default=0.4, ge=0.0, le=1.0)
+    """Minimum share of the returns on the map."""
+    min_constraint: float = Field(default=0.01, ge=0.0, le=0.5)
+    """Minimum share of the surface that must constrain a direction; else the prior decides it. The compact cluster that
+    constrains the direction most does not count: it may move."""
+    max_deviations: float = Field(default=5.0, gt=0.0)
+    """Maximum distance of a match from the prior: this many standard deviations, plus 20 cm or 15 deg."""
+
 
 KERNEL_REACH = 3.0
-"""Returns further from the map than this many kernels have no weight."""
+"""Returns further from the map than this many kernel scales have no weight."""
 MAX_STEPS, SMALL_STEP = 10, 1e-3
-"""Steps on the walls, until one is smaller than this: metres and radians together."""
+"""Limit of the steps of `stepped`, and the size of the last one (metres plus radians)."""
 COMPACT_M = 3.0
-"""A cluster smaller than this, such as the rear of a car, constrains no direction alone."""
+"""Clusters smaller than this, such as the rear of a car, are compact: one alone constrains no direction."""
 
 
 class Walls(NamedTuple):
-    """The N returns of a scan that lie on walls, with all that does not depend on the pose at which they are fitted.
+    """The N returns of a scan on walls, with all values that do not depend on the pose.
 
-    `points` and `normals` (N, 2), sensor frame. `jacobian` (N, 3): derivatives of the distances across the walls for
-    x, y (metres) and heading in the sensor's frame. `share` (N,): the surface of a return over the mean of the scan's.
-    `of_object` (N,): of a cluster of an object's size. `compact` (N,): of a cluster that is smaller still; for those K
-    `products` (K, 9) of the derivatives, and `begins` (C,), where each of their clusters does.
+    `points` and `normals` (N, 2), sensor frame. `jacobian` (N, 3): derivatives of the distances across the walls by
+    x, y (metres) and heading, sensor frame. `share` (N,): the surface of a return over the mean of the scan.
+    `of_object` (N,): in a cluster of an object's size. `compact` (N,): in a compact cluster; these K returns have
+    `products` (K, 9) of the derivatives, and their C clusters begin at `begins` (C,).
     """
 
     points: PlaneArray
@@ -47,9 +79,9 @@ class Walls(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """How the walls of a scan lie on the map at a pose: distances `across` (N,) them, and their `weight` (N,).
+    """The fit of the walls of a scan to the map at a pose: distances `across` the walls (N,), and their `weight` (N,).
 
-    A wall that is not on the map has the weight 0. `information` (3, 3) and `gradient` (3,) are those of the weighted
+    A return that is not `on_map` (N,) has the weight 0. `information` (3, 3) and `gradient` (3,) are of the weighted
     distances, in units of one return; `of_compact` (C, 3, 3) is the part of each compact cluster. `lever_m` is the root
     mean square distance of the walls on the map from the sensor.
     """
@@ -71,8 +103,7 @@ class Fit(NamedTuple):
 class Step(NamedTuple):
     """A step from a pose to a better one, in the frame of the pose.
 
-    `information` (3, 3) of x, y and heading after it; `constrained`: whether the surroundings constrain the pose in
-    every direction.
+    `information` (3, 3) of x, y and heading afterwards; `constrained`: the surroundings constrain every direction.
     """
 
     motion: SE2
@@ -81,10 +112,10 @@ class Step(NamedTuple):
 
 
 class _Directions(NamedTuple):
-    """The directions of a pose, heading `scale`d by the lever: eigenvectors of the information, and its `values`.
+    """The eigenvectors and eigenvalues of the information, with the heading scaled by the lever (`scale`).
 
-    A direction is `strong` where the surroundings constrain it without the compact cluster that does so most: by the
-    share `needed` of their weight.
+    A direction is `strong` if its eigenvalue, without the compact cluster that constrains it most, is at least
+    `needed`.
     """
 
     scale: PlaneArray
@@ -96,7 +127,7 @@ class _Directions(NamedTuple):
 
 
 def walls_of(returns: ScanReturns) -> Walls:
-    """The returns on walls, for `fit_at`."""
+    """The returns of a scan on walls, for `fit_at`."""
     on_wall = returns.only(returns.on_wall)
     points, normals = on_wall.points, on_wall.normals
     jacobian = np.column_stack([normals, points[:, 0] * normals[:, 1] - points[:, 1] * normals[:, 0]])
@@ -116,7 +147,7 @@ def walls_of(returns: ScanReturns) -> Walls:
 
 
 def fit_at(world_T_sensor: SE2, walls: Walls, map_points: cKDTree, kernel_m: float) -> Fit:
-    """The fit of `walls` at a pose to the nearest of `map_points`, (M, 2) in the world frame."""
+    """The fit of `walls` at a pose to the nearest of `map_points`, (M, 2), world frame."""
     there = world_T_sensor.apply(walls.points)
     distance, nearest = map_points.query(there, distance_upper_bound=KERNEL_REACH * kernel_m)
     on_map = np.isfinite(distance)
@@ -136,19 +167,19 @@ def fit_at(world_T_sensor: SE2, walls: Walls, map_points: cKDTree, kernel_m: flo
 
 
 def share_on_map(world_T_sensor: SE2, returns: ScanReturns, map_points: cKDTree, kernel_m: float, count: int) -> float:
-    """How many of the returns, on walls or not, lie within the kernel from the map at a pose, over `count`."""
+    """The number of returns within `kernel_m` of the map at a pose, over `count`."""
     distance, _ = map_points.query(world_T_sensor.apply(returns.points), distance_upper_bound=kernel_m)
     return float(np.count_nonzero(np.isfinite(distance)) / count)
 
 
 def _information(jacobian: PlaneArray, weight: PlaneArray) -> PlaneArray:
-    """(3, 3) of distances with these derivatives (N, 3) and weights (N,)."""
+    """The information (3, 3) of distances with these derivatives (N, 3) and weights (N,)."""
     information: PlaneArray = (jacobian * weight[:, None]).T @ jacobian
     return information
 
 
 def _of_compact(walls: Walls, weight: PlaneArray) -> PlaneArray:
-    """The information (C, 3, 3) of each compact cluster; their returns follow one another."""
+    """The information (C, 3, 3) of each compact cluster; the returns of a cluster are consecutive."""
     if not len(walls.begins):
         return np.zeros((0, 3, 3))
     sums: PlaneArray = np.add.reduceat(walls.products * weight[walls.compact, None], walls.begins)
@@ -156,10 +187,9 @@ def _of_compact(walls: Walls, weight: PlaneArray) -> PlaneArray:
 
 
 def weighed_step(fit: Fit, fit_T_prior: SE2, prior: PlaneArray, settings: MatchingSettings) -> Step:
-    """The step from the pose of `fit` to the best one.
+    """The step from the pose of `fit` to the best one; `prior` (3, 3) is the information of the prior.
 
-    In the directions that are open the step goes to the prior; elsewhere it is the weighted mean of the match and the
-    prior (`prior` (3, 3) information).
+    In weak directions the step leads to the prior, in strong ones to the weighted mean of match and prior.
     """
     scale, scaled, _, vectors, _, strong = _directions(fit, settings)
     kept = (vectors * strong) @ vectors.T
@@ -179,7 +209,8 @@ def stepped(
     kernel_m: float,
     settings: MatchingSettings,
 ) -> SE2:
-    """The pose on the walls, from a `pose` nearby, and at the `prior` (pose and information) in open directions."""
+    """The pose at which `walls` lie on the map, from a `pose` nearby; the `prior` (pose, information) decides weak
+    directions."""
     expected, information = prior
     for _ in range(MAX_STEPS):
         fit = fit_at(pose, walls, map_points, kernel_m)
@@ -191,7 +222,7 @@ def stepped(
 
 
 def by_objects(fit: Fit, walls: Walls, settings: MatchingSettings) -> bool:
-    """Whether clusters of an object's size alone constrain the pose of `fit` in one direction."""
+    """Whether clusters of an object's size alone constrain a direction of `fit`."""
     scale, _, values, vectors, needed, strong = _directions(fit, settings)
     of_objects = _information(walls.jacobian, fit.weight * walls.of_object) / np.outer(scale, scale)
     return bool((strong & (values - _along(vectors, of_objects) < needed)).any())
@@ -208,6 +239,6 @@ def _directions(fit: Fit, settings: MatchingSettings) -> _Directions:
 
 
 def _along(vectors: PlaneArray, information: PlaneArray) -> PlaneArray:
-    """Information (..., 3, 3) along each of the vectors, the columns of (3, 3): (..., 3)."""
+    """Information (..., 3, 3) along each column of `vectors` (3, 3): (..., 3)."""
     along: PlaneArray = ((information @ vectors) * vectors).sum(axis=-2)
     return along

@@ -1,12 +1,9 @@
-"""One scan matched with a local map of the scans before: kiss-icp's registration, refined on the walls.
-
-kiss-icp: Vizzo et al., KISS-ICP, IEEE RA-L 2023. Its registration is used alone, since its pipeline takes no prior.
-Gauss-Newton steps of the distances across the walls follow (fit.py).
-"""
+"""Matching of one scan with a local map of the scans before it."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -14,11 +11,10 @@ from scipy.spatial import cKDTree
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.pose_quality import MatchOutcome, PoseQuality
-from gridtrack.common.scan import Scan
-from gridtrack.recordings.ego_motion.drift_from_odometry import DriftFromOdometry
+from gridtrack.common.scan import MatchOutcome, PoseQuality, Scan
 from gridtrack.recordings.ego_motion.fit import (
     KERNEL_REACH,
+    MatchingSettings,
     by_objects,
     fit_at,
     share_on_map,
@@ -26,9 +22,9 @@ from gridtrack.recordings.ego_motion.fit import (
     walls_of,
     weighed_step,
 )
-from gridtrack.recordings.ego_motion.moving_returns import EarlierScans
 from gridtrack.recordings.ego_motion.prior import Prior, inverse
 from gridtrack.recordings.ego_motion.returns import (
+    EarlierScans,
     PlaneArray,
     ScanReturns,
     homogeneous,
@@ -36,20 +32,48 @@ from gridtrack.recordings.ego_motion.returns import (
     planar,
     returns_of,
 )
-from gridtrack.recordings.ego_motion.settings import MatchingSettings
 
 MAX_ITERATIONS, CONVERGED_M = 100, 1e-4
-PRIOR_SHARE = 1e-4
-"""Share of the prior's information in the steps on the walls: it decides in the open directions alone."""
 POINTS_PER_VOXEL = 20
+PRIOR_SHARE = 1e-4
+"""Share of the prior's information in the steps on the walls: it decides weak directions alone."""
 MATCH_M, MATCH_RAD = 0.2, math.radians(15.0)
-"""Differences of a match from the prior that are never too large."""
+"""Distances of a match from the prior that are always accepted."""
+WINDOW_NS = 1_000_000_000
+DRIFT_M = 0.1
+"""A drift in the window that is always accepted: matching noise."""
+MIN_SCANS = 4
+"""Number of matches in the window from which a drift is checked."""
+
+
+class DriftFromOdometry:
+    """The sum of the differences between matches and odometry over the last second."""
+
+    def __init__(self, max_deviations: float) -> None:
+        self._max_deviations = max_deviations
+        self._steps: deque[tuple[int, PlaneArray, float]] = deque()
+
+    def grows(self, stamp_ns: int, predicted: SE2, matched: SE2, position_m: float) -> bool:
+        """Add a match; True if the sum of all differences is larger than the noise.
+
+        `position_m` is the standard deviation of the prior. The largest difference does not count: a wheel may slip.
+        """
+        self._steps.append((stamp_ns, np.array([matched.x - predicted.x, matched.y - predicted.y]), position_m))
+        while stamp_ns - self._steps[0][0] > WINDOW_NS:
+            self._steps.popleft()
+        if len(self._steps) < MIN_SCANS:
+            return False
+        off = np.array([step for _, step, _ in self._steps])
+        slip = int(np.hypot(*off.T).argmax())
+        drift = off.sum(axis=0) - off[slip]
+        noise_m = math.sqrt(sum(sigma**2 for _, _, sigma in self._steps))
+        return float(np.hypot(*drift)) > DRIFT_M + self._max_deviations * noise_m
 
 
 class ScanMatch(NamedTuple):
-    """`world_T_sensor` of a scan, its quality, and the information (3, 3) of x, y and heading in the sensor's frame.
+    """`world_T_sensor` of a scan, its quality, and the information (3, 3) of x, y and heading, sensor frame.
 
-    `by_objects`: one direction is constrained by clusters of an object's size alone: all may move together.
+    `by_objects`: clusters of an object's size alone constrain a direction; they may move together.
     """
 
     world_T_sensor: SE2
@@ -59,10 +83,10 @@ class ScanMatch(NamedTuple):
 
 
 class ScanMatcher:
-    """A local map, and the pose of each further scan in it."""
+    """Matches scans with a local map of the scans before."""
 
     def __init__(self, settings: MatchingSettings) -> None:
-        """Raises RecordingError where kiss-icp is not installed."""
+        """Raises RecordingError if kiss-icp is not installed."""
         try:
             from kiss_icp.mapping import VoxelHashMap
             from kiss_icp.registration import Registration
@@ -77,12 +101,12 @@ class ScanMatcher:
         self._drift = DriftFromOdometry(settings.max_deviations)
 
     def start(self, scan: Scan, world_T_sensor: SE2, motion: SE2, motion_s: float) -> None:
-        """Begin the map with `scan` at its pose; `motion` in the `motion_s` seconds after it."""
+        """Begin the map with `scan` at its pose; `motion` is the sensor's motion in the `motion_s` seconds after it."""
         returns = returns_of(scan, self.settings.max_range_m, motion, motion_s)
         self._keep(scan, returns, world_T_sensor)
 
     def match(self, scan: Scan, prior: Prior, since_s: float) -> ScanMatch:
-        """The match of `scan`, `since_s` after the one before; it is added to the map."""
+        """The match of `scan`, `since_s` after the scan before; the scan is added to the map."""
         returns = returns_of(scan, self.settings.max_range_m, prior.motion, since_s)
         failed = ScanMatch(prior.world_T_sensor, PoseQuality("few-returns"), prior.information)
         found = failed
@@ -100,18 +124,18 @@ class ScanMatcher:
         self._earlier.add(scan, points, world_T_sensor)
 
     def _thinned(self, returns: ScanReturns, spacing_m: float) -> PlaneArray:
-        """The returns as points (n, 3) at z = 0, one for each voxel of the spacing."""
+        """The returns as points (n, 3) at z = 0, one per voxel of the spacing."""
         flat = np.concatenate([returns.points, np.zeros((len(returns.points), 1))], axis=1)
         thinned: PlaneArray = self._down_sample(flat, spacing_m)
         return thinned.reshape(-1, 3)
 
     def _matched(self, scan: Scan, returns: ScanReturns, prior: Prior) -> tuple[ScanMatch, ScanReturns]:
-        """The match of `returns`, and those that were matched: what moves, by a first match with all, is left out.
+        """The match of `returns`, and the returns used for it: without those that move by a first match of all.
 
-        Where too few are left for a match they are all used: it is more likely that the first match was poor, or that
-        walls return nothing now and then and seem free, than that most of the surroundings move.
+        If too few are left, all are used: a poor first match, or walls that sometimes return nothing and so seem free,
+        are more likely than surroundings of which most move.
         """
-        # the map is new with each scan: a tree that is not balanced is the same answer, and sooner there
+        # the tree is used once: an unbalanced one gives the same answer and is built faster
         map_points = cKDTree(self._map.point_cloud()[:, :2], balanced_tree=False)
         pose = self._aligned(returns, map_points, prior)
         moving = self._earlier.moving(scan, returns, pose)
@@ -126,11 +150,11 @@ class ScanMatcher:
         return found, still
 
     def _aligned(self, returns: ScanReturns, map_points: cKDTree, prior: Prior) -> SE2:
-        """The pose at which the returns lie on the map: kiss-icp's match, then steps on the walls."""
+        """The pose at which the returns lie on the map: kiss-icp's registration, then steps on the walls."""
         return self._stepped(self._registered(returns, prior), returns, map_points, prior)
 
     def _registered(self, returns: ScanReturns, prior: Prior) -> SE2:
-        """kiss-icp's match, with a wide kernel where the predicted pose may be far off."""
+        """The pose by kiss-icp's registration, with a wide kernel if the prior is coarse."""
         kernel_m = self.settings.coarse_kernel_m if prior.coarse else self.settings.kernel_m
         points, begin = self._thinned(returns, self.settings.point_spacing_m), homogeneous(prior.world_T_sensor)
         pose = self._registration.align_points_to_map(points, self._map, begin, KERNEL_REACH * kernel_m, kernel_m)
@@ -138,12 +162,12 @@ class ScanMatcher:
         return found if all(map(math.isfinite, (found.x, found.y, found.theta))) else prior.world_T_sensor
 
     def _stepped(self, pose: SE2, returns: ScanReturns, map_points: cKDTree, prior: Prior) -> SE2:
-        """The pose on the walls, and at the prior in the directions that they leave open."""
+        """The pose by steps on the walls; the prior decides weak directions."""
         weak = (prior.world_T_sensor, PRIOR_SHARE * prior.information)
         return stepped(pose, walls_of(returns), map_points, weak, self.settings.kernel_m, self.settings)
 
     def _judged(self, returns: ScanReturns, pose: SE2, map_points: cKDTree, prior: Prior, count: int) -> ScanMatch:
-        """The pose from the match and the prior, or the prior's; `count` returns, with those of what moves."""
+        """The pose from match and prior, or the prior's if the match is rejected; `count` includes moving returns."""
         settings, walls = self.settings, walls_of(returns)
         fit = fit_at(pose, walls, map_points, settings.kernel_m)
         inlier_share = share_on_map(pose, returns, map_points, settings.kernel_m, count)
@@ -162,13 +186,13 @@ class ScanMatcher:
         return ScanMatch(pose @ step.motion, quality, step.information, by_objects(fit, walls, settings))
 
     def _is_dragged(self, stamp_ns: int, pose: SE2, prior: Prior) -> bool:
-        """Whether the matches of the last second lead away from odometry; without odometry there is no telling."""
+        """Whether the matches of the last second drift from odometry; always False without odometry."""
         position_m = 1.0 / math.sqrt(prior.information[0, 0])
         return not prior.coarse and self._drift.grows(stamp_ns, prior.world_T_sensor, pose, position_m)
 
 
 def _is_far(match: SE2, prior: Prior, max_deviations: float) -> bool:
-    """Whether the match is further from the prior than its noise and that of a match explain."""
+    """Whether the match is further from the prior than the noise of both explains."""
     off = prior.world_T_sensor.inverse() @ match
     x_m, y_m, heading_rad = np.sqrt(np.diag(inverse(prior.information)))
     return bool(

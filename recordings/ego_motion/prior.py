@@ -1,4 +1,4 @@
-"""What is known of a scan's pose before it is matched: from odometry, or from the last motion."""
+"""The prior of a match: the predicted pose of a scan, from odometry or from the last motion."""
 
 from __future__ import annotations
 
@@ -8,29 +8,39 @@ from typing import NamedTuple
 import numpy as np
 
 from gridtrack.common.geometry import SE2
+from gridtrack.common.scan import PoseQuality
+from gridtrack.recordings.ego_motion.fit import MatchingSettings
 from gridtrack.recordings.ego_motion.returns import PlaneArray
-from gridtrack.recordings.ego_motion.settings import MatchingSettings
 
 POSITION_FLOOR_M, HEADING_FLOOR_RAD = 0.002, 0.002
-"""Standard deviations of a prior for no motion and no time."""
+"""Minimum standard deviations of a prior."""
 TURN_LEVER_M = 0.5
-"""A turn of one radian adds as much to the position's noise as this distance driven, and a metre as much to heading."""
+"""A turn of one radian adds as much position noise as this distance, and this share of a turn adds to the heading's."""
 MIN_NOISE_S = 0.05
-"""Without odometry the noise of the prior is at least that of so much time: stamps of a log may come in bursts."""
+"""Minimum time for the noise of a prior without odometry: stamps of a log may come in bursts."""
+MIN_VELOCITY_S = 0.04
+"""Minimum time over which the velocity is measured, for the same reason."""
+MAX_COAST_S, MAX_OPEN_S = 1.0, 5.0
+"""The last velocity is used for at most this long while scans cannot be matched, and while a direction is weak; after
+that the sensor is assumed at rest."""
+UNKNOWN_VELOCITY = np.array([3.0, 3.0, 1.0])
+"""Standard deviations at the beginning, m/s and rad/s."""
+MAX_DEVIATION = np.array([10.0, 10.0, 3.0])
+"""Limits of the standard deviations, m/s and rad/s."""
 
 
 class Velocity(NamedTuple):
-    """Of the last motion: `mean` m/s and rad/s in the sensor's frame, and its `covariance` (3, 3)."""
+    """A velocity, sensor frame: `mean` in m/s and rad/s, and its `covariance` (3, 3)."""
 
     mean: SE2
     covariance: PlaneArray
 
 
 class Prior(NamedTuple):
-    """A predicted pose `world_T_sensor`, the motion since the scan before, and its noise.
+    """A predicted pose `world_T_sensor`, the `motion` since the scan before (in its sensor frame), and the noise.
 
-    `motion` is in the frame of the sensor at the scan before. `information` (3, 3) is the inverse covariance of x, y
-    and heading in the sensor's frame; `coarse` where the pose may be off by more than the kernel of a fine match.
+    `information` (3, 3) is the inverse covariance of x, y and heading, sensor frame; `coarse`: the pose may be off by
+    more than the fine kernel.
     """
 
     world_T_sensor: SE2
@@ -40,7 +50,7 @@ class Prior(NamedTuple):
 
 
 def odometry_prior(last: SE2, odometry: SE2, settings: MatchingSettings) -> Prior:
-    """The pose after the motion `odometry` (last_T_sensor as recorded) from the pose `last`."""
+    """The pose after the recorded motion `odometry` (last_T_sensor) from the pose `last`."""
     distance, turn = math.hypot(odometry.x, odometry.y), abs(odometry.theta)
     position = POSITION_FLOOR_M + settings.odometry_drift * (distance + TURN_LEVER_M * turn)
     heading = HEADING_FLOOR_RAD + settings.odometry_turn_drift * (turn + TURN_LEVER_M * distance)
@@ -48,7 +58,7 @@ def odometry_prior(last: SE2, odometry: SE2, settings: MatchingSettings) -> Prio
 
 
 def motion_prior(last: SE2, velocity: Velocity, since_s: float, settings: MatchingSettings) -> Prior:
-    """The pose `since_s` seconds after the pose `last`, at `velocity` and its possible change."""
+    """The pose `since_s` seconds after the pose `last`, by `velocity` and its possible change."""
     mean, noise_s = velocity.mean, max(since_s, MIN_NOISE_S)
     motion = SE2(mean.x * since_s, mean.y * since_s, mean.theta * since_s)
     position = POSITION_FLOOR_M + settings.acceleration * noise_s**2 / 2.0
@@ -58,9 +68,47 @@ def motion_prior(last: SE2, velocity: Velocity, since_s: float, settings: Matchi
 
 
 def inverse(matrix: PlaneArray) -> PlaneArray:
-    """The covariance (3, 3) of an information, or the other way round."""
+    """The covariance (3, 3) of an information, or the information of a covariance."""
     return np.linalg.inv(matrix).astype(np.float64)
 
 
 def _information(position_m: float, heading_rad: float) -> PlaneArray:
     return np.diag([position_m**-2, position_m**-2, heading_rad**-2])
+
+
+class LastMotion:
+    """The velocity from scan to scan; its covariance grows in each direction until a match constrains it."""
+
+    def __init__(self, stamp_ns: int, world_T_sensor: SE2, settings: MatchingSettings) -> None:
+        self._from = stamp_ns, world_T_sensor
+        self._stamp_ns = self._matched_ns = self._constrained_ns = stamp_ns
+        self._velocity = Velocity(SE2(), np.diag(UNKNOWN_VELOCITY**2))
+        self._change = np.array([settings.acceleration, settings.acceleration, settings.turn_acceleration])
+
+    def velocity(self, stamp_ns: int) -> Velocity:
+        """The velocity for the prediction of the pose at a stamp."""
+        stands = stamp_ns - self._matched_ns > MAX_COAST_S * 1e9 or stamp_ns - self._constrained_ns > MAX_OPEN_S * 1e9
+        return self._velocity._replace(mean=SE2()) if stands else self._velocity
+
+    def add(self, stamp_ns: int, world_T_sensor: SE2, quality: PoseQuality, information: PlaneArray) -> None:
+        """The next pose, with the information (3, 3) of its match."""
+        since_s = (stamp_ns - self._stamp_ns) / 1e9
+        grown = self._velocity.covariance + np.diag((self._change * since_s) ** 2)
+        beyond = float(np.max(np.diag(grown) / MAX_DEVIATION**2))
+        self._velocity = self._velocity._replace(covariance=grown / max(beyond, 1.0))
+        self._stamp_ns = stamp_ns
+        if quality.failed:
+            return
+        self._matched_ns = stamp_ns
+        if not quality.fell_back:
+            self._constrained_ns = stamp_ns
+        self._measure(stamp_ns, world_T_sensor, information)
+
+    def _measure(self, stamp_ns: int, world_T_sensor: SE2, information: PlaneArray) -> None:
+        then_ns, then = self._from
+        since_s = (stamp_ns - then_ns) / 1e9
+        if since_s >= MIN_VELOCITY_S:
+            motion = then.inverse() @ world_T_sensor
+            mean = SE2(motion.x / since_s, motion.y / since_s, motion.theta / since_s)
+            self._velocity = Velocity(mean, inverse(information) / since_s**2)
+            self._from = stamp_ns, world_T_sensor

@@ -1,39 +1,56 @@
-"""The returns of a scan as points with the directions of the walls that they lie on."""
+"""The returns of a scan as points with the normals of their walls, and the detection of moving returns."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from gridtrack.common.geometry import SE2
+from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.scan import Scan
 
 PlaneArray = NDArray[np.float64]
 MAX_RETURNS = 720
-"""Of a scan with more returns every n-th one is used."""
+"""If a scan has more returns, every n-th one is used."""
 WALL_HALF_M = 0.2
-"""Half of the length of wall from which the direction at a return is estimated."""
+"""Half of the length of wall from which the normal at a return is estimated."""
 MAX_HALF_WINDOW = 16
-"""Limit of the returns on each side of a return that are used for it."""
+"""Limit of the neighbours on each side of a return for its normal."""
 MAX_ROUGHNESS_M = 0.06
-"""Standard deviation across the line above which returns are not on one wall."""
+"""Maximum standard deviation of returns across their wall."""
 NEAREST_M = 1e-3
 MAX_LENGTH_M = 0.3
-"""A return stands for at most so much surface."""
+"""Limit of the surface that a return represents."""
 CLUSTER_GAP_M = 0.5
-"""Neighbouring returns that are further apart belong to two clusters."""
+"""Neighbouring returns that are further apart belong to different clusters."""
+LOOK_BACK_NS = (400_000_000, 800_000_000, 1_200_000_000)
+"""Ages of the earlier scans that are compared: a walking person has moved on in between."""
+MARGIN_M, MARGIN_SHARE = 0.3, 0.03
+"""Margin between a return and the earlier range, metres and share of the range: larger than pose errors."""
+NEIGHBOURS = 2
+"""The nearest range of this many beams on each side counts, for walls seen at a small angle."""
+LAST_SCAN_NS = 50_000_000
+"""For objects that left their place also the scan nearest to this age is compared, usually the one before."""
+REACH_M, STAYED_M = 1.5, 0.2
+"""An object that left its place is within REACH_M of it; a return within STAYED_M of an earlier one did not move."""
+OBJECT_M = 6.0
+"""Larger clusters are assumed to be walls, which do not move."""
+MOVING_SHARE = 0.5
+"""A cluster moves if a larger share of its returns seems to."""
 
 
 class ScanReturns(NamedTuple):
     """The returns of one scan, sensor frame at the scan's stamp.
 
-    `points` (N, 2) metres in the order of the beams, `normals` (N, 2) unit vectors across the wall, and `on_wall` (N,)
-    where the neighbours lie on one line with a return, so that its normal has a meaning. `length` (N,) metres of
-    surface for which each return stands, so that what is near, and has many returns, weighs no more than what is far;
-    `cluster` (N,) numbers the clusters, `extent` (N,) metres is the diagonal of their boxes.
+    `points` (N, 2) metres in the order of the beams, `normals` (N, 2) unit vectors across the wall; `on_wall` (N,): the
+    neighbours are on one line with the return, so that its normal is valid. `length` (N,) metres: the surface that each
+    return represents, so that near objects with many returns weigh no more than far ones. `cluster` (N,): number of the
+    cluster, `extent` (N,) metres: diagonal of the cluster's bounding box.
     """
 
     points: PlaneArray
@@ -44,7 +61,7 @@ class ScanReturns(NamedTuple):
     extent: PlaneArray
 
     def only(self, chosen: NDArray[np.bool_]) -> ScanReturns:
-        """Those of `chosen` (N,), with the normals, lengths and clusters that they have among all."""
+        """The `chosen` (N,) returns, with the normals, lengths and clusters computed from all."""
         points, normals, on_wall, length, cluster, extent = self
         return ScanReturns(
             points[chosen], normals[chosen], on_wall[chosen], length[chosen], cluster[chosen], extent[chosen]
@@ -52,10 +69,10 @@ class ScanReturns(NamedTuple):
 
 
 def returns_of(scan: Scan, max_range_m: float, motion: SE2, motion_s: float) -> ScanReturns:
-    """The returns of `scan` up to `max_range_m`, as if all were measured at its stamp.
+    """The returns of `scan` up to `max_range_m`, deskewed to its stamp.
 
-    `motion` is the sensor's motion over `motion_s` seconds, in its own frame: where the scan has beam times, each
-    return is moved by the motion since the stamp, at constant velocity.
+    `motion` is the sensor's motion over `motion_s` seconds, sensor frame. If the scan has beam times, each return is
+    moved by the motion since the stamp, at constant velocity.
     """
     points, beam = measured_points(scan, max_range_m)
     if scan.time_increment_s and motion_s > 0.0:
@@ -81,7 +98,7 @@ def returns_at(points: PlaneArray) -> ScanReturns:
 
 
 def surfaces(points: PlaneArray) -> tuple[PlaneArray, NDArray[np.int64], PlaneArray]:
-    """Of points (N, 2) in the order of the beams: length (N,), cluster (N,) and extent (N,) as in ScanReturns."""
+    """length (N,), cluster (N,) and extent (N,), as in ScanReturns, of points (N, 2) in the order of the beams."""
     if not len(points):
         return np.zeros(0), np.zeros(0, np.int64), np.zeros(0)
     gap = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -96,8 +113,7 @@ def surfaces(points: PlaneArray) -> tuple[PlaneArray, NDArray[np.int64], PlaneAr
 def deskewed(points: PlaneArray, share: PlaneArray, motion: SE2) -> PlaneArray:
     """Points (N, 2) measured after `share` (N,) of `motion`, in the frame before the motion.
 
-    Positions on the way are interpolated linearly, which differs from the arc by less than a thousandth of the way for
-    turns up to 5 degrees.
+    Positions are interpolated linearly: for turns up to 5 degrees within a thousandth of the arc.
     """
     c, s = np.cos(share * motion.theta), np.sin(share * motion.theta)
     turned = np.stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=1)
@@ -105,9 +121,9 @@ def deskewed(points: PlaneArray, share: PlaneArray, motion: SE2) -> PlaneArray:
 
 
 def wall_normals(points: PlaneArray) -> tuple[PlaneArray, NDArray[np.bool_]]:
-    """Normals (N, 2) of the lines through neighbouring points, and (N,) where the neighbours are on a line.
+    """Normals (N, 2) of the lines through neighbouring points, and whether the neighbours are on a line (N,).
 
-    The window about a point covers WALL_HALF_M of wall on each side: its principal axes are those of the line.
+    The line is the principal axis of the points within WALL_HALF_M of wall on each side.
     """
     count = len(points)
     if count < 3:
@@ -137,3 +153,91 @@ def homogeneous(pose: SE2) -> PlaneArray:
 def planar(pose: PlaneArray) -> SE2:
     """x, y and heading of a 4 x 4 matrix."""
     return SE2(float(pose[0, 3]), float(pose[1, 3]), math.atan2(pose[1, 0], pose[0, 0]))
+
+
+class _Earlier(NamedTuple):
+    """An earlier scan: its returns (N, 2) in its sensor frame, its pose, and the free range of each beam (B,)."""
+
+    scan: Scan
+    points: PlaneArray
+    world_T_sensor: SE2
+    free: PlaneArray
+
+
+class EarlierScans:
+    """The scans of the last seconds with their poses, to detect moving returns."""
+
+    def __init__(self) -> None:
+        self._scans: deque[_Earlier] = deque()
+
+    def add(self, scan: Scan, points: PlaneArray, world_T_sensor: SE2) -> None:
+        """Add the newest scan with its returns (N, 2), sensor frame."""
+        self._scans.append(_Earlier(scan, points, world_T_sensor, _free_ranges(scan)))
+        while scan.stamp_ns - self._scans[0].scan.stamp_ns > 2 * LOOK_BACK_NS[-1]:
+            self._scans.popleft()
+
+    def moving(self, scan: Scan, returns: ScanReturns, world_T_sensor: SE2) -> NDArray[np.bool_]:
+        """Which returns (N,) of `scan` at a pose move."""
+        appeared = self._appeared(returns.points, world_T_sensor, scan.stamp_ns)
+        return appeared | self._departed(scan, returns, world_T_sensor)
+
+    def _appeared(self, points: PlaneArray, world_T_sensor: SE2, stamp_ns: int) -> NDArray[np.bool_]:
+        """Which of `points` (N, 2), sensor frame at `stamp_ns`, are in the free space of an earlier scan, (N,)."""
+        appeared = np.zeros(len(points), np.bool_)
+        there = world_T_sensor.apply(points)
+        for earlier in self._compared(stamp_ns, LOOK_BACK_NS):
+            in_earlier_frame = earlier.world_T_sensor.inverse().apply(there)
+            appeared |= _in_free_space(in_earlier_frame, earlier.scan, earlier.free)
+        return appeared
+
+    def _departed(self, scan: Scan, returns: ScanReturns, world_T_sensor: SE2) -> NDArray[np.bool_]:
+        """Which returns (N,) are of an object near the place that it has left."""
+        departed, free = np.zeros(len(returns.points), np.bool_), _free_ranges(scan)
+        for earlier in self._compared(scan.stamp_ns, (LAST_SCAN_NS, *LOOK_BACK_NS)):
+            then = (world_T_sensor.inverse() @ earlier.world_T_sensor).apply(earlier.points)
+            left = _in_free_space(then, scan, free)
+            candidates = (returns.extent < OBJECT_M) & ~departed
+            if left.any() and not left.all() and candidates.any():
+                from_left, _ = cKDTree(then[left]).query(returns.points[candidates], distance_upper_bound=REACH_M)
+                from_stayed, _ = cKDTree(then[~left]).query(returns.points[candidates], distance_upper_bound=STAYED_M)
+                cluster = returns.cluster[candidates]
+                away = np.bincount(cluster, np.isfinite(from_left) & np.isinf(from_stayed))
+                departed[candidates] = (away > MOVING_SHARE * np.maximum(np.bincount(cluster), 1))[cluster]
+        return departed
+
+    def _compared(self, stamp_ns: int, ages_ns: Sequence[int]) -> list[_Earlier]:
+        """The scan nearest to each age, of the scans at least half as old."""
+        chosen = {}
+        for age_ns in ages_ns:
+            old = [earlier for earlier in self._scans if stamp_ns - earlier.scan.stamp_ns >= age_ns // 2]
+            if old:
+                nearest = min(old, key=lambda earlier: abs(stamp_ns - earlier.scan.stamp_ns - age_ns))
+                chosen[nearest.scan.stamp_ns] = nearest
+        return list(chosen.values())
+
+
+def _free_ranges(scan: Scan) -> PlaneArray:
+    """The free range of each beam and its neighbours (B,), metres; 0 if one of them is invalid."""
+    ranges = scan.ranges.astype(np.float64)
+    if not ranges.size:
+        return ranges
+    ranges[~(ranges >= scan.range_min)] = 0.0
+    padded = np.pad(np.minimum(ranges, scan.range_max), NEIGHBOURS)
+    nearest: PlaneArray = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1).min(
+        axis=1, initial=math.inf
+    )
+    return nearest
+
+
+def _in_free_space(points: PlaneArray, scan: Scan, free: PlaneArray) -> NDArray[np.bool_]:
+    """Which of `points` (N, 2), in the sensor frame of `scan`, are in its free space, (N,)."""
+    if not free.size:
+        return np.zeros(len(points), np.bool_)
+    distance = np.hypot(points[:, 0], points[:, 1])
+    middle = scan.angle_min + scan.angle_increment * (free.size - 1) / 2.0
+    bearing = wrap_angle(np.arctan2(points[:, 1], points[:, 0]) - middle) / scan.angle_increment
+    beam = np.rint(bearing + (free.size - 1) / 2.0).astype(np.int64)
+    seen = (beam >= 0) & (beam < free.size)
+    reach = np.where(seen, free[np.clip(beam, 0, free.size - 1)], 0.0)
+    clear: NDArray[np.bool_] = distance * (1.0 + MARGIN_SHARE) + MARGIN_M < reach
+    return clear

@@ -14,18 +14,18 @@ from pathlib import Path
 
 import numpy as np
 
+from gridtrack.common.files import name_from
 from gridtrack.common.geometry import SE2
-from gridtrack.common.names import name_from
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.format import RecordingFormat
-from gridtrack.recordings.read_budget import ReadBudget
-from gridtrack.recordings.recording import DamageError, Recording, Topics
+from gridtrack.recordings.file_reading import DamageError, ReadBudget
+from gridtrack.recordings.recording import Recording, Topics
 from gridtrack.recordings.recording_info import RecordingInfo
+from gridtrack.recordings.registry import RecordingFormat
 
 CARMEN_SUFFIXES = (".clf", ".clf.bz2", ".log", ".log.bz2")
 MAX_LINE_BYTES = 1 << 20
 SICK_RANGE_MAX_M = 81.8
-"""A SICK LMS reports 81.83 m or more for a beam without a return; its real maximum range is shorter."""
+"""A SICK LMS reports 81.83 m or more for a beam without a return; its true maximum range is shorter."""
 ANGLES_DEG = {
     **dict.fromkeys((180, 181), (-90.0, 1.0)),
     **dict.fromkeys((360, 361), (-90.0, 0.5)),
@@ -35,8 +35,8 @@ ANGLES_DEG = {
 }
 """First angle and step between beams, degrees, by the number of beams: FLASER lines do not contain them.
 
-Up to 401 of a SICK LMS 2xx, whose last beam may be left out, as CARMEN's carmen_laser_guess_fov has them; then of a
-SICK LMS 1xx and of a Hokuyo UTM-30LX.
+Up to 401 beams: SICK LMS 2xx, possibly without the last beam, as in CARMEN's carmen_laser_guess_fov. 540 beams and
+more: SICK LMS 1xx and Hokuyo UTM-30LX.
 """
 
 
@@ -45,40 +45,38 @@ class CarmenLog(Recording):
 
     @cached_property
     def info(self) -> RecordingInfo:
-        """The metadata of the recording: its file name as `site`, and where its poses come from."""
+        """The metadata of the recording: its file name as `site`, and the source of its poses."""
         return RecordingInfo(site=name_from(self.name), poses="of the laser, in each line with a scan")
 
     def read(self, topics: Topics) -> Iterator[Scan]:
-        """The scans in the order of the file; counts the messages in `topics`. DamageError where it is damaged."""
+        """As in every recording."""
         wanted = self.options.topic
         for number, words in _lines(self.path):
             kind = words[0]
             topics.add(kind, "CARMEN", kind in ("FLASER", "ROBOTLASER1"))
             wanted = wanted or (kind if kind in topics.scans else None)
             if self.options.topic is None and len(topics.scans) > 1:
-                self.warn(f"holds FLASER and ROBOTLASER1; {wanted} is read: name the other as topic to read it instead")
+                self.warn(f"has FLASER and ROBOTLASER1; {wanted} is read: name the other as topic to read it instead")
             if kind == wanted and kind in topics.scans:
                 scan = self._scan(kind, words, number)
                 if kind == "FLASER" and scan.ranges.size not in ANGLES_DEG:
-                    self._tell_guess(scan.ranges.size)
+                    self.notify(
+                        "FLASER lines do not contain the angles of their beams, and no known laser has"
+                        f" {scan.ranges.size} beams: 180 deg are assumed, as in CARMEN; if that is wrong, use"
+                        " ROBOTLASER1 lines, which contain the angles"
+                    )
                 yield scan
-
-    def _tell_guess(self, beams: int) -> None:
-        self.notify(
-            f"FLASER lines do not contain the angles of their beams, and {beams} beams are those of no known laser:"
-            " taken as 180 deg, as CARMEN does; where that is wrong, ROBOTLASER1 lines contain the angles"
-        )
 
     def _scan(self, kind: str, words: list[str], line: int) -> Scan:
         try:
-            with np.errstate(over="ignore"):  # of a range beyond float32, which is then no return
+            with np.errstate(over="ignore"):  # a range beyond float32 becomes infinite: no return
                 return _flaser(words) if kind == "FLASER" else _robotlaser(words)
         except (ValueError, IndexError) as error:
-            raise DamageError(f"line {line}: not a {kind} that can be read ({error})") from None
+            raise DamageError(f"line {line}: not a readable {kind} ({error})") from None
 
 
 def is_carmen_log(path: Path, head: bytes) -> bool:
-    """Whether the name is that of a CARMEN log and the file begins as text, or as bzip2 where the name says so."""
+    """Whether the file has the name of a CARMEN log, and begins as text if it is not compressed."""
     if not path.name.endswith(CARMEN_SUFFIXES) or path.is_dir():
         return False
     return path.suffix == ".bz2" or head.isascii()
@@ -88,7 +86,7 @@ CARMEN_FORMAT = RecordingFormat("CARMEN log", CARMEN_SUFFIXES, is_carmen_log, Ca
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Number and words of each line but comments and empty ones. Raises DamageError."""
+    """Number and words of each line, without comments and empty lines. Raises DamageError."""
     packed, budget = path.suffix == ".bz2", ReadBudget()
     with path.open("rb") as raw, bz2.BZ2File(raw) if packed else nullcontext(raw) as file:
         number = 0

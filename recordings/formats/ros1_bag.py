@@ -1,4 +1,4 @@
-"""ROS 1 bags (format 2.0), read record by record, so that a bag without an index or cut in the middle can be read.
+"""ROS 1 bags (format 2.0), read record by record, so that bags without an index or cut in the middle can be read.
 
 Format: http://wiki.ros.org/Bags/Format/2.0
 """
@@ -14,12 +14,10 @@ from typing import BinaryIO, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 
-from gridtrack.recordings.format import RecordingFormat
+from gridtrack.recordings.file_reading import DamageError, ReadBudget
 from gridtrack.recordings.framed_recording import EncodedMessage
-from gridtrack.recordings.read_budget import ReadBudget
-from gridtrack.recordings.recording import DamageError
-from gridtrack.recordings.ros_messages import ros2_name
-from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording
+from gridtrack.recordings.registry import RecordingFormat
+from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording, ros2_name
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 MAX_BAG_RECORD_BYTES = 1 << 28
@@ -32,7 +30,7 @@ class Ros1Bag(RosRecording):
     """A ROS 1 bag."""
 
     def messages(self) -> Iterator[EncodedMessage]:
-        """All messages in the order of the file. Raises DamageError where it is cut off or corrupt."""
+        """All messages in the order of the file. Raises DamageError if it is cut off or corrupt."""
         for message in bag_messages(self.path):
             yield EncodedMessage(message.topic, ros2_name(message.kind), message.received_ns, "ros1", message.data)
 
@@ -46,7 +44,7 @@ ROS1_BAG_FORMAT = RecordingFormat("ROS 1 bag", (".bag",), is_ros1_bag, Ros1Bag, 
 
 
 class BagMessage(NamedTuple):
-    """One message, still encoded: its topic, its type (`package/Name`), and when it was received."""
+    """One message, still encoded: its topic, its type (`package/Name`), and the time of its reception."""
 
     topic: str
     kind: str
@@ -55,7 +53,7 @@ class BagMessage(NamedTuple):
 
 
 def bag_messages(path: Path) -> Iterator[BagMessage]:
-    """All messages of a bag in the order of the file. Raises DamageError where it is cut off or corrupt."""
+    """All messages of a bag in the order of the file. Raises DamageError if it is cut off or corrupt."""
     with path.open("rb") as file:
         if file.read(len(ROS1_MAGIC)) != ROS1_MAGIC:
             raise DamageError("does not begin as a ROS 1 bag of format 2.0")
@@ -75,11 +73,11 @@ def bag_messages(path: Path) -> Iterator[BagMessage]:
         except (struct.error, KeyError, UnicodeDecodeError, IndexError, ValueError) as error:
             raise DamageError(f"corrupt {file.tell()} bytes into the file ({error})") from None
         if chunks_left > 0:
-            raise DamageError(f"cut off: {chunks_left} of the chunks that the bag's header counts are missing")
+            raise DamageError(f"cut off: {chunks_left} of the chunks in the bag's header are missing")
 
 
 def _chunk(header: Fields, data: bytes, budget: ReadBudget, position: int) -> Iterator[tuple[Fields, bytes]]:
-    """The records inside a chunk that ends at `position`; for one that is cut off, those before the cut."""
+    """The records inside a chunk that ends at `position`, up to the cut if it is cut off."""
     (size,) = struct.unpack("<I", header["size"])
     budget.take_bytes(size, position)
     content = _decompressed(header["compression"].decode(), data, size)
@@ -113,7 +111,7 @@ def _records(file: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
 
 
 def _sized(file: BinaryIO, size_bytes: bytes) -> tuple[bytes, bool]:
-    """The bytes whose number `size_bytes` gives, and whether the file has all of them. Raises DamageError."""
+    """As many bytes as `size_bytes` says, and whether the file has all of them. Raises DamageError."""
     (size,) = struct.unpack("<I", size_bytes) if len(size_bytes) == 4 else (0,)
     if size > MAX_BAG_RECORD_BYTES:
         raise DamageError(f"corrupt: a record of {size} bytes, where at most {MAX_BAG_RECORD_BYTES} are read")
@@ -147,4 +145,4 @@ def _decompressed(compression: str, data: bytes, size: int) -> bytes:
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, size))
     except (OSError, RuntimeError) as error:
         raise DamageError(f"corrupt: a chunk cannot be decompressed ({error})") from None
-    raise DamageError(f"a chunk is compressed as '{compression}', which is none of none, bz2 and lz4")
+    raise DamageError(f"a chunk is compressed as '{compression}'; expected none, bz2 or lz4")

@@ -9,11 +9,10 @@ import zstandard
 
 from gridtrack.common.files import read_bounded
 from gridtrack.common.untrusted import MAX_NESTING
-from gridtrack.recordings.format import RecordingFormat
+from gridtrack.recordings.file_reading import DamageError, ReadBudget
 from gridtrack.recordings.formats.ros_mcap import mcap_files
 from gridtrack.recordings.framed_recording import EncodedMessage
-from gridtrack.recordings.read_budget import ReadBudget
-from gridtrack.recordings.recording import DamageError
+from gridtrack.recordings.registry import RecordingFormat
 from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording
 
 SQLITE_MAGIC = b"SQLite format 3\x00"
@@ -27,7 +26,7 @@ class Ros2Bag(RosRecording):
     """A ROS 2 bag in SQLite."""
 
     def messages(self) -> Iterator[EncodedMessage]:
-        """All messages in the order of reception. Raises DamageError where the bag is cut off or corrupt."""
+        """All messages in the order of reception. Raises DamageError if the bag is cut off or corrupt."""
         from rosbags.rosbag2 import Reader
 
         file_bytes = _check_files(self.path)
@@ -40,12 +39,12 @@ class Ros2Bag(RosRecording):
                     yield EncodedMessage(connection.topic, connection.msgtype, received_ns, "cdr", data)
         except DamageError:
             raise
-        except Exception as error:  # noqa: BLE001  of damage the reader raises KeyError, TypeError and others, too
+        except Exception as error:  # noqa: BLE001  damage makes the reader raise KeyError, TypeError and others, too
             raise DamageError(f"damaged ({type(error).__name__}: {error})") from None
 
 
 def _check_files(path: Path) -> int:
-    """The size of a bag, bytes. Raises DamageError where its metadata or what its files unpack to are too large."""
+    """The size of a bag, bytes. Raises DamageError if its metadata or its unpacked files are too large."""
     files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
     for file in files:
         if file.name == METADATA_FILE:
@@ -56,7 +55,7 @@ def _check_files(path: Path) -> int:
 
 
 def _check_metadata(text: bytes) -> None:
-    """Raise DamageError for YAML with aliases, which repeat their content without limit, or that is nested deeply."""
+    """Raise DamageError for deeply nested YAML, or YAML with aliases, which repeat their content without limit."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
     from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
@@ -66,13 +65,13 @@ def _check_metadata(text: bytes) -> None:
         for event in YAML(typ="safe").parse(text.decode()):
             depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
             if depth > MAX_NESTING or isinstance(event, AliasEvent):
-                raise DamageError(f"{METADATA_FILE} has aliases or is nested deeply, as no recorder writes it")
+                raise DamageError(f"{METADATA_FILE} has aliases or is nested deeply; no recorder writes such files")
     except (YAMLError, UnicodeDecodeError) as error:
         raise DamageError(f"{METADATA_FILE} cannot be read ({error})") from None
 
 
 def _check_unpacked(path: Path) -> None:
-    """Raise DamageError where a compressed file unpacks to more than it can be: its reader writes it to the disk."""
+    """Raise DamageError if a compressed file unpacks to far more than its size: its reader writes it to the disk."""
     budget = ReadBudget()
     with path.open("rb") as file:
         if file.read(len(ZSTD_MAGIC)) != ZSTD_MAGIC:
@@ -87,7 +86,7 @@ def _check_unpacked(path: Path) -> None:
 
 
 def is_ros2_bag(path: Path, head: bytes) -> bool:
-    """Whether it is an SQLite file, or the folder of a ROS 2 bag that is not kept in MCAP files."""
+    """Whether it is an SQLite file, or the folder of a ROS 2 bag without MCAP files."""
     if path.is_dir():
         return (path / METADATA_FILE).is_file() and not mcap_files(path)
     return head.startswith(SQLITE_MAGIC)

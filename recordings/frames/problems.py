@@ -1,52 +1,52 @@
-"""Why the poses of a recording cannot be used: one line each, with the command to type."""
+"""Messages about chains: why poses cannot be used and what to do, and notes about poses that can be used."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
-from gridtrack.recordings.frames.chains import ChainOptions, Link
-from gridtrack.recordings.frames.tree import Edge, PoseTopic
+from gridtrack.recordings.frames.chains import Chain, ChainOptions, Forest, Link
+from gridtrack.recordings.frames.tree import FAR_JUMP_NS, Edge, FrameTree, PoseTopic
 
 MAX_SHOWN = 5
-EXAMPLE_PLACE = "0,0,0deg"
-AT_REST = "or import it with --pose-topic none where it stands still"
+EXAMPLE_POSE = "0,0,0deg"
+IF_AT_REST = "or, if the robot stands still, import the recording with --pose-topic none"
 
 
 def frames_in_a_cycle(options: ChainOptions, frames: Sequence[str], pose_topics: Sequence[str]) -> str:
-    """Frames that are their own ancestors; `pose_topics` may tell where they are."""
-    text = f"frames in a cycle ({shown(frames, ' -> ')}): take {poses_from_scans(options)}"
+    """Frames that are their own ancestors; `pose_topics` may have the poses instead."""
+    text = f"frames in a cycle ({shown(frames, ' -> ')}): use {poses_from_scans(options)}"
     if pose_topics:
-        mount = ["--mount", f"{next(iter(options.sensors.values()))}={EXAMPLE_PLACE}"]
+        mount = ["--mount", f"{next(iter(options.sensors.values()))}={EXAMPLE_POSE}"]
         command = options.command([*mount, "--pose-topic", pose_topics[0]])
-        text += f"; or those on {shown(pose_topics)}, with the place of the sensor there, as in `{command}`"
-    return f"{text}; {AT_REST}"
+        text += f"; or the poses on {shown(pose_topics)}, with the mount of the sensor, as in `{command}`"
+    return f"{text}; {IF_AT_REST}"
 
 
-def mounts_not_known(options: ChainOptions, names: Sequence[str], moves: bool) -> str:
-    """Sensors without a frame in common; `names` are those without any place, `moves`: what carries them does."""
-    mounts = {name: ["--mount", f"{name}={EXAMPLE_PLACE}"] for name in names[:MAX_SHOWN]}
+def unknown_mounts(options: ChainOptions, names: Sequence[str], moves: bool) -> str:
+    """Sensors without a common frame; `names` are the sensors without any transform, `moves`: the robot moves."""
+    mounts = {name: ["--mount", f"{name}={EXAMPLE_POSE}"] for name in names[:MAX_SHOWN]}
     (topic, first), *_ = options.sensors.items()
     one = options.command(["--topic", topic, *(mounts.get(first, []) if moves else [])])
     others = [f"--topic {other}" for other in options.sensors if other != topic]
     together = options.command(word for words in mounts.values() for word in words)
     return (
-        f"several sensors ({shown(list(options.sensors.values()))}), and how they are mounted is not known, so that"
-        f" their scans cannot share a grid: import one of them with `{one}`, or {shown(others)}; or all with"
-        f" `{together}`, with their places on the robot (x and y in metres, and heading) in place of {EXAMPLE_PLACE}"
+        f"several sensors ({shown(list(options.sensors.values()))}) with unknown mounts, so that their scans cannot"
+        f" share a grid: import one of them with `{one}`, or {shown(others)}; or all of them with `{together}`, with"
+        f" their x, y (metres) and heading on the robot in place of {EXAMPLE_POSE}"
     )
 
 
-def mount_not_known(options: ChainOptions, pose: PoseTopic, sensor: str) -> str:
-    """Poses of what carries a sensor whose place on it is not recorded."""
-    of = f"of '{pose.child}'" if pose.child else "of what carries it"
-    command = options.command(["--mount", f"{sensor}={EXAMPLE_PLACE}"])
+def unknown_mount(options: ChainOptions, pose: PoseTopic, sensor: str) -> str:
+    """Poses of a robot without the mount of its sensor."""
+    owner = f"'{pose.child}'" if pose.child else "the robot"
+    command = options.command(["--mount", f"{sensor}={EXAMPLE_POSE}"])
     return (
-        f"the poses on {pose.topic} are those {of}, and where sensor '{sensor}' is mounted on it is not recorded: give"
-        f" its x and y (metres) and heading there, in place of {EXAMPLE_PLACE} in `{command}`"
+        f"{pose.topic} has the poses of {owner}, and the mount of sensor '{sensor}' on it is not recorded: give its x,"
+        f" y (metres) and heading in place of {EXAMPLE_POSE} in `{command}`"
     )
 
 
-def poses_not_known(
+def ambiguous_poses(
     options: ChainOptions,
     poses: Sequence[PoseTopic],
     links: Sequence[Link],
@@ -55,48 +55,98 @@ def poses_not_known(
     *,
     is_mounted: bool,
 ) -> str:
-    """Topics with poses of which none is known to be that of what carries the sensor; `links` do not reach it."""
-    transforms = f"{_not_reached(links, sensor, frame)}; " if links else ""
-    mount = [] if is_mounted else ["--mount", f"{sensor}={EXAMPLE_PLACE}"]
+    """Topics with poses, none of which is known to be the robot's; `links` do not lead to the sensor."""
+    transforms = f"{_unconnected(links, sensor, frame)}; " if links else ""
+    mount = [] if is_mounted else ["--mount", f"{sensor}={EXAMPLE_POSE}"]
     command = options.command(["--pose-topic", poses[0].topic, *mount])
-    mounted = f", with its place there in place of {EXAMPLE_PLACE}" if mount else ""
-    which = "whether the poses on" if len(poses) == 1 else "which of the poses on"
-    verb = "are" if len(poses) == 1 else "are, if any,"
+    mounted = f", with the mount of the sensor in place of {EXAMPLE_POSE}" if mount else ""
+    topics = shown([pose.topic for pose in poses])
+    question = f"whether {topics} has" if len(poses) == 1 else f"which of {topics} has"
     return (
-        f"{transforms}it is not known {which} {shown([pose.topic for pose in poses])} {verb} those of what carries"
-        f" sensor '{sensor}': name the topic that has them, as in `{command}`{mounted}; {AT_REST}"
+        f"{transforms}it is not recorded {question} the poses of the robot with sensor '{sensor}': name the topic, as"
+        f" in `{command}`{mounted}; {IF_AT_REST}"
     )
 
 
-def sensor_not_reached(options: ChainOptions, links: Sequence[Link], sensor: str, frame: str) -> str:
-    """Transforms that move, in another tree than that of the sensor."""
-    command = options.command(["--mount", f"{sensor}={links[0].child}:{EXAMPLE_PLACE}"])
+def unconnected_sensor(options: ChainOptions, links: Sequence[Link], sensor: str, frame: str) -> str:
+    """Moving transforms in another tree than the sensor's."""
+    command = options.command(["--mount", f"{sensor}={links[0].child}:{EXAMPLE_POSE}"])
     return (
-        f"{_not_reached(links, sensor, frame)}: give the frame that it is mounted on, and its x and y (metres) and"
-        f" heading there, as in `{command}`; {AT_REST}"
+        f"{_unconnected(links, sensor, frame)}: give the frame on which the sensor is mounted, and its x, y (metres)"
+        f" and heading there, as in `{command}`; {IF_AT_REST}"
     )
 
 
-def motion_not_used(options: ChainOptions, child: str, second: Edge) -> str:
-    """Transforms of a frame of the sensors in a second parent, which alone tell the motion."""
+def unused_motion(options: ChainOptions, child: str, second: Edge) -> str:
+    """Transforms to a second parent, which alone contain the motion of the sensors."""
     return (
-        f"transforms on {second.topic} ({second.parent} -> {child}) tell how the sensors move, and '{child}' has"
-        f" another parent in the transforms, so that they are not used: take {poses_from_scans(options)}; {AT_REST}"
+        f"the motion of the sensors is in the transforms on {second.topic} ({second.parent} -> {child}), which are not"
+        f" used because '{child}' has another parent: use {poses_from_scans(options)}; {IF_AT_REST}"
     )
+
+
+def motion_above(options: ChainOptions, forest: Forest, world: str, chains: Mapping[str, Chain]) -> Iterator[str]:
+    """A world frame in which no sensor moves, below a frame in which it moves itself."""
+    above = forest.moving_above(world)
+    if above is not None and not any(chain.moving for chain in chains.values()):
+        yield (
+            f"the sensors are at rest in '{world}', which moves in '{above.parent}' by the transforms on"
+            f" {above.source}: if they drive, use {poses_from_scans(options)}"
+        )
+
+
+def several_topics(options: ChainOptions, tree: FrameTree, chains: Mapping[str, Chain]) -> Iterator[str]:
+    """Frames of a sensor's chain with different transforms on several topics, of which one is used."""
+    for topic, chain in chains.items():
+        frames: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+        for source, frame in (link.key for link in chain.links):
+            if tree.edge(source, frame) is not None and (rivals := tree.rivals(frame)):
+                frames.setdefault((source, rivals), []).append(frame)
+        for (used, topics), same in frames.items():
+            named = " and ".join(f"'{frame}'" for frame in same[:MAX_SHOWN])
+            yield (
+                f"transforms of frame {named} are on several topics, {shown(topics)}, perhaps of two robots: sensor"
+                f" '{options.sensors[topic]}' uses {used}"
+            )
+
+
+def rare_transforms(tree: FrameTree, chains: Mapping[str, Chain]) -> Iterator[str]:
+    """Frames of the chains that are assumed to be at rest, with rare transforms that are not static."""
+    resting = dict.fromkeys((link.key, link.parent, link.child) for c in chains.values() for link in c.links)
+    for (source, frame), parent, child in resting:
+        edge = tree.edge(source, frame)
+        if edge is not None and not edge.is_static and not edge.moves and (reason := _why_rare(edge)):
+            yield (
+                f"frame '{child}' is assumed to be at rest in '{parent}', but its transform on {source} {reason}: if it"
+                " moves, such as a joint that pans or tilts, record it at least once a second"
+            )
+
+
+def _why_rare(edge: Edge) -> str:
+    """How a constant transform comes too rarely; empty if it is frequent."""
+    motion = edge.motion
+    gap_ns, last = motion.after_gap or (0, motion.first)
+    if not last.is_same(motion.first):
+        return f"changes after a gap of {gap_ns / 1e9:.1f} s"
+    longest_ns = gap_ns if motion.number == 1 else motion.longest_gap_ns
+    if longest_ns > FAR_JUMP_NS:
+        return f"has a gap of {longest_ns / 1e9:.1f} s"
+    is_once = motion.number == 1 and edge.topic.rpartition("/")[2] == "tf"
+    return "is recorded once" if is_once else ""
 
 
 def poses_from_scans(options: ChainOptions) -> str:
     """Poses that need no transforms: from the scans of one sensor."""
     topic = [] if len(options.sensors) == 1 else ["--topic", next(iter(options.sensors))]
-    return f"the poses from the scans, with `{options.command([*topic, '--ego-motion', 'kiss-icp'])}`"
+    return f"poses from the scans, with `{options.command([*topic, '--ego-motion', 'kiss-icp'])}`"
 
 
 def shown(names: Sequence[str], separator: str = ", ") -> str:
-    """The names, all but the first few left out."""
+    """The first names, and the number of the others."""
     more = f"{separator}{len(names) - MAX_SHOWN} more" if len(names) > MAX_SHOWN else ""
     return separator.join(names[:MAX_SHOWN]) + more
 
 
-def _not_reached(links: Sequence[Link], sensor: str, frame: str) -> str:
+def _unconnected(links: Sequence[Link], sensor: str, frame: str) -> str:
     moving = shown([f"{link.parent} -> {link.child}" for link in links])
-    return f"transforms on {links[0].source} ({moving}) do not reach frame '{frame}' of sensor '{sensor}'"
+    return f"transforms on {links[0].source} ({moving}) do not lead to frame '{frame}' of sensor '{sensor}'"

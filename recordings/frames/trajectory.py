@@ -1,32 +1,44 @@
-"""The transforms of one moving frame by stamp, interpolated at the stamp of a scan: of a few seconds, or of a file."""
+"""Transforms of moving frames by stamp, and the poses of scans from them."""
 
 from __future__ import annotations
 
 import bisect
+import math
 from abc import ABC, abstractmethod
 from array import array
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.recordings.frames.far_stamps import FarStamps
+from gridtrack.common.errors import RecordingError
+from gridtrack.common.scan import Scan
+from gridtrack.recordings.frames.chains import Chain, LinkKey
 from gridtrack.recordings.frames.transform import SE3, interpolated
-from gridtrack.recordings.order import MAX_STAMP_NS
+from gridtrack.recordings.frames.tree import FarStamps
+from gridtrack.recordings.stamp_order import MAX_STAMP_NS
 
 MAX_GAP_NS = 1_000_000_000
 MAX_KEPT = 100_000
-MAX_WHOLE = 5_000_000
-"""Transforms of all moving links of a finished file that are kept, 64 bytes each: 14 hours of one link at 100 Hz."""
+MAX_TRANSFORMS = 5_000_000
+"""Limit of the transforms of a finished file in memory, 64 bytes each: 14 hours of one link at 100 Hz."""
 MAX_PARTS = 100
 """Times that the clock of one frame may be set back in a finished file."""
+MAX_TILT_RAD = math.radians(15.0)
+"""Limit of the tilt of a scan plane: at 15 degrees it is 2.6 m off at a distance of 10 m."""
+MAX_WAITING = 1000
+KEPT_NS = 3_000_000_000
+"""Transforms are kept for scans that are written late."""
 
 
 class Found(NamedTuple):
-    """A transform at a stamp; `near`: transforms less than MAX_GAP_NS apart lie around it, or one so near beside it.
+    """A transform at a stamp.
 
-    `is_first`: it is the first one, and the stamp is before it.
+    `near`: the transforms before and after the stamp are less than MAX_GAP_NS apart, or a single one that near to it.
+    `is_first`: it is the first transform, and the stamp is before it.
     """
 
     transform: SE3
@@ -35,7 +47,7 @@ class Found(NamedTuple):
 
 
 class Trajectory(ABC):
-    """Transforms of one frame, added in the order of the file; those with a stamp far from the others are left out."""
+    """Transforms of one frame, added in the order of the file; one with a stamp far from the others is left out."""
 
     def __init__(self) -> None:
         self._far = FarStamps()
@@ -49,7 +61,7 @@ class Trajectory(ABC):
         return self._far.last_ns
 
     def add(self, stamp_ns: int, transform: SE3) -> None:
-        """Add a transform; one whose stamp is far from those before it waits for the next one."""
+        """Add a transform; if its stamp is far from the stamps before, the next one decides whether it is used."""
         judgement = self._far.judge(stamp_ns)
         held, self._held = self._held, None
         self.left_out += held is not None and judgement != "confirmed"
@@ -69,30 +81,30 @@ class Trajectory(ABC):
 
     @abstractmethod
     def covers(self, stamp_ns: int) -> bool:
-        """Whether a scan at a stamp waits for no more transforms."""
+        """Whether a scan at a stamp needs no later transforms."""
 
     @abstractmethod
     def at(self, stamp_ns: int) -> Found | None:
-        """The transform at a stamp, None without any.
+        """The transform at a stamp, interpolated; None without any.
 
-        In a gap of more than MAX_GAP_NS it is the last one before; before the first it is the first.
+        In a gap of more than MAX_GAP_NS it is the last one before, and before the first one it is the first.
         """
 
     @abstractmethod
     def drop_before(self, stamp_ns: int) -> None:
-        """Forget the transforms before a stamp that no scan needs, if that saves memory."""
+        """Drop the transforms before a stamp that no scan needs, if that saves memory."""
 
     @abstractmethod
     def _insert(self, stamp_ns: int, transform: SE3) -> None:
-        """Put a transform at its stamp, in place of the one there."""
+        """Store a transform; it replaces one with the same stamp."""
 
     @abstractmethod
     def _restart(self) -> None:
-        """The transforms that come are stamped long before those so far, or the only one so far was wrong."""
+        """Called when the clock was set back, or when the only transform so far had a wrong stamp."""
 
 
 class NewestTransforms(Trajectory):
-    """Transforms of a few seconds, read along with the scans; older ones are dropped."""
+    """Transforms of the last few seconds, read together with the scans."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -103,15 +115,15 @@ class NewestTransforms(Trajectory):
         return len(self._stamps)
 
     def covers(self, stamp_ns: int) -> bool:
-        """Whether there is a transform at or after a stamp. A single one may have a wrong stamp."""
+        """Whether there is a transform at or after a stamp; a single one may have a wrong stamp."""
         return len(self) > 1 and self.last_ns >= stamp_ns
 
     def at(self, stamp_ns: int) -> Found | None:
-        """As of every trajectory."""
+        """As in every trajectory."""
         return _found(self._stamps, self._transforms, stamp_ns)
 
     def drop_before(self, stamp_ns: int) -> None:
-        """Forget the transforms before a stamp but the last of them, and all but the newest MAX_KEPT."""
+        """Drop all transforms before a stamp except the last of them, and all but the newest MAX_KEPT."""
         keep_from = max(bisect.bisect_right(self._stamps, stamp_ns) - 1, len(self._stamps) - MAX_KEPT)
         if keep_from > 0:
             del self._stamps[:keep_from], self._transforms[:keep_from]
@@ -131,9 +143,9 @@ class NewestTransforms(Trajectory):
 
 
 class AllTransforms(Trajectory):
-    """All transforms of a finished file, in 64 bytes each, so that no scan waits for those that come later.
+    """All transforms of a finished file, in 64 bytes each, so that no scan waits.
 
-    Where the clock was set back, the transforms of a time are those that came first: so are the scans (StampFilter).
+    If the clock was set back, the transforms of a time are the first ones in the file; so are the scans (StampFilter).
     """
 
     def __init__(self) -> None:
@@ -145,23 +157,23 @@ class AllTransforms(Trajectory):
         return len(self._whole().stamps)
 
     def add(self, stamp_ns: int, transform: SE3) -> None:
-        """As of every trajectory; stamps that no scan has are left out."""
+        """As in every trajectory; transforms with a stamp that no scan can have are left out."""
         if 0 <= stamp_ns < MAX_STAMP_NS:
             super().add(stamp_ns, transform)
         else:
             self.left_out += 1
 
     def covers(self, stamp_ns: int) -> bool:
-        """Always: no more transforms come."""
+        """Always True: all transforms are known."""
         return True
 
     def at(self, stamp_ns: int) -> Found | None:
-        """As of every trajectory."""
+        """As in every trajectory."""
         whole = self._whole()
         return _found(whole.stamps, whole, stamp_ns)
 
     def drop_before(self, stamp_ns: int) -> None:
-        """Forget nothing: the scans may be read again."""
+        """Drop nothing: the scans may be read again."""
 
     def _insert(self, stamp_ns: int, transform: SE3) -> None:
         self._parts[-1].append(stamp_ns, transform)
@@ -185,10 +197,10 @@ class _Transforms(Protocol):
 
 
 class _Packed:
-    """Stamps and transforms as numbers."""
+    """Stamps and transforms as arrays of numbers."""
 
     def __init__(self, stamps: bytes = b"", numbers: bytes = b"") -> None:
-        """`stamps`: n int64, nanoseconds; `numbers`: n x 7 float64, the translations and the quaternions."""
+        """`stamps`: (n,) int64, nanoseconds; `numbers`: (n, 7) float64, translations and quaternions."""
         self.stamps, self._numbers = array("q", stamps), array("d", numbers)
 
     def __getitem__(self, index: int, /) -> SE3:
@@ -198,7 +210,7 @@ class _Packed:
 
     @property
     def numbers(self) -> NDArray[np.float64]:
-        """(n, 7)."""
+        """Translations and quaternions (n, 7)."""
         return np.frombuffer(self._numbers, np.float64).reshape(-1, 7)
 
     def append(self, stamp_ns: int, transform: SE3) -> None:
@@ -207,12 +219,12 @@ class _Packed:
 
 
 def _merged(parts: Sequence[_Packed]) -> _Packed:
-    """All transforms in the order of their stamps, without those of a part at times that the parts before it have."""
+    """All transforms in the order of their stamps; each part adds the times that the parts before it do not cover."""
     stamps, numbers = np.empty(0, np.int64), np.empty((0, 7))
     for part in parts:
         own = np.frombuffer(part.stamps, np.int64)
         order = np.argsort(own, kind="stable")
-        is_last = np.append(own[order][1:] != own[order][:-1], True)[: len(own)]  # of those with one stamp
+        is_last = np.append(own[order][1:] != own[order][:-1], True)[: len(own)]  # of equal stamps
         rows = order[is_last]
         rows = rows[~_within(stamps, own[rows])]
         stamps, numbers = np.concatenate([stamps, own[rows]]), np.concatenate([numbers, part.numbers[rows]])
@@ -222,7 +234,7 @@ def _merged(parts: Sequence[_Packed]) -> _Packed:
 
 
 def _within(stamps: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of `others` (m,) are one of `stamps` (n,), in order, or between two of them without a gap."""
+    """Which of `others` (m,) are one of the sorted `stamps` (n,), or between two of them without a gap."""
     after = np.searchsorted(stamps, others)
     inside = (after > 0) & (after < len(stamps))
     inside[inside] = np.diff(stamps)[after[inside] - 1] <= MAX_GAP_NS
@@ -231,7 +243,7 @@ def _within(stamps: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.
 
 
 def _found(stamps: Sequence[int], transforms: _Transforms, stamp_ns: int) -> Found | None:
-    """The transform at a stamp, as `Trajectory.at` says; `stamps` are in order."""
+    """The transform at a stamp as in `Trajectory.at`; `stamps` are sorted."""
     if not stamps:
         return None
     index = bisect.bisect_left(stamps, stamp_ns)
@@ -245,3 +257,144 @@ def _found(stamps: Sequence[int], transforms: _Transforms, stamp_ns: int) -> Fou
         return Found(transforms[index - 1], stamp_ns - before_ns <= MAX_GAP_NS)
     share = (stamp_ns - before_ns) / (after_ns - before_ns)
     return Found(interpolated(transforms[index - 1], transforms[index], share), True)
+
+
+class ClocksApartError(RecordingError):
+    """Scans and poses have different clocks."""
+
+
+@dataclass(frozen=True, slots=True)
+class FramedScan:
+    """A scan before it has a pose: its topic, its frame, and the pose of its sensor in that frame."""
+
+    topic: str
+    frame: str
+    scan: Scan
+    frame_T_sensor: SE3 | None = None
+
+
+class ScansOnChains:
+    """Gives each scan its pose on its chain. Scans wait until the transforms after them are read.
+
+    A scan waits for the scans of one second at most, and one more. If transforms are more than a second apart, or away
+    from the scan, it gets the last ones before it (at the beginning of the file the first ones), and `warn` receives a
+    line at the end.
+    """
+
+    def __init__(
+        self,
+        chains: Mapping[str, Chain],
+        warn: Callable[[str], None],
+        known: Mapping[LinkKey, AllTransforms] | None = None,
+    ) -> None:
+        """`chains` by topic; `known`: all transforms of every moving link, None if they are added with the scans."""
+        self._chains, self._warn = chains, warn
+        moving = {link.key for chain in chains.values() for link in chain.moving}
+        self._trajectories: Mapping[LinkKey, Trajectory] = (
+            {key: NewestTransforms() for key in moving} if known is None else known
+        )
+        self._waiting: deque[FramedScan] = deque()
+        self._last_two_ns: dict[str, tuple[int, int]] = {}
+        """The last two stamps of each topic: one of them may be damaged."""
+        self._between_ns: tuple[int, int] | None = None
+        self._faults: dict[str, int] = {}
+
+    def scan(self, framed: FramedScan) -> Iterator[Scan]:
+        """Add the next scan; yields the scans that no longer wait."""
+        stamp_ns = framed.scan.stamp_ns
+        _, before_ns = self._last_two_ns.get(framed.topic, (stamp_ns, stamp_ns))
+        self._last_two_ns[framed.topic] = before_ns, stamp_ns
+        first_ns, last_ns = self._between_ns or (stamp_ns, stamp_ns)
+        self._between_ns = min(first_ns, stamp_ns), max(last_ns, stamp_ns)
+        self._waiting.append(framed)
+        yield from self._released()
+
+    def transform(self, key: LinkKey, stamp_ns: int, transform: SE3) -> Iterator[Scan]:
+        """Add the next recorded transform of a moving link; yields the scans that no longer wait."""
+        self._trajectories[key].add(stamp_ns, transform)
+        yield from self._released()
+
+    def flush(self) -> Iterator[Scan]:
+        """Yields the scans that still wait, and reports the faults. Raises ClocksApartError."""
+        while self._waiting:
+            yield from self._placed(self._waiting.popleft())
+        self._check_clocks()
+        for (source, frame), trajectory in self._trajectories.items():
+            if trajectory.left_out:
+                left_out = f"transforms of '{frame}' on {source} with a stamp far from the others are left out"
+                self._faults[left_out] = trajectory.left_out
+        for fault, count in self._faults.items():
+            self._warn(f"{fault}: {count} of them")
+
+    def _released(self) -> Iterator[Scan]:
+        released = False
+        while self._waiting and (self._is_due(self._waiting[0]) or len(self._waiting) > MAX_WAITING):
+            released = True
+            yield from self._placed(self._waiting.popleft())
+        if released or not self._waiting:
+            for trajectory in self._trajectories.values():
+                trajectory.drop_before(min(trajectory.last_ns, self._newest_ns) - KEPT_NS)
+
+    @property
+    def _newest_ns(self) -> int:
+        """The newest stamp that two scans of a topic have reached, else 0."""
+        return max(map(min, self._last_two_ns.values()), default=0)
+
+    def _is_due(self, framed: FramedScan) -> bool:
+        stamp_ns = framed.scan.stamp_ns
+        late = self._newest_ns - stamp_ns > MAX_GAP_NS
+        # the two scans after it have earlier stamps: its stamp is damaged, and no transforms may come for it
+        damaged = max(self._last_two_ns[framed.topic]) < stamp_ns
+        moving = self._chains[framed.topic].moving
+        return late or damaged or all(self._trajectories[link.key].covers(stamp_ns) for link in moving)
+
+    def _placed(self, framed: FramedScan) -> Iterator[Scan]:
+        """The scan with its pose in the plane; none if it is tilted too much."""
+        scan, chain = framed.scan, self._chains[framed.topic]
+        placement = self._world_T_sensor(framed, chain).placement()
+        if placement.tilt_rad > MAX_TILT_RAD:
+            limit = f"{math.degrees(MAX_TILT_RAD):g} deg"
+            self._count(
+                f"scans of sensor '{scan.sensor}' tilted by more than {limit} are left out (if its transforms are"
+                " wrong, give its pose with --mount)"
+            )
+            return
+        if placement.mirrored:
+            scan = _turned_over(scan)
+        yield replace(scan, world_T_sensor=placement.pose)
+
+    def _world_T_sensor(self, framed: FramedScan, chain: Chain) -> SE3:
+        world_T_frame = SE3()
+        for link in chain.links:
+            found = self._trajectories[link.key].at(framed.scan.stamp_ns) if link.moves else None
+            if link.moves and (found is None or not found.near):
+                is_first = found is None or found.is_first
+                self._count(
+                    f"scans of sensor '{framed.scan.sensor}' without poses on {link.source} ({link.parent} ->"
+                    f" {link.child}) within 1 s get the {'first one after' if is_first else 'last one before'} them"
+                )
+            world_T_frame = world_T_frame @ link.parent_T_child(found.transform if found else None)
+        return world_T_frame if framed.frame_T_sensor is None else world_T_frame @ framed.frame_T_sensor
+
+    def _count(self, fault: str) -> None:
+        self._faults[fault] = self._faults.get(fault, 0) + 1
+
+    def _check_clocks(self) -> None:
+        """Raise ClocksApartError if all stamps of a link's transforms are long before or after all scans."""
+        for (source, _), trajectory in self._trajectories.items():
+            if trajectory.first_ns is None or self._between_ns is None:
+                continue
+            first_ns, last_ns = self._between_ns
+            before_ns, after_ns = first_ns - trajectory.last_ns, trajectory.first_ns - last_ns
+            if max(before_ns, after_ns) > MAX_GAP_NS:
+                apart = f"{before_ns / 1e9:.1f} s before" if before_ns > 0 else f"{after_ns / 1e9:.1f} s after"
+                raise ClocksApartError(
+                    f"no pose on {source} at the time of a scan: their stamps are {apart} the scans: record poses and"
+                    " scans with one clock, or import this recording with --ego-motion kiss-icp, or, if the robot"
+                    " stands still, with --pose-topic none"
+                )
+
+
+def _turned_over(scan: Scan) -> Scan:
+    """The scan of a sensor that is upside down: seen from above, its angles run clockwise."""
+    return replace(scan, angle_min=-scan.angle_min, angle_increment=-scan.angle_increment)

@@ -1,4 +1,4 @@
-"""Rigid transforms in space, and what they are in the plane of the grid.
+"""Rigid transforms in space, and their projection to the plane of the grid.
 
 scipy's RigidTransform takes 0.2 ms to chain two of them, and a scan needs several.
 """
@@ -41,7 +41,7 @@ class SE3:
 
     @classmethod
     def of(cls, translation: Iterable[float], rotation: Iterable[float]) -> SE3 | None:
-        """From x, y, z and a quaternion of any norm; None where they are not finite, too large, or no rotation."""
+        """From x, y, z and a quaternion of any norm; None if they are not finite, too large, or no rotation."""
         x, y, z = map(float, translation)
         qx, qy, qz, qw = map(float, rotation)
         norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
@@ -51,7 +51,7 @@ class SE3:
 
     @classmethod
     def in_plane(cls, pose: SE2, mirrored: bool = False) -> SE3:
-        """A pose in the plane; `mirrored`: turned over about its x axis."""
+        """A pose in the plane; `mirrored`: rotated by 180 degrees about its x axis."""
         c, s = math.cos(pose.theta / 2.0), math.sin(pose.theta / 2.0)
         return cls((pose.x, pose.y, 0.0), (c, s, 0.0, 0.0) if mirrored else (0.0, 0.0, s, c))
 
@@ -96,7 +96,7 @@ class SE3:
 
 
 def interpolated(before: SE3, after: SE3, share: float) -> SE3:
-    """The transform at `share`, 0 to 1, of the way: translation linearly, rotation at constant speed (slerp)."""
+    """The transform at `share`, 0 to 1, of the way: translation linear, rotation at constant speed (slerp)."""
     (ax, ay, az), (bx, by, bz) = before.translation, after.translation
     moved = (ax + share * (bx - ax), ay + share * (by - ay), az + share * (bz - az))
     return SE3(moved, _slerp(before.rotation, after.rotation, share))
@@ -114,7 +114,7 @@ def _rotated(vector: Vector, q: Quaternion) -> Vector:
 
 
 def _angle_between(one: Quaternion, other: Quaternion) -> float:
-    """Radians. From the vector part of the relative rotation: the dot product alone is not exact at small angles."""
+    """Radians, from the vector part of the relative rotation: the dot product is inexact at small angles."""
     (x, y, z, w), (ox, oy, oz, ow) = one, other
     dx = w * ox - x * ow - y * oz + z * oy
     dy = w * oy + x * oz - y * ow - z * ox
@@ -123,7 +123,7 @@ def _angle_between(one: Quaternion, other: Quaternion) -> float:
 
 
 def _slerp(before: Quaternion, after: Quaternion, share: float) -> Quaternion:
-    """Shoemake (1985), along the shorter way; linear where the rotations are nearly equal."""
+    """Shoemake (1985), along the shorter arc; linear if the rotations are nearly equal."""
     cosine = sum(a * b for a, b in zip(before, after, strict=True))
     sign = 1.0 if cosine >= 0.0 else -1.0
     angle = math.acos(min(abs(cosine), 1.0))

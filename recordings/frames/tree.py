@@ -1,23 +1,87 @@
-"""The tree of coordinate frames that the transforms of a recording make, and the topics with poses beside it."""
+"""The tree of coordinate frames of a recording, and its topics with poses."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
-from gridtrack.common.names import LABEL_RULE, is_label
-from gridtrack.recordings.frames.far_stamps import FarStamps
+from gridtrack.common.files import LABEL_RULE, is_label
 from gridtrack.recordings.frames.transform import SE3
 
+WORLD_WORDS = ("odom", "map")
+"""Words in the names of world frames; `odom` first, since it is continuous."""
+BODY_FRAMES = ("base_link", "base_footprint")
+"""Frames of a robot's body."""
+FAR_JUMP_NS = 10_000_000_000
+USUAL_GAPS = 2
+"""Of rare stamps, the next one may be this many times as far away as the last one was."""
 MAX_TREE_FRAMES = 1000
-"""Frames of a recording that are kept; a robot with two arms has a hundred."""
+"""Limit of the frames of a recording; a robot with two arms has a hundred."""
 MAX_POSE_TOPICS, MAX_FAULTS = 100, 20
+Judgement = Literal["near", "held", "confirmed", "restarted"]
+"""`held`: far from the newest stamp. `confirmed`: close to the held stamp, or as far after it as that is after the
+stamps before, so that both are correct. `restarted`: both are correct, and the stamps before are not comparable,
+because they are later, or a single one.
+"""
+
+
+def frame_name(name: str) -> str:
+    """A frame's name without the slash that ROS 1 may write before it."""
+    return name.removeprefix("/")
+
+
+def last_part(frame: str) -> str:
+    """`odom` of `robot1/odom`."""
+    return frame.rpartition("/")[2]
+
+
+def has_word(frame: str, word: str) -> bool:
+    """Whether a frame's name contains a word such as `odom`: `robot1/odom`, `odom_combined`, `tb_odom`."""
+    return word in last_part(frame).lower().split("_")
+
+
+def is_world(frame: str) -> bool:
+    """Whether a frame's name is that of a world frame."""
+    return any(has_word(frame, word) for word in WORLD_WORDS)
+
+
+def is_body(frame: str) -> bool:
+    """Whether a frame is a robot's body: `base_link`, `robot1/base_link`, `tb_base_link`."""
+    return last_part(frame).endswith(BODY_FRAMES)
+
+
+class FarStamps:
+    """Judges the stamps of one topic or frame in the order of the file."""
+
+    def __init__(self) -> None:
+        self.last_ns = 0
+        """The newest stamp that is near others, or the only one."""
+        self._judged = 0
+        self._held_ns: int | None = None
+        self._near_ns = FAR_JUMP_NS
+        """A stamp that is later by at most this is near. Larger if all stamps are rare."""
+
+    def judge(self, stamp_ns: int) -> Judgement:
+        """Whether a stamp is near the stamps before it."""
+        held_ns, self._held_ns = self._held_ns, None
+        if self._judged == 0 or -FAR_JUMP_NS <= stamp_ns - self.last_ns <= self._near_ns:
+            self.last_ns = max(self.last_ns, stamp_ns) if self._judged else stamp_ns
+            self._judged += 1
+            return "near"
+        if held_ns is None or not (abs(stamp_ns - held_ns) <= FAR_JUMP_NS or self.last_ns < held_ns < stamp_ns):
+            self._held_ns = stamp_ns
+            return "held"
+        goes_on = self.last_ns < held_ns < stamp_ns - FAR_JUMP_NS
+        restarts = held_ns < self.last_ns or (self._judged == 1 and not goes_on)
+        self._near_ns = USUAL_GAPS * max(held_ns - self.last_ns, stamp_ns - held_ns) if goes_on else FAR_JUMP_NS
+        self.last_ns, self._judged = max(held_ns, stamp_ns), self._judged + 2
+        return "restarted" if restarts else "confirmed"
 
 
 class StampedTransform(NamedTuple):
-    """`parent_T_child` at a stamp; None where the numbers of the message are not a transform."""
+    """`parent_T_child` at a stamp; None if the numbers of the message are not a transform."""
 
     stamp_ns: int
     parent: str
@@ -26,17 +90,17 @@ class StampedTransform(NamedTuple):
 
 
 class FrameMotion:
-    """What one pass over the transforms of a frame, or the poses of a topic, tells about them."""
+    """Statistics of the transforms of a frame, or the poses of a topic, from one pass over them."""
 
     def __init__(self, first_ns: int, first: SE3, *, may_move: bool = False) -> None:
-        """`may_move`: they count as moving also where they have been constant so far."""
+        """`may_move`: they count as moving even if they have been constant so far."""
         self.first = first
         self.constant = not may_move
         self.longest_gap_ns = 0
         self.contradicts = False
-        """Whether two transforms of one stamp differ."""
+        """Whether two transforms with the same stamp differ."""
         self.number = 1
-        """Of the transforms whose stamps are near others."""
+        """The number of transforms whose stamps are near others."""
         self._last = first_ns, first
         self._held: tuple[int, SE3] | None = None
         self._far = FarStamps()
@@ -44,13 +108,13 @@ class FrameMotion:
 
     @property
     def after_gap(self) -> tuple[int, SE3] | None:
-        """A last transform, left out since it is stamped far after the others: how far after them, ns, and itself."""
+        """The last transform, left out because its stamp is far after the others: distance (ns) and transform."""
         if self._held is None or self._held[0] < self._far.last_ns:
             return None
         return self._held[0] - self._far.last_ns, self._held[1]
 
     def add(self, stamp_ns: int, transform: SE3) -> None:
-        """Add the next transform in the order of the file; one whose stamp is far from the others does not count."""
+        """Add the next transform in the order of the file; one with a stamp far from the others does not count."""
         last_ns, last = self._last
         self._last = stamp_ns, transform
         self.contradicts |= stamp_ns == last_ns and not transform.is_same(last)
@@ -71,9 +135,9 @@ class FrameMotion:
 
 @dataclass(slots=True)
 class Edge:
-    """The transforms of a frame in its parent, and the first topic with them; `is_static`: one holds for all times.
+    """The transforms of a frame in its parent, from one topic, or from one static topic and another one.
 
-    They are from one topic, or from one with static and one with other transforms.
+    `topic` is the first of these topics; `is_static`: one transform holds for all times.
     """
 
     parent: str
@@ -81,10 +145,10 @@ class Edge:
     is_static: bool
     motion: FrameMotion
     topics: dict[bool, str] = field(default_factory=dict)
-    """The topic by whether its transforms are static."""
+    """The topic with static transforms (True) and the other topic (False)."""
 
-    def takes(self, topic: str, is_static: bool) -> bool:
-        """Whether transforms of a topic are of this edge: it has them, or none of their kind so far."""
+    def accepts(self, topic: str, is_static: bool) -> bool:
+        """Whether transforms of a topic belong to this edge; the first topic of each kind does."""
         return self.topics.setdefault(is_static, topic) == topic
 
     @property
@@ -95,7 +159,7 @@ class Edge:
 
 @dataclass(frozen=True, slots=True)
 class PoseTopic:
-    """A topic with poses: of `child` in `frame`; `child` is empty where the messages do not name it."""
+    """A topic with poses of `child` in `frame`; `child` is empty if the messages do not name it."""
 
     topic: str
     frame: str
@@ -107,14 +171,13 @@ class PoseTopic:
 class FrameTree:
     """Frames with their parents, topics with poses, and the frame of each topic with scans, from one pass over a file.
 
-    The first parent of a frame is kept; `second_parents` has the first of its other ones. `edges` have the transforms
-    of the first topic of a frame, `other_topics` those of the others, as of robots with the same frames. `faults` holds
-    one line for each kind of fault and frame. In a file that is `growing` what was constant so far may move later: only
-    static transforms are constant.
+    The first parent of a frame is kept; `second_parents` has the first of its other parents. `edges` have the
+    transforms from the first topic of a frame, `other_topics` those from other topics (robots with the same frame
+    names). `faults` holds one line for each kind of fault and frame. In a `growing` file only static transforms count
+    as constant.
     """
 
     growing: bool = False
-
     edges: dict[str, Edge] = field(default_factory=dict)
     other_topics: dict[str, list[Edge]] = field(default_factory=dict)
     second_parents: dict[str, Edge] = field(default_factory=dict)
@@ -150,12 +213,12 @@ class FrameTree:
                 self.note(f"more than {MAX_POSE_TOPICS} topics with poses: the others are not used")
             else:
                 parent, child = (_label_or_empty(name) for name in (pose.parent, pose.child))
-                child = "" if child == parent else child  # a driver that names its frame twice
+                child = "" if child == parent else child  # some drivers name their frame twice
                 motion = FrameMotion(pose.stamp_ns, pose.transform, may_move=self.growing)
                 self.poses[topic] = PoseTopic(topic, parent, child, motion)
 
     def edges_of(self, child: str) -> list[Edge]:
-        """The edges of a frame to its first parent, those of the first topic first."""
+        """The edges of a frame to its first parent, the one from the first topic first."""
         return [self.edges[child], *self.other_topics.get(child, ())] if child in self.edges else []
 
     def edge(self, topic: str, child: str) -> Edge | None:
@@ -163,19 +226,19 @@ class FrameTree:
         return next((edge for edge in self.edges_of(child) if edge.topic == topic), None)
 
     def edge_with(self, topic: str, stamped: StampedTransform) -> Edge | None:
-        """The edge that a transform on a topic is of; None for one that is not kept: to a second parent, say."""
+        """The edge that a transform on a topic belongs to; None for one that is not kept (to a second parent)."""
         parent, edges = frame_name(stamped.parent), self.edges_of(frame_name(stamped.child))
         return next((edge for edge in edges if edge.parent == parent and topic in edge.topics.values()), None)
 
     def edge_beside(self, scans: str, child: str) -> Edge:
-        """The edge of a frame that has one, from the topic in whose namespace the topic `scans` is, else the first.
+        """The edge of a frame that has one: from the topic whose namespace contains the topic `scans`, else the first.
 
-        Of several such namespaces it is the innermost.
+        The innermost such namespace counts: `/robot1/tf` for `/robot1/scan`.
         """
         return max(self.edges_of(child), key=lambda edge: _depth_beside(edge.topic, scans))
 
     def rivals(self, child: str) -> tuple[str, ...]:
-        """The topics that each tell the place of a frame in its parent; none where it is the same for all times."""
+        """The topics with different transforms of a frame; none if they agree for all times."""
         edges = self.edges_of(child)
         agree = all(edge.is_static and edge.motion.first.is_same(edges[0].motion.first) for edge in edges)
         return () if agree or len(edges) < 2 else tuple(edge.topic for edge in edges)
@@ -188,7 +251,7 @@ class FrameTree:
             self.faults["more faults in the transforms"] = None
 
     def _fault(self, topic: str, parent: str, child: str, transform: SE3 | None) -> str:
-        """Why a transform cannot be used; empty where it can."""
+        """Why a transform cannot be used; empty if it can."""
         bad_names = [name for name in (parent, child) if not is_label(name)]
         if bad_names:
             return f"transforms on {topic} with a frame named {bad_names[0][:40]!r} are left out: {LABEL_RULE}"
@@ -201,12 +264,12 @@ class FrameTree:
         return ""
 
     def _known(self, topic: str, is_static: bool, parent: str, child: str) -> Edge | None:
-        """The edge that a transform is of, or the one in the way of its own; None where it is to have one."""
+        """The edge that a transform belongs to, or the one that precludes its own; None if it needs a new one."""
         first = self.edges.get(child)
         if first is not None and first.parent != parent:
             self.note(_two_parents(child, first, parent, topic))
             return self.second_parents.get(child)
-        return next((edge for edge in self.edges_of(child) if edge.takes(topic, is_static)), None)
+        return next((edge for edge in self.edges_of(child) if edge.accepts(topic, is_static)), None)
 
     def _put(self, child: str, edge: Edge) -> None:
         """Keep a new edge."""
@@ -223,7 +286,7 @@ class FrameTree:
         edge.is_static &= is_static
         edge.motion.add(stamp_ns, transform)
         if edge.motion.contradicts:
-            self.note(f"transforms on {edge.topic} of frame '{child}' differ at one stamp, as of two sources")
+            self.note(f"transforms on {edge.topic} of frame '{child}' differ at one stamp: two sources may send them")
         if edge.is_static and not edge.motion.constant:
             self.note(f"static transforms on {edge.topic} of frame '{child}' change: the first is used")
 
@@ -231,21 +294,16 @@ class FrameTree:
 def _two_parents(child: str, first: Edge, parent: str, topic: str) -> str:
     return (
         f"frame '{child}' has two parents, '{first.parent}' on {first.topic} and '{parent}' on {topic}: the first is"
-        " used; where that is wrong, give the sensor's mount with --mount, or its poses with --pose-topic"
+        " used; if that is wrong, give the sensor's mount with --mount, or its poses with --pose-topic"
     )
 
 
 def _depth_beside(topic: str, scans: str) -> int:
-    """How deep the namespace of a topic is that the topic `scans` is in, in characters; 0: it is in another one."""
+    """The length of a topic's namespace if it contains the topic `scans`, else 0."""
     namespace = topic.rpartition("/")[0] + "/"
     return len(namespace) if scans.startswith(namespace) else 0
 
 
-def frame_name(name: str) -> str:
-    """A frame's name without the slash that ROS 1 may write before it."""
-    return name.removeprefix("/")
-
-
 def _label_or_empty(name: str) -> str:
-    """A frame's name, empty where it cannot be shown."""
+    """A frame's name, empty if it is not printable."""
     return frame_name(name) if is_label(frame_name(name)) else ""

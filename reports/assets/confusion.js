@@ -1,24 +1,19 @@
 // Confusion matrices of the forecast classes, one for each tracker, and the recall of occupied cells by class.
-import { scaleOf, svgText } from "./axis.js";
-import { draw } from "./elements.js";
+import { draw, scaleOf, shortened, svgText, textWidth } from "./drawing.js";
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { shortened, textWidth } from "./row_names.js";
-import { aheadChoice, recordingNamed, recordingOptions, stepAt } from "./scores.js";
+import { pointsOf, stepsWith, strataWith } from "./probabilities.js";
+import { aheadChoice, recordingNamed, recordingOptions } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
 const CELL = 46, NAMES = 84, TITLE = 20, GAP = 28;
-const rowsWithClasses = (recording) => recording.rows.filter((row) => row.classes);
-const firstConfusion = ({ recording }) => rowsWithClasses(recordingNamed(recording))[0].classes.confusion;
-const stepsWithClasses = (chosen) => Object.keys(firstConfusion(chosen)[chosen.visibility] ?? {}).map(Number);
-const classCounts = (row, chosen) =>
-  row.classes.confusion[chosen.visibility]?.[stepAt(chosen, stepsWithClasses(chosen))];
+const classCounts = (row, chosen) => pointsOf(row, "confusion", chosen)?.confusion ?? null;
 const shownOf = (chosen) =>
-  rowsWithClasses(recordingNamed(chosen.recording)).filter((row) => isShown(row.label) && classCounts(row, chosen));
+  recordingNamed(chosen.recording).rows.filter((row) => isShown(row.label) && classCounts(row, chosen));
 
 function drawConfusion(chosen, width) {
   const rows = shownOf(chosen);
-  const names = rows[0]?.classes.names ?? [], side = CELL * (names.length + 1) + NAMES;
+  const names = recordingNamed(chosen.recording).classes, side = CELL * (names.length + 1) + NAMES;
   const across = Math.max(1, Math.floor((width + GAP) / (side + GAP)));
   const heads = headsOf(names), down = heads.height + CELL * names.length + GAP;
   const height = down * Math.ceil(rows.length / across);
@@ -72,23 +67,23 @@ function matrix(row, names, shares, { texts, upright, height }) {
 }
 
 function confusionNumbers(chosen) {
-  const rows = shownOf(chosen), names = rows[0]?.classes.names ?? [];
+  const rows = shownOf(chosen), names = recordingNamed(chosen.recording).classes;
   return [["tracker", "true class", ...names, "other"],
     ...rows.flatMap((row) => classCounts(row, chosen).map((counts, i) => [row.name, names[i], ...counts]))];
 }
 
 // Fills the section of the confusion matrices.
 export function startConfusion() {
-  const listed = recordingOptions((recording) => rowsWithClasses(recording).length);
+  const listed = recordingOptions((recording) => strataWith(recording, "confusion").length);
   if (!listed.length) return;
-  const visibilities = (now) => Object.keys(firstConfusion(now)).map((name) => [name, `${name} cells`]);
-  const recording = listed[0][0], visibility = visibilities({ recording })[0][0];
+  const strata = (name) => strataWith(recordingNamed(name), "confusion");
+  const recording = listed[0][0];
   startFigure({
     id: "confusion",
     title: "Confusion of classes",
-    chosen: { recording, visibility, ahead_s: pageData.headline.ahead_s },
-    choices: (now) => [["recording", "Recording", listed], ["visibility", "Cells", visibilities(now)],
-      aheadChoice(now, stepsWithClasses(now))],
+    chosen: { recording, stratum: strata(recording)[0][0], ahead_s: pageData.headline.ahead_s },
+    choices: (now) => [["recording", "Recording", listed], ["stratum", "Cells", strata(now.recording)],
+      aheadChoice(now, stepsWith(now, "confusion"))],
     drawing: drawConfusion,
     numbers: confusionNumbers,
     line: () => "Rows are true classes, columns the most probable ones.",

@@ -1,7 +1,5 @@
 // A figure as a file of its own, and its numbers as CSV.
-import { svgText } from "./axis.js";
-import { draw, make } from "./elements.js";
-import { nameLines, textWidth } from "./row_names.js";
+import { draw, make, nameLines, svgText, textWidth } from "./drawing.js";
 
 // Not "font": it is empty wherever a part of it, as here the digits of equal width, cannot be said in short.
 const DRAWN = ["fill", "fill-opacity", "stroke", "stroke-width", "stroke-dasharray", "stroke-linejoin", "opacity",

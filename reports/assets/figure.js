@@ -1,8 +1,7 @@
 // A figure of the page: choices, a drawing, one line on what it shows, and its downloads.
-import { choiceBar, choiceWords } from "./choices.js";
 import { downloadButtons } from "./downloads.js";
-import { make, meaning, swatch } from "./elements.js";
-import { numbersOfChart, lineChart } from "./line_chart.js";
+import { make, meaning, swatch } from "./drawing.js";
+import { lineChart, numbersOfChart } from "./line_chart.js";
 import { whenShownChange } from "./shown_trackers.js";
 
 const LEAST_WIDTH = 300;
@@ -21,7 +20,7 @@ export function startFigure(figure) {
   const printed = make("p", { class: "printed" });
   const drawing = figure.drawing ?? ((now, width) => lineChart({ ...figure.chart(now), width }));
   const table = figure.numbers ?? ((now) => numbersOfChart(figure.chart(now)));
-  const numbers = (now) => toldOf(table(now), { ...choicesMade(figure.choices(now), now), ...figure.fixed?.(now) });
+  const numbers = (now) => labelled(table(now), { ...choicesMade(figure.choices(now), now), ...figure.fixed?.(now) });
   const words = () => choiceWords(figure.choices(chosen), chosen);
   const legend = () => (figure.chart ? figure.chart(chosen).lines.toReversed() : []);
   let width = 0;
@@ -55,13 +54,51 @@ function choicesMade(listed, chosen) {
   return Object.fromEntries(listed.map(([key, , , taken = chosen[key]]) => [COLUMNS[key] ?? key, taken]));
 }
 
-// A table, headings first, with a column for each of `told`: a file says by itself what its numbers are of.
-function toldOf([heading, ...rows], told) {
-  return [[...heading, ...Object.keys(told)], ...rows.map((row) => [...row, ...Object.values(told)])];
+// A table, headings first, with a column for each choice, so that a file needs no page around it.
+function labelled([heading, ...rows], choices) {
+  return [[...heading, ...Object.keys(choices)], ...rows.map((row) => [...row, ...Object.values(choices)])];
 }
 
 function newSection(id, title) {
   const section = make("section", { id, class: "figure" }, make("h2", {}, title));
   document.getElementById("figures").append(section);
   return section;
+}
+
+// A labelled select; `options`: [value, text] pairs. `changed` is called with the chosen value.
+export function choice(name, options, chosen, changed) {
+  const select = make("select", {}, ...options.map(([value, text]) => make("option", { value }, text)));
+  select.value = String(chosen);
+  select.addEventListener("change", () => changed(options[select.selectedIndex][0]));
+  return make("label", { class: "choice" }, make("span", {}, name), select);
+}
+
+// What is chosen, as a line of text, without what has no options.
+export function choiceWords(listed, chosen) {
+  const textOf = (options, taken) => options.find(([value]) => value === taken)?.[1];
+  return listed.filter(([, , options]) => options.length)
+    .map(([key, name, options, taken = chosen[key]]) => `${name}: ${textOf(options, taken)}`).join("; ");
+}
+
+// The choices of a figure in a row, with nothing to choose left out; drawn again after every change. A choice of
+// `listed`: [key, name, options, taken]. Where what is chosen is no option, the first takes its place for good, or
+// `taken` for as long as the options are these; where there is no option, it stays.
+export function choiceBar(listed, chosen, redraw) {
+  const bar = make("div", { class: "choices" });
+  const fill = () => {
+    const focused = [...bar.querySelectorAll("select")].findIndex((select) => select === document.activeElement);
+    bar.replaceChildren();
+    for (const at of listed(chosen).keys()) {
+      const [key, name, options, taken] = listed(chosen)[at]; // anew: it depends on the choices before it
+      const isOffered = options.some(([value]) => value === chosen[key]);
+      if (taken === undefined && options.length && !isOffered) chosen[key] = options[0][0];
+      const picked = (value) => { chosen[key] = value; fill(); redraw(); };
+      const one = choice(name, options, taken ?? chosen[key], picked);
+      one.hidden = options.length < 2 && (taken ?? chosen[key]) === chosen[key];
+      bar.append(one);
+    }
+    if (focused >= 0) bar.querySelectorAll("select")[focused]?.focus();
+  };
+  fill();
+  return bar;
 }

@@ -1,9 +1,7 @@
 // The time of an update and of a forecast: how the calls are spread, median, 95th and 99th percentile, on a logarithmic
 // axis, beside the period.
-import { scaleOf, svgText } from "./axis.js";
-import { draw } from "./elements.js";
+import { draw, heightOf, namedRows, rowName, scaleOf, svgText } from "./drawing.js";
 import { startFigure } from "./figure.js";
-import { heightOf, namedRows, rowName } from "./row_names.js";
 import { recordingNamed, recordingOptions } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 

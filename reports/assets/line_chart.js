@@ -1,6 +1,5 @@
 // Lines over one axis, with bands, and the values at the pointer or, by arrow keys, at any place.
-import { axisRange, inDigits, nearest, roundTicks, scaleOf, svgText } from "./axis.js";
-import { draw, make, swatch } from "./elements.js";
+import { axisRange, draw, inDigits, make, nearest, roundTicks, scaleOf, svgText, swatch } from "./drawing.js";
 
 const HEIGHT = 408, LEFT = 44, RIGHT = 14, BOTTOM = 46, TOP = 24;
 const READING_PLACES = 51;
@@ -8,7 +7,7 @@ const MOST_BANDS = 6;
 
 // A chart: { lines, x, y }. A line: { name, style, xs, values, low, high }; `low` and `high` may be null. Where a line has
 // `dotStyles`, each place has a dot of that style.
-// `x`: { name, unit, range, ticks, words(x), written(x), unranked }; `y`: { name, fromZero, range }. `ticks`: [place,
+// `x`: { name, unit, range, ticks, words(x), written(x), unranked }; `y`: { name, fromZero, range, digits }. `ticks`: [place,
 // text] pairs; `written`: what the file of numbers has for a place, which is itself where left out; `unranked`: places
 // before the second do not count; `diagonal`: where the two axes are equal.
 export function lineChart({ lines, x: across, y: up, diagonal, width }) {
@@ -19,7 +18,7 @@ export function lineChart({ lines, x: across, y: up, diagonal, width }) {
   const range = up.range ?? axisRange(values, up.fromZero);
   const y = scaleOf(...range, HEIGHT - BOTTOM, TOP);
   const svg = draw("svg", { class: "figure-drawing", viewBox: `0 0 ${width} ${HEIGHT}`, width, height: HEIGHT, role: "img" });
-  svg.setAttribute("aria-label", `${up.name}: ${lines.map((one) => `${one.name} ${inDigits(one.values.at(-1))}`).join(", ")}`);
+  svg.setAttribute("aria-label", `${up.name}: ${lines.map((one) => `${one.name} ${inDigits(one.values.at(-1), up.digits)}`).join(", ")}`);
   if (!lines.length) return nothingShown(svg, width);
   for (const tick of roundTicks(...range, 6)) {
     svg.append(draw("line", { class: "grid", x1: LEFT, x2: width - RIGHT, y1: y(tick), y2: y(tick) }),
@@ -37,7 +36,7 @@ export function lineChart({ lines, x: across, y: up, diagonal, width }) {
   const drawn = lines.map((one) => drawnLine(one, x, y));
   svg.append(...drawn);
   if (isCrowded(lines)) showBandOf(null, drawn);
-  return withReading(svg, { lines, drawn, places: readingPlaces(places, [first, last]), words: wordsOf(across), x, y, width });
+  return withReading(svg, { lines, drawn, places: readingPlaces(places, [first, last]), words: wordsOf(across), digits: up.digits, x, y, width });
 }
 
 // More bands than can be told from each other: only that of the line next to the pointer is drawn.
@@ -135,14 +134,15 @@ function lineAt({ lines, drawn, y }, place, height) {
 }
 
 // Each line at its own place that is nearest.
-function fillReading(marks, readout, { lines, words, x, y }, place) {
+function fillReading(marks, readout, { lines, words, digits, x, y }, place) {
+  const number = (value) => inDigits(value, digits);
   marks.append(draw("line", { x1: x(place), x2: x(place), y1: TOP, y2: HEIGHT - BOTTOM }));
   const read = lines.map((one) => ({ one, i: nearest(one.xs, place) }))
     .filter(({ one, i }) => one.values[i] !== null && one.values[i] !== undefined)
     .sort((a, b) => b.one.values[b.i] - a.one.values[a.i]);
   for (const { one, i } of read) marks.append(draw("g", { class: one.style }, draw("circle", { cx: x(one.xs[i]), cy: y(one.values[i]), r: 3.5 })));
-  const rows = read.map(({ one, i }) => make("span", {}, swatch(one.style), `${one.name} ${inDigits(one.values[i])}`
-    + (one.low?.[i] != null && one.high?.[i] != null ? ` [${inDigits(one.low[i])}, ${inDigits(one.high[i])}]` : "")
+  const rows = read.map(({ one, i }) => make("span", {}, swatch(one.style), `${one.name} ${number(one.values[i])}`
+    + (one.low?.[i] != null && one.high?.[i] != null ? ` [${number(one.low[i])}, ${number(one.high[i])}]` : "")
     + (one.notes ? ` (${one.notes[i]})` : "")));
   readout.replaceChildren(make("b", {}, words(place)), ...rows);
 }

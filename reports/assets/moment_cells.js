@@ -1,6 +1,5 @@
-// The packed cells of a moment (`moment_packing.py`), and their colours.
-import { inflatedBytes } from "./inflated.js";
-import { pageData } from "./page_data.js";
+// The packed cells of a moment (`moments.py`), and their colours.
+import { inflatedBytes, pageData } from "./page_data.js";
 
 const CALLED = 32;
 const IN_MOTION = 8;

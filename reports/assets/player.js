@@ -1,13 +1,9 @@
 // The player of one recording: kept forecasts over time and horizon, one to four trackers side by side.
-import { inSeconds, nearest } from "./axis.js";
-import { make, meaning } from "./elements.js";
+import { inSeconds, make, meaning, nearest } from "./drawing.js";
+import { busiestCell, cameColour, cssColour, MARK_COLOURS, truthColour, unpackedMoment } from "./moment_cells.js";
+import { MomentCanvas, MomentDrawing } from "./moment_drawing.js";
+import { linkOf, MOST_DIFFERENT, outstandingMoment, WORST } from "./moments.js";
 import { isShown } from "./shown_trackers.js";
-import { button, check, markLegend, menu, slider } from "./player_controls.js";
-import { MomentCanvas } from "./moment_canvas.js";
-import { unpackedMoment, cameColour, truthColour, busiestCell } from "./moment_cells.js";
-import { MomentDrawing } from "./moment_drawing.js";
-import { outstandingMoment, TELLING, WORST } from "./moment_scores.js";
-import { linkOf } from "./moment_link.js";
 
 const MOST_PANELS = 4;
 const LEAST_CELL_PX = 4;
@@ -19,7 +15,7 @@ export class Player {
   constructor(element, data, onward) {
     Object.assign(this, { element, data, onward, moment: 0, h: data.decisive, zoom: 1, centre: null });
     Object.assign(this, { marks: true, boxes: true, wipe: false, split: data.size / 2 });
-    Object.assign(this, { timer: null, told: "", unpacked: new Map() });
+    Object.assign(this, { timer: null, remark: "", unpacked: new Map() });
     this.chosen = Array.from({ length: MOST_PANELS }, (_, at) => (at < data.trackers.length ? at : NONE));
     this.build();
   }
@@ -30,7 +26,7 @@ export class Player {
     this.horizon = slider("horizon", horizons.length - 1, (at) => this.go({ h: at }));
     this.playButton = button("play", () => this.play(!this.timer));
     this.menus = this.chosen.map((_, at) => this.trackerMenu(at));
-    this.jumps = new Map([[WORST, "worst of the first"], [TELLING, "most telling of the first two"]]
+    this.jumps = new Map([[WORST, "worst of the first"], [MOST_DIFFERENT, "most different of the first two"]]
       .map(([kind, words]) => [kind, button(words, () => this.jump(kind))]));
     this.link = make("a", { href: "#" }, "link to this moment");
     this.wipeSlider = slider("wipe", this.data.size, (column) => this.go({ split: column }));
@@ -92,7 +88,7 @@ export class Player {
   }
 
   arrange() {
-    this.told = "";
+    this.remark = "";
     this.fillMenus();
     const shown = this.shown;
     const wiped = this.wipe && shown.length > 1;
@@ -117,7 +113,7 @@ export class Player {
 
   go(change) {
     const wiped = this.wipe;
-    if ("moment" in change || "h" in change) this.told = "";
+    if ("moment" in change || "h" in change) this.remark = "";
     Object.assign(this, change);
     if (wiped !== this.wipe) this.arrange();
     else this.show();
@@ -126,18 +122,18 @@ export class Player {
   // The moment of this kind of the first trackers on screen, whose names the line of the moment then has.
   outstanding(kind) {
     const trackers = this.shown.slice(0, kind.trackers);
-    if (trackers.length < kind.trackers) return { told: ": too few trackers are shown" };
+    if (trackers.length < kind.trackers) return { remark: ": too few trackers are shown" };
     const found = outstandingMoment(this.data, kind, this.h, trackers);
     const of = trackers.map((tracker) => this.data.names[tracker]).join(" and ");
-    if (!found) return { told: `: no ${kind.name} moment of ${of}` };
+    if (!found) return { remark: `: no ${kind.name} moment of ${of}` };
     const again = this.onward ? "; again: of the next recording" : "";
-    return { moment: found.moment, told: `, the ${kind.name} of ${of} ${this.ahead}${again}` };
+    return { moment: found.moment, remark: `, the ${kind.name} of ${of} ${this.ahead}${again}` };
   }
 
   // To the moment of this kind; where it is on screen already, to that of another recording.
   jump(kind) {
     const found = this.outstanding(kind);
-    if (this.onward && found.told === this.told) this.onward(kind);
+    if (this.onward && found.remark === this.remark) this.onward(kind);
     else this.go(found);
   }
 
@@ -149,7 +145,7 @@ export class Player {
 
   // To the moment that is worth a look first.
   begin() {
-    const found = [TELLING, WORST].map((kind) => this.outstanding(kind)).find(({ moment }) => moment !== undefined);
+    const found = [MOST_DIFFERENT, WORST].map((kind) => this.outstanding(kind)).find(({ moment }) => moment !== undefined);
     if (found) this.go(found);
   }
 
@@ -238,7 +234,7 @@ export class Player {
     this.horizon.output.textContent = this.ahead;
     this.wipeSlider.input.value = this.split;
     this.legend.hidden = !this.marks;
-    this.why.textContent = `moment ${moment + 1} of ${data.moments.length}${this.told}`;
+    this.why.textContent = `moment ${moment + 1} of ${data.moments.length}${this.remark}`;
     const trackers = this.shown.map((tracker) => data.trackers[tracker]);
     this.link.href = linkOf({ recording: data.recording, seconds: t, horizon: data.horizons_s[h], trackers });
     this.element.dataset.ready = `${moment} ${h}`;
@@ -264,4 +260,43 @@ export class Player {
     this.arrange();
     this.element.scrollIntoView();
   }
+}
+
+// Controls: real buttons, sliders and labels.
+function button(words, onClick) {
+  const element = make("button", { type: "button" }, words);
+  element.addEventListener("click", onClick);
+  return element;
+}
+
+function slider(words, last, onInput) {
+  const input = make("input", { type: "range", min: 0, max: last, step: 1, "aria-label": words });
+  const output = make("output", {});
+  input.addEventListener("input", () => onInput(Number(input.value)));
+  return { input, output, element: make("label", { class: "slider" }, words, input, output) };
+}
+
+function check(words, checked, onChange) {
+  const input = make("input", { type: "checkbox" });
+  input.checked = checked;
+  input.addEventListener("change", () => onChange(input.checked));
+  return make("label", {}, input, words);
+}
+
+// A menu of `options`, [value, text] each.
+function menu(words, options, chosen, onChange) {
+  const select = make("select", {}, ...options.map(([value, text]) => make("option", { value }, text)));
+  select.value = String(chosen);
+  select.addEventListener("change", () => onChange(Number(select.value)));
+  return { select, element: make("label", { class: "menu" }, words, select) };
+}
+
+function markLegend(hidden) {
+  const names = Object.keys(MARK_COLOURS).filter((name) =>
+    !name.startsWith("hidden") || hidden || name === "hidden, not scored");
+  return make("div", { class: "legend marks-legend" }, ...names.map((name) => {
+    const key = make("i", { class: name.includes("miss") ? "key hollow" : "key" });
+    key.style.backgroundColor = key.style.borderColor = cssColour(MARK_COLOURS[name]);
+    return make("span", {}, key, name);
+  }));
 }

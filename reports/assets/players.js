@@ -1,9 +1,7 @@
 // The players of all recordings, of which one is on screen.
-import { nearest } from "./axis.js";
-import { choice } from "./choices.js";
-import { make } from "./elements.js";
-import { momentOfLink } from "./moment_link.js";
-import { outstandingMoment } from "./moment_scores.js";
+import { make, nearest } from "./drawing.js";
+import { choice } from "./figure.js";
+import { momentOfLink, outstandingMoment } from "./moments.js";
 import { pageData } from "./page_data.js";
 import { Player } from "./player.js";
 import { whenShownChange } from "./shown_trackers.js";

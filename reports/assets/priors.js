@@ -1,9 +1,7 @@
 // What trackers expect of a place before they see it, beside what the recording shows, on a logarithmic scale.
-import { svgText } from "./axis.js";
-import { draw } from "./elements.js";
+import { draw, svgText } from "./drawing.js";
 import { startFigure } from "./figure.js";
-import { inflatedBytes } from "./inflated.js";
-import { pageData } from "./page_data.js";
+import { inflatedBytes, pageData } from "./page_data.js";
 import { isShown } from "./shown_trackers.js";
 
 const PRIOR_LEVELS = 254, PRIOR_UNSEEN = 255, DECADES = 3; // as in priors.py

@@ -1,55 +1,47 @@
-// The ranking on a chosen score: a dot and its interval for each row, and bars that join rows that are not told apart.
-import { axisRange, inDigits, roundTicks, scaleOf, svgText } from "./axis.js";
-import { draw } from "./elements.js";
+// The ranking on a chosen score: a dot and its interval for each row, and bars that join rows that do not differ significantly.
+import { axisRange, draw, heightOf, inDigits, namedRows, roundTicks, rowName, scaleOf, svgText } from "./drawing.js";
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { heightOf, namedRows, rowName } from "./row_names.js";
 import {
-  aheadChoice, recordingNamed, recordingOptions, rowsWith, scoreNamed, scoresOf, scoreWords, stepAt, strataOf, valueAt,
+  aheadChoice, hasScores, outputNamed, pointsIn, recordingNamed, recordingOptions, rowsWith, scoresOf, scoreWords, stepAt, strataOf,
 } from "./scores.js";
 
 const LINE = 26;
 
-const ranks = ({ better }) => better !== 0;
-
-// A function of a row: its value, or an end of its interval.
-function valueOf(chosen) {
-  const step = stepAt(chosen);
-  return (row, end = "") => valueAt(row, chosen.stratum, chosen.score, step, end);
-}
+const ranks = ({ better }) => better !== "";
 
 function rankedRows(chosen) {
   const { recording, score, stratum } = chosen;
-  const { better } = scoreNamed(score), value = valueOf(chosen);
+  const { better } = outputNamed(score), at = pointsIn(chosen), value = (row) => at(row).value;
   const order = (row) => (row.group === "ceiling" ? 0 : row.group === "unranked" ? 2 : 1);
   return rowsWith(recordingNamed(recording), stratum, score)
     .filter((row) => value(row) !== null)
-    .sort((a, b) => order(a) - order(b) || (better < 0 ? value(a) - value(b) : value(b) - value(a)));
+    .sort((a, b) => order(a) - order(b) || (better === "lower" ? value(a) - value(b) : value(b) - value(a)));
 }
 
-const tiersOf = (chosen) =>
-  recordingNamed(chosen.recording).tiers[`${chosen.score}/${chosen.stratum}/${stepAt(chosen)}`] ?? null;
+const testsOf = (chosen) =>
+  recordingNamed(chosen.recording).groups[`${outputNamed(chosen.score).full}/${chosen.stratum}/${stepAt(chosen)}`] ?? null;
 
 function drawRanking(chosen, width) {
   const rows = rankedRows(chosen);
-  const groups = (tiersOf(chosen)?.groups ?? [])
+  const groups = (testsOf(chosen)?.groups ?? [])
     .map((labels) => rows.flatMap((row, i) => (row.group !== "unranked" && labels.includes(row.label) ? [i] : [])))
     .filter((at) => at.length > 1);
   const narrow = width < 560;
   const left = narrow ? 124 : 210, right = 64 + 12 * groups.length;
-  const at = valueOf(chosen);
-  const range = axisRange(rows.flatMap((row) => [at(row), at(row, "_low"), at(row, "_high")]), false);
+  const at = pointsIn(chosen), { heading, decimals } = outputNamed(chosen.score);
+  const range = axisRange(rows.flatMap((row) => Object.values(at(row))), false);
   const x = scaleOf(...range, left, width - right);
   const places = namedRows(rows.map((row) => row.name), left - 12, LINE);
   const height = heightOf(places) + 46, bottom = height - 42;
   const svg = draw("svg", { class: "figure-drawing ranking", viewBox: `0 0 ${width} ${height}`, width, height, role: "img" });
-  svg.setAttribute("aria-label", rows.map((row) => `${row.name} ${inDigits(at(row))}`).join(", "));
+  svg.setAttribute("aria-label", rows.map((row) => `${row.name} ${inDigits(at(row).value, decimals)}`).join(", "));
   for (const tick of roundTicks(...range, narrow ? 3 : 6)) {
     svg.append(draw("line", { class: "grid", x1: x(tick), x2: x(tick), y1: 0, y2: bottom }),
       svgText(x(tick), bottom + 16, String(tick), { class: "tick", "text-anchor": "middle" }));
   }
-  svg.append(svgText(width - right, height - 5, scoreNamed(chosen.score).name, { class: "axis-name", "text-anchor": "end" }));
-  rows.forEach((row, i) => svg.append(drawRow(row, at, x, places[i], width - right)));
+  svg.append(svgText(width - right, height - 5, heading, { class: "axis-name", "text-anchor": "end" }));
+  rows.forEach((row, i) => svg.append(drawRow(row, at(row), x, places[i], width - right, decimals)));
   groups.forEach((members, g) => {
     const bar = width - right + 64 + 12 * g;
     const [first, last] = [places[members[0]], places[members.at(-1)]];
@@ -59,38 +51,38 @@ function drawRanking(chosen, width) {
   return svg;
 }
 
-function drawRow(row, at, x, place, end) {
+function drawRow(row, { value, low, high }, x, place, end, decimals) {
   const { y } = place;
   const faint = row.group === "unranked" ? " partial" : "";
   const parts = [rowName(place, { class: row.group === "ranked" ? "" : "tick" }),
-    draw("circle", { class: "dot", cx: x(at(row)), cy: y, r: 4.5 }),
-    svgText(end + 52, y + 4, inDigits(at(row)), { "text-anchor": "end" })];
-  if (at(row, "_low") !== null && at(row, "_high") !== null) {
-    parts.push(draw("line", { class: "whisker", x1: x(at(row, "_low")), x2: x(at(row, "_high")), y1: y, y2: y }));
+    draw("circle", { class: "dot", cx: x(value), cy: y, r: 4.5 }),
+    svgText(end + 52, y + 4, inDigits(value, decimals), { "text-anchor": "end" })];
+  if (low !== null && high !== null) {
+    parts.push(draw("line", { class: "whisker", x1: x(low), x2: x(high), y1: y, y2: y }));
   }
   const words = row.group === "unranked" ? `${row.name}: ${row.outcome}, not ranked` : row.name;
   return draw("g", { class: `line ${row.style}${faint}` }, draw("title", {}, words), ...parts);
 }
 
 function caption(chosen) {
-  const tiers = tiersOf(chosen);
-  const lower = scoreWords(scoreNamed(chosen.score));
-  if (!tiers) return `${lower}. The order may be chance: ${recordingNamed(chosen.recording).untested}.`;
-  return `${lower}. A bar joins rows that are not told apart: ${tiers.pairs} pairs, ${tiers.units} units, Holm, p < 0.05.`;
+  const tests = testsOf(chosen);
+  const lower = scoreWords(outputNamed(chosen.score));
+  if (!tests) return `${lower}. The order may be chance: ${recordingNamed(chosen.recording).untested}.`;
+  return `${lower}. A bar joins rows that do not differ significantly: ${tests.pairs} pairs, ${tests.units} units, Holm, p < 0.05.`;
 }
 
 function rankingNumbers(chosen) {
   const rows = rankedRows(chosen);
-  const at = valueOf(chosen);
-  const groups = tiersOf(chosen)?.groups ?? [];
+  const at = pointsIn(chosen);
+  const groups = testsOf(chosen)?.groups ?? [];
   const letters = (row) => groups.map((labels, i) => (labels.includes(row.label) ? String(i + 1) : "")).filter(Boolean).join(" ");
-  return [["tracker", "group", chosen.score, "low", "high", "not told apart"],
-    ...rows.map((row) => [row.name, row.group, at(row, ""), at(row, "_low"), at(row, "_high"), letters(row)])];
+  return [["tracker", "group", chosen.score, "low", "high", "no significant difference"],
+    ...rows.map((row) => [row.name, row.group, at(row).value, at(row).low, at(row).high, letters(row)])];
 }
 
 // Fills the section of the ranking.
 export function startRanking() {
-  if (!pageData.recordings.some((one) => one.rows.some((row) => Object.keys(row.strata).length))) return;
+  if (!pageData.recordings.some(hasScores)) return;
   startFigure({
     id: "ranking",
     chosen: { recording: pageData.recordings[0].name, ...pageData.headline },

@@ -1,36 +1,61 @@
-// Scores of the page's data: by recording, row, stratum, score and step.
-import { inSeconds } from "./axis.js";
+// The scores of the page's data: estimates by recording, row, stratum, score, output and step.
+import { inSeconds } from "./drawing.js";
 import { isCrowded } from "./line_chart.js";
 import { pageData } from "./page_data.js";
 import { isShown } from "./shown_trackers.js";
 
+// Every output of every score; `key`: its name as users write it, `f1` or `f1.recall`.
+const outputs = pageData.scores.flatMap((score) => score.outputs.map((output, i) => ({
+  ...output,
+  key: i ? `${score.name}.${output.name}` : score.name,
+  full: `${score.name}.${output.name}`,
+  heading: output.unit ? `${output.title}, ${output.unit}` : output.title,
+  score,
+})));
+const outputByKey = new Map(outputs.map((one) => [one.key, one]));
+
 export const recordingNamed = (name) => pageData.recordings.find((one) => one.name === name);
-export const scoreNamed = (key) => pageData.scores.find((one) => one.key === key);
+export const outputNamed = (key) => outputByKey.get(key);
+export const hasScores = (recording) => recording.rows.some((row) => Object.keys(row.strata).length);
 
-// What is behind the name of a score: nothing for its value, then the ends of its interval.
-export const ENDS = ["", "_low", "_high"];
-
-// A curve of a row; null where the row has none. `end`: one of ENDS.
-export function curveOf(row, stratum, score, end = "") {
-  return row.strata[stratum]?.[score + end] ?? null;
+// The curves { value, low, high } of a row; null where it has none. Those of an interval may be missing.
+export function estimateOf(row, stratum, key) {
+  const output = outputNamed(key);
+  return row.strata[stratum]?.[output?.score.name]?.[output.name] ?? null;
 }
 
-export function valueAt(row, stratum, score, step, end = "") {
-  return curveOf(row, stratum, score, end)?.[step] ?? null;
+// The numbers { value, low, high } at one step; null where they are undefined.
+export function pointOf(row, stratum, key, step) {
+  const { value, low, high } = estimateOf(row, stratum, key) ?? {};
+  return { value: value?.[step] ?? null, low: low?.[step] ?? null, high: high?.[step] ?? null };
 }
 
-// The rows of a recording that are shown and have the score anywhere.
-export function rowsWith(recording, stratum, score) {
-  return recording.rows.filter((row) => isShown(row.label) && curveOf(row, stratum, score)?.some((v) => v !== null));
+// A function of a row and a score: its point at the chosen cells and time. `steps`: the steps to choose from.
+export function pointsIn(chosen, steps = laterSteps(chosen)) {
+  const step = stepAt(chosen, steps);
+  return (row, key = chosen.score) => pointOf(row, chosen.stratum, key, step);
 }
 
-// A line of a chart in the colour of its row; of one that is not ranked it says so.
+export const isDefined = (row, stratum, key) => estimateOf(row, stratum, key) !== null;
+
+// The shown rows of a recording that have the score anywhere.
+export function rowsWith(recording, stratum, key) {
+  return recording.rows.filter((row) => isShown(row.label) && isDefined(row, stratum, key));
+}
+
+// A line of a chart in the colour of its row; the name of a row that is not ranked says so.
 export function lineOf(row, values) {
   const unranked = row.group === "unranked";
   return { name: unranked ? `${row.name} (not ranked)` : row.name, style: unranked ? `${row.style} partial` : row.style, ...values };
 }
 
-// Options of selects: what the recording has. `has(recording)`: which recordings are listed.
+// A line through points { value, low, high } at `xs`.
+export function lineThrough(row, xs, points) {
+  const [values, low, high] = ["value", "low", "high"].map((name) => points.map((point) => point[name]));
+  return lineOf(row, { xs, values, low, high });
+}
+
+// Options of selects: what the recording has. `has`: which of them are listed.
 export function recordingOptions(has = () => true) {
   return pageData.recordings.filter(has).map((one) => [one.name, one.name]);
 }
@@ -40,9 +65,8 @@ export function strataOf(recording, has = () => true) {
 }
 
 export function scoresOf(recording, stratum, has = () => true) {
-  return pageData.scores.filter(has)
-    .filter(({ key }) => recording.rows.some((row) => curveOf(row, stratum, key)?.some((v) => v !== null)))
-    .map(({ key, name }) => [key, name]);
+  return outputs.filter(has).filter(({ key }) => recording.rows.some((row) => isDefined(row, stratum, key)))
+    .map(({ key, heading }) => [key, heading]);
 }
 
 export const allSteps = ({ recording }) => recordingNamed(recording).horizons_s.map((_, step) => step);
@@ -63,9 +87,9 @@ export function stepAt(chosen, steps = laterSteps(chosen)) {
   return steps.toSorted((a, b) => away(a) - away(b) || (a % 2) - (b % 2))[0];
 }
 
-// What a score's name leaves open: that lower is better.
-export function scoreWords({ name, better }) {
-  return better < 0 ? `${name} (lower is better)` : name;
+// The heading of a score, with a remark where lower is better.
+export function scoreWords({ heading, better }) {
+  return better === "lower" ? `${heading} (lower is better)` : heading;
 }
 
 export function bandWords({ lines }) {

@@ -1,5 +1,5 @@
 // Which trackers the page shows: a button for each; one that is off is gone from every table and figure.
-import { make, swatch } from "./elements.js";
+import { make, swatch } from "./drawing.js";
 import { pageData } from "./page_data.js";
 
 const hiddenLabels = new Set();

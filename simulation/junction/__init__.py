@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.recordings.recording_info import RecordingInfo
-from gridtrack.simulation.junction import demand, layout
-from gridtrack.simulation.junction.patience import Patience
+from gridtrack.simulation.junction import layout, road_users
+from gridtrack.simulation.junction.road_users import Patience
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.motion import headings, smoothed, trailing_headings, unbroken_tracks
 from gridtrack.simulation.sumo import STEP_S, Movements, run_sumo, sumo_version
@@ -24,7 +24,7 @@ WARM_UP_S = 300.0
 """From the empty streets to steady traffic: three signal cycles of 96 s."""
 MAX_MINUTES = 600.0
 MARGIN_S = 3.0
-"""Simulated before and after the recording, for the smoothing at both ends."""
+"""Simulated before and after the recording for the smoothing."""
 WALKING_STD_STEPS, ROLLING_STD_STEPS = 4.0, 1.0
 WHEELS_BEHIND = 0.8
 """Distance of a vehicle's rear wheels from the front bumper, as a share of its length."""
@@ -33,16 +33,15 @@ JUNCTION_SET = {
     "validation": (5.0, 2, WARM_UP_S),
     **{f"test-{101 + k}": (1.0, 101 + k, WARM_UP_S + 5.0 * k) for k in range(20)},
 }
-"""Minutes, seed and start in seconds of the recordings in the package. No seed is used for both training and test; the
-tests, shorter than a signal cycle, start at different times of the cycle."""
+"""Minutes, seed and start (s) of the packaged recordings. Training and test have different seeds; the tests are shorter
+than a signal cycle and start at different times of it."""
 LICENCE = "BSD-3-Clause"
 CREDIT = "simulated with Eclipse SUMO and JuPedSim"
 
 
 @dataclass(frozen=True)
 class View:
-    """What watches the junction: the lasers, and the road user that carries them, if any; with the recording's window,
-    and the static outlines within the lasers' range."""
+    """The lasers, the road user that carries them (if any), the window, and the static outlines in range."""
 
     grid: str = layout.JUNCTION_GRID
     lasers: Mapping[str, Laser] = field(default_factory=lambda: {ONLY_LASER: layout.LASER})
@@ -55,9 +54,9 @@ TWO_CORNERS = View(lasers=layout.CORNER_LASERS, static=layout.static_outlines(so
 
 
 def simulate_junction(minutes: float, seed: int, start_s: float = WARM_UP_S, view: View = ONE_CORNER) -> Tracks:
-    """`minutes` of the junction from `start_s` after the start with empty streets; same seed, same tracks.
+    """`minutes` of the junction, `start_s` seconds after a start with empty streets; same seed, same tracks.
 
-    Raises ConfigurationError where SUMO is not installed or the times are invalid, SimulationError where it fails.
+    Raises ConfigurationError if SUMO is not installed or the times are invalid, SimulationError if it fails.
     """
     traffic = simulate_traffic(frames_of(minutes), seed, start_s)
     return seen(
@@ -73,15 +72,15 @@ def frames_of(minutes: float) -> int:
 
 
 def command_of(minutes: float, seed: int, start_s: float) -> str:
-    """The command line that repeats a simulation, with the laser on the corner."""
+    """The command line of a simulation with the laser on one corner."""
     start_s = round(start_s / STEP_S) * STEP_S
     return f"gridtrack simulate junction --minutes {minutes:g} --seed {seed} --start {start_s:g}s"
 
 
 def simulate_traffic(frames: int, seed: int, start_s: float) -> Tracks:
-    """The road users of the whole streets, also of those beyond the range of the laser on the corner.
+    """The road users on the whole streets, even beyond the range of the laser on the corner.
 
-    Raises ConfigurationError where SUMO is not installed or the start is invalid, SimulationError where it fails.
+    Raises ConfigurationError if SUMO is not installed or the start is invalid, SimulationError if it fails.
     """
     if not 0.0 <= start_s <= MAX_MINUTES * 60.0:
         raise ConfigurationError(f"a start at {start_s:g} s: expected one from 0 to {MAX_MINUTES * 60.0:g} s")
@@ -94,7 +93,7 @@ def simulate_traffic(frames: int, seed: int, start_s: float) -> Tracks:
         movements = run_sumo(
             Path(folder),
             here / "network.net.xml",
-            demand.routes(),
+            road_users.routes(),
             signals,
             span_s,
             seed,
@@ -104,7 +103,7 @@ def simulate_traffic(frames: int, seed: int, start_s: float) -> Tracks:
 
 
 def seen(traffic: Tracks, view: View, command: str) -> Tracks:
-    """The tracks within the maximum range of a laser of `view`, with the resolution of a file of tracks."""
+    """The tracks within the range of a laser of `view`, rounded to the resolution of the file."""
     tracks = replace(traffic, info=_info(traffic.info, view, command))
     near = np.zeros(len(tracks.frame), np.bool_)
     for name, laser in view.lasers.items():
@@ -149,14 +148,14 @@ def _traffic_info(frames: int, seed: int) -> TracksInfo:
 
 
 def _tracks(info: TracksInfo, movements: Movements, first_step: int) -> Tracks:
-    """Smoothed tracks from SUMO's positions; each unbroken part is a track, numbered in the order of the names."""
+    """Smoothed tracks from SUMO's positions; each unbroken part is a track, in the order of the road users' names."""
     poses, users = np.empty((len(movements.user), 3)), np.empty(len(movements.user), np.int64)
     for number, rows in enumerate(unbroken_tracks(movements.user, movements.step)):
-        kind = demand.ROAD_USER_TYPES[movements.kind[movements.user[rows.start]]]
+        kind = road_users.ROAD_USER_TYPES[movements.kind[movements.user[rows.start]]]
         users[rows] = number
         walks = kind.label == "pedestrian"
         poses[rows] = pedestrian_poses(movements, rows) if walks else vehicle_poses(movements, rows, kind)
-    kinds = [demand.ROAD_USER_TYPES[name] for name in movements.kind]
+    kinds = [road_users.ROAD_USER_TYPES[name] for name in movements.kind]
     frame = movements.step - first_step
     kept = (frame >= 0) & (frame < info.frames)
     order = np.lexsort((users[kept], frame[kept]))
@@ -172,13 +171,13 @@ def _tracks(info: TracksInfo, movements: Movements, first_step: int) -> Tracks:
 
 
 def pedestrian_poses(movements: Movements, rows: slice) -> NDArray[np.float64]:
-    """Poses (n, 3), smoothed: pedestrians of JuPedSim sway and turn on the spot."""
+    """Poses (n, 3), smoothed because pedestrians of JuPedSim sway and turn on the spot."""
     position = smoothed(movements.position[rows], WALKING_STD_STEPS)
     return np.column_stack([position, headings(position, STEP_S, WALKING_STD_STEPS)])
 
 
-def vehicle_poses(movements: Movements, rows: slice, kind: demand.RoadUserType) -> NDArray[np.float64]:
-    """Poses (n, 3) of the centre, from the front bumper. Vehicles of SUMO turn on the spot: here the rear follows."""
+def vehicle_poses(movements: Movements, rows: slice, kind: road_users.RoadUserType) -> NDArray[np.float64]:
+    """Poses (n, 3) of the centre, from the front bumper; the rear follows because vehicles of SUMO turn on the spot."""
     front = smoothed(movements.position[rows], ROLLING_STD_STEPS)
     heading = trailing_headings(front, WHEELS_BEHIND * kind.length_m, float(movements.heading[rows.start]))
     ahead = np.column_stack([np.cos(heading), np.sin(heading)])

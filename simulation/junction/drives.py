@@ -1,4 +1,4 @@
-"""Drives through the junction: lasers carried by a car or by a delivery robot, and one that stands beside their way."""
+"""Drives through the junction: a laser carried by a car or a delivery robot, or standing beside their path."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gridtrack.simulation.junction import (
     simulate_traffic,
 )
 from gridtrack.simulation.laser import Laser, sweep
-from gridtrack.simulation.odometry import WheelOdometry
+from gridtrack.simulation.motion import WheelOdometry
 from gridtrack.simulation.sumo import SimulationError
 from gridtrack.simulation.tracks import ONLY_LASER, Carrier, Tracks
 from gridtrack.simulation.traffic import inside
@@ -34,35 +34,34 @@ DRIVE_GRID = "100x0.2"
 DRIVE_SEEDS = range(201, 221)
 MAX_ODOMETRY_NOISE = 10.0
 SEARCH_S = layout.CYCLE_S
-"""A drive begins within this time: one cycle of the signals."""
+"""A drive begins within this time: one signal cycle."""
 ROAD_USER_CLEARANCE_M = 0.4
-"""Between a laser that stands beside a way and any road user."""
+"""Minimum distance of a standing laser from any road user."""
 WALL_CLEARANCE_M = 0.15
 RASTER_M, MAX_BESIDE_M = 0.2, 15.0
-
-
 ARM_M = 15.0
 """Further than this from the middle is outside the junction."""
 
 
 class CarrierType(NamedTuple):
-    """A class of road users one of which carries the laser, how near to the middle of the junction it passes, and the
-    distance between its wheels."""
+    """A class of road users that can carry the laser."""
 
     label: str
     passes_within_m: float
+    """Maximum distance at which it passes the middle of the junction."""
     track_width_m: float
+    """Distance between its wheels."""
 
 
 CARRIERS = {"car": CarrierType("car", 8.0, 1.5), "robot": CarrierType("pedestrian", 12.0, 0.4)}
-"""The robot has the path of a pedestrian of the simulation, whom all others avoid."""
+"""The robot replaces a pedestrian of the simulation, whom all others avoid."""
 
 
 @dataclass(frozen=True)
 class Drive:
     """The traffic while the road user of track `track` goes through the junction.
 
-    `carrier` is one of CARRIERS; `command` is the command line that repeats the simulation, less its sensor.
+    `carrier` is a key of CARRIERS; `command` is the command line of the simulation without its sensor.
     """
 
     traffic: Tracks
@@ -71,10 +70,9 @@ class Drive:
     command: str
 
     def carried(self, odometry_noise: float = 0.0) -> Tracks:
-        """With the laser in the middle of the road user, looking ahead.
+        """The tracks with the laser in the middle of the road user, facing forward.
 
-        `odometry_noise` from 0 to MAX_ODOMETRY_NOISE multiplies the errors of wheel odometry; with 0 the recorded poses
-        are the true ones.
+        `odometry_noise` from 0 to MAX_ODOMETRY_NOISE scales the errors of wheel odometry; 0: true poses are recorded.
         """
         noise, odometry = "", None
         if odometry_noise:
@@ -84,9 +82,9 @@ class Drive:
         return self._seen(f"drive{noise}", Laser(), Carrier(track=self.track, odometry=odometry))
 
     def beside(self) -> Tracks:
-        """With the laser standing where the road user is at half time, as near as nobody comes, and facing that place.
+        """The tracks with a standing laser beside the road user's position at half time, facing it.
 
-        The road user is then one as any other. Raises SimulationError where there is no such place.
+        The road user is then visible like any other. Raises SimulationError if no place is free.
         """
         path = self.traffic.pose[self.traffic.track == self.track]
         x, y, _ = path[len(path) // 2].tolist()
@@ -98,26 +96,26 @@ class Drive:
 
 
 def simulate_drive(minutes: float, seed: int, start_s: float, carrier: str) -> Drive:
-    """The drive of the road user who moves furthest in `minutes`, of those that go through the junction.
+    """The drive of the road user that moves furthest through the junction in `minutes`.
 
-    It begins within SEARCH_S after `start_s`. Raises ConfigurationError where SUMO is not installed or a value is
-    invalid, SimulationError where it fails or nobody drives for so long.
+    It begins within SEARCH_S after `start_s`. Raises ConfigurationError if SUMO is not installed or a value is invalid,
+    SimulationError if it fails or no drive is that long.
     """
     frames, kind = frames_of(minutes), CARRIERS[carrier]
     traffic = simulate_traffic(frames + round(SEARCH_S * layout.RATE_HZ), seed, start_s)
     found = furthest(traffic, layout.JUNCTION_CLASSES.index(kind.label), frames, kind.passes_within_m)
     if found is None:
         raise SimulationError(
-            f"no {carrier} goes through the junction in a stretch of {minutes:g} minutes with seed {seed}: try another"
-            " time, such as 0.5 or 1 minutes, or another seed"
+            f"no {carrier} drives through the junction for {minutes:g} minutes with seed {seed}: try another duration,"
+            " such as 0.5 or 1 minutes, or another seed"
         )
     track, first = found
     return Drive(_stretch(traffic, first, frames), track, carrier, command_of(minutes, seed, start_s))
 
 
 def drive_set() -> Iterator[tuple[str, Tracks]]:
-    """The names and tracks of twenty drives, half of them by robots, with true poses, with wheel odometry, and with a
-    laser that stands beside them; and of the junction's test minutes with lasers on two corners."""
+    """Names and tracks of twenty drives, half of them by robots, each with true poses, with wheel odometry and with a
+    standing laser; and of the junction's test minutes with lasers on two corners."""
     for seed in DRIVE_SEEDS:
         carrier = list(CARRIERS)[seed % len(CARRIERS)]
         drive = simulate_drive(1.0, seed, WARM_UP_S, carrier)
@@ -130,10 +128,10 @@ def drive_set() -> Iterator[tuple[str, Tracks]]:
 
 
 def furthest(traffic: Tracks, label: int, frames: int, passes_within_m: float) -> tuple[int, int] | None:
-    """The track of class `label`, and the first of `frames` successive frames, that move furthest through the junction.
+    """The track of class `label` that moves furthest through the junction in `frames` frames, and the first frame.
 
     In these frames it is more than ARM_M away from the origin, then nearer than `passes_within_m`, then again more than
-    ARM_M away. None where no track does.
+    ARM_M away. None if there is no such track.
     """
     best, best_m = None, 0.0
     of_class = np.flatnonzero(traffic.label == label)
@@ -154,20 +152,21 @@ def furthest(traffic: Tracks, label: int, frames: int, passes_within_m: float) -
 
 
 def _next(marked: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """For each index up to the length n the next marked one from it on, n where there is none: (n + 1,)."""
+    """For each index from 0 to n the next marked index at or after it, or n: (n + 1,)."""
     n = len(marked)
     found = np.append(np.where(marked, np.arange(n), n), n)
     return np.minimum.accumulate(found[::-1])[::-1]
 
 
 def _stretch(traffic: Tracks, first: int, frames: int) -> Tracks:
-    """The tracks of the frames from `first` on, which becomes frame 0."""
+    """The tracks of `frames` frames from `first`, which becomes frame 0."""
     kept = traffic.where((traffic.frame >= first) & (traffic.frame < first + frames))
     return replace(kept, info=kept.info.model_copy(update={"frames": frames}), frame=kept.frame - first)
 
 
 def standing_beside(traffic: Tracks, x: float, y: float) -> Laser:
-    """A laser that faces (x, y), on a raster beside the lanes, as near as no wall and no road user comes."""
+    """A laser facing (x, y), at the nearest point of a raster beside the lanes that is clear of walls and road
+    users."""
     reach = np.arange(-round(MAX_BESIDE_M / RASTER_M), round(MAX_BESIDE_M / RASTER_M) + 1)
     corner = np.round(np.array([x, y]) / RASTER_M)
     places = (np.stack(np.meshgrid(reach, reach), axis=2).reshape(-1, 2) + corner) * RASTER_M
@@ -179,11 +178,11 @@ def standing_beside(traffic: Tracks, x: float, y: float) -> Laser:
         if _clear_of_walls(walls, place) and _clear_of_road_users(traffic, place):
             facing = math.atan2(y - place[1], x - place[0])
             return Laser(x=round(float(place[0]), 2), y=round(float(place[1]), 2), theta=round(facing, 3))
-    raise SimulationError(f"no place within {MAX_BESIDE_M:g} m of ({x:.1f}, {y:.1f}) is free for a laser that stands")
+    raise SimulationError(f"no place within {MAX_BESIDE_M:g} m of ({x:.1f}, {y:.1f}) is free for a standing laser")
 
 
 def _clear_of_road_users(traffic: Tracks, place: NDArray[np.float64]) -> bool:
-    """Whether `place` is more than ROAD_USER_CLEARANCE_M away from the rectangles around all bodies."""
+    """Whether `place` is more than ROAD_USER_CLEARANCE_M away from the bounding rectangles of all bodies."""
     offset = place - traffic.pose[:, :2]
     c, s = np.cos(traffic.pose[:, 2]), np.sin(traffic.pose[:, 2])
     ahead = np.abs(c * offset[:, 0] + s * offset[:, 1]) - traffic.size[:, 0] / 2.0

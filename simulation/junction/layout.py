@@ -1,8 +1,8 @@
-"""The layout of the junction: its static objects, the pose of the laser, and the window that is scored.
+"""The layout of the junction: its static objects, the pose of the laser, and the scored window.
 
 Two streets cross at the origin of the world frame, x east, y north. Each has a lane of 4.2 m and a pavement of 2.8 m
-on either side, so houses are at least 7 m from the middle of the street; the corners are cut, where pedestrians wait.
-The laser is on the north-western corner, between the pavement and the house behind it.
+on both sides, so houses are at least 7 m from the middle of the street. The corners of the houses are cut off, where
+pedestrians wait. The laser is on the north-western corner, between the pavement and the house.
 """
 
 from __future__ import annotations
@@ -20,29 +20,27 @@ RATE_HZ = 8.0
 CYCLE_S = 96.0
 """Period of the signals: a phase for each street, and one for all pedestrians."""
 JUNCTION_GRID = "100x0.2@-4,-16"
-"""The window, 20 m square, in the frame of the laser, which has the axes of the world and is at (-8, 8)."""
+"""The window, 20 m square, in the frame of the laser at (-8, 8), which is parallel to the world frame."""
 LASER = Laser(x=-8.0, y=8.0, angle_min=-math.pi)
-"""Its blind quarter is towards the house behind it, in the north-west."""
+"""Its blind quarter faces the house behind it, in the north-west."""
 CORNER_LASERS = {"north-west": LASER, "south-east": Laser(x=8.0, y=-8.0, angle_min=0.0)}
-"""The same laser, and one on the opposite corner in place of the signal post, where pedestrians do not come; its blind
-quarter is towards the house there."""
-
+"""The same laser, and one on the opposite corner in place of the signal post, out of the way of pedestrians; its blind
+quarter faces the house there."""
 CornerList = tuple[tuple[float, float], ...]
-
 BLOCK_M = 45.0
 """Extent of the houses, beyond the maximum range of the laser."""
 FACADE_M = 7.3
 LANE_EDGE_M = 4.2
 """Distance of the kerbs from the middle of the street."""
 FURTHER_HOUSES = ((47.0, 57.5, 0.0), (60.0, 70.0, 0.8), (71.5, 84.0, 0.3), (87.0, 98.0, 1.2), (100.0, 115.0, 0.0))
-"""From where to where along a street, and how far back from the front of the first houses; the streets end at 100 m."""
+"""Start and end along a street, and set-back from the front of the first houses; the streets end at 100 m."""
 FURTHER_HOUSE_DEPTH_M = 10.0
 SOUTH_EAST, NORTH_WEST, SOUTH_WEST = -1, 1, 2
-"""Quarters of the junction, in turns from the north-eastern one."""
+"""Quarters of the junction, in quarter turns from the north-eastern one."""
 
 
 def static_outlines(*, south_eastern_post: bool = True) -> tuple[CornerList, ...]:
-    """Four houses with cut corners; the north-eastern one is further from the street, behind trees and a kiosk."""
+    """Four houses with cut corners, a kiosk, trees and signal posts; the north-eastern house is behind the trees."""
     houses = (
         _house(9.5, 11.0),
         _rotated(_house(FACADE_M, 9.7), NORTH_WEST),
@@ -57,7 +55,7 @@ def static_outlines(*, south_eastern_post: bool = True) -> tuple[CornerList, ...
 
 
 def street_outlines() -> tuple[CornerList, ...]:
-    """Those of `static_outlines`, and the houses beyond them on both sides of all four streets."""
+    """The static outlines, and the houses beyond them on both sides of all four streets."""
     left = [_row_house(start, end, set_back) for start, end, set_back in FURTHER_HOUSES]
     right = [tuple((x, -y) for x, y in reversed(house)) for house in left]
     return (*static_outlines(), *(_rotated(house, turns) for turns in range(4) for house in (*left, *right)))

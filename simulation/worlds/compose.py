@@ -1,4 +1,4 @@
-"""From a place, the paths of those who move in it and a sensor to the tracks of a recording."""
+"""Composition of a world: the tracks of a recording from a place, the paths of its road users, and a sensor."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from shapely import Polygon
 
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings.recording_info import RecordingInfo
-from gridtrack.simulation.odometry import WheelOdometry
+from gridtrack.simulation.bodies import Walker
+from gridtrack.simulation.motion import WheelOdometry
 from gridtrack.simulation.tracks import MAX_OUTLINES, ONLY_LASER, Carrier, Tracks, TracksInfo, World
-from gridtrack.simulation.walkers import Walker
 from gridtrack.simulation.worlds.crowd import CROWD_STEP_S, MoverPath
 from gridtrack.simulation.worlds.scenery import Thing, placed
 from gridtrack.simulation.worlds.sensors import WorldSensor
@@ -26,7 +26,7 @@ WORLD_LICENCE = "BSD-3-Clause"
 
 @dataclass(frozen=True)
 class Mover:
-    """Somebody or something that moves: its path, class, length and width, and how a person is built."""
+    """A road user: its path, class, length and width, and the build of a person."""
 
     path: MoverPath
     label: str
@@ -36,7 +36,7 @@ class Mover:
 
 @dataclass(frozen=True)
 class WorldView:
-    """What watches a place: a sensor that stands at `pose`, or is carried by the mover of number `carrier`."""
+    """A sensor that stands at `pose`, or is carried by the mover with the index `carrier`."""
 
     sensor: WorldSensor
     pose: SE2
@@ -53,7 +53,7 @@ def compose(
     seed: int,
     made_with: dict[str, str],
 ) -> Tracks:
-    """The tracks in the world frame of the laser's first pose: x ahead. Steps of the paths before 0 are left out."""
+    """The tracks of `frames` frames from step 0 of the paths; the world frame is the first pose of the laser."""
     sensor, world_T_place = view.sensor, view.pose.inverse()
     times = np.arange(frames) / sensor.rate_hz
     rows = [_rows(number, mover, times, world_T_place) for number, mover in enumerate(movers)]
@@ -94,7 +94,7 @@ def _grid(text: str) -> str:
 def _rows(
     number: int, mover: Mover, times: NDArray[np.float64], world_T_place: SE2
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Frame, track and pose of a mover in the frames of which its path has the time."""
+    """Frame, track and pose of a mover in all frames within the time of its path."""
     path = mover.path
     known = (np.arange(len(path.heading)) + path.first) * CROWD_STEP_S
     frame = np.flatnonzero((times >= known[0]) & (times <= known[-1]))
@@ -108,13 +108,13 @@ def _rows(
 def _near(
     pose: NDArray[np.float64], frame: NDArray[np.int64], sensor: NDArray[np.float64], range_m: float
 ) -> NDArray[np.bool_]:
-    """Which rows are within the range of the sensor, whose poses (frames, 3) are given."""
+    """Which rows (N,) are within the range of the sensor with the poses `sensor` (frames, 3)."""
     offset = pose[:, :2] - sensor[frame, :2]
     return np.hypot(offset[:, 0], offset[:, 1]) < range_m + 6.0
 
 
 def _nearest(things: Sequence[Thing], world_T_place: SE2, sensor: NDArray[np.float64], range_m: float) -> list[Thing]:
-    """The things within the range of the sensor's way, at most MAX_OUTLINES: the nearest, in their order."""
+    """The things in range of the sensor's path, in their order; at most the MAX_OUTLINES nearest ones."""
     way = shapely.MultiPoint(sensor[:: max(len(sensor) // 50, 1), :2])
     distances = [way.distance(Polygon(_rounded(thing.corners, world_T_place))) for thing in things]
     order = sorted(range(len(things)), key=lambda k: (distances[k], k))[:MAX_OUTLINES]

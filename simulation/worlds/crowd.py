@@ -1,4 +1,4 @@
-"""People who go about in a place: JuPedSim's collision-free speed model, with plans of where each goes and stands.
+"""Walking people by JuPedSim's collision-free speed model, each with a plan of stops.
 
 Model: A. Tordeux, M. Chraibi and A. Seyfried, "Collision-free speed model for pedestrian dynamics", Traffic and
 Granular Flow '15, 2016.
@@ -24,19 +24,19 @@ from gridtrack.simulation.tracks import Corner
 CROWD_STEP_S = 0.1
 SUBSTEPS = 5
 STOP_MARGIN_M = 0.3
-"""Between a stop and the edge of the ground; JuPedSim lets nobody enter nearer to it than the own radius."""
+"""Minimum distance of a stop from the edge of the ground; JuPedSim needs the radius of the person."""
 REACHED_M, ALMOST_M = 0.3, 0.8
 GIVES_UP_S = 8.0
-"""Who does not come nearer to where he goes for so long takes the next stop."""
+"""A person who does not get nearer to a stop for this long continues to the next one."""
 SMOOTHING_STD_S, TURNING_STD_S = 0.3, 0.35
-"""The model changes speed and direction at once; people take some tenths of a second."""
+"""The model changes speed and direction instantly; people take some tenths of a second."""
 SWAY_M, SWAY_RAD, SWAY_STD_S = 0.025, 0.15, 0.8
 ENTRY_TRIES = 200
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Where somebody goes, how long he stands there, and where he looks meanwhile: radians, None for ahead."""
+    """A place, the time to stand there, and the heading meanwhile (radians; None: unchanged)."""
 
     at: Corner
     wait_s: float = 0.0
@@ -45,7 +45,7 @@ class Stop:
 
 @dataclass(frozen=True)
 class Plan:
-    """How somebody goes about: from `start` at `start_s` by all `stops`, over and over, or once and away."""
+    """The plan of a person: from `start` at `start_s` to all `stops`, repeatedly, or once if the person `leaves`."""
 
     start: Corner
     stops: tuple[Stop, ...]
@@ -57,7 +57,7 @@ class Plan:
 
 @dataclass
 class MoverPath:
-    """Where somebody was: position (n, 2) and heading (n,) every CROWD_STEP_S from step `first` on."""
+    """Position (n, 2) and heading (n,) of a road user every CROWD_STEP_S from step `first`."""
 
     first: int
     position: NDArray[np.float64]
@@ -66,7 +66,7 @@ class MoverPath:
 
 @dataclass
 class _Progress:
-    """One person in the simulation."""
+    """The state of one person in the simulation."""
 
     plan: Plan
     agent: int = -1
@@ -80,24 +80,24 @@ class _Progress:
     """NaN while walking."""
     gone: bool = False
     gone_s: float = -math.inf
-    """When the person was taken out; the simulation does so with its next step."""
+    """The time of the removal; the simulation executes it in its next step."""
 
 
 def walk(ground: Polygon, plans: Sequence[Plan], seconds: float, random: np.random.Generator) -> list[MoverPath | None]:
-    """The path of each plan during `seconds`, in order; None for who found no room to enter.
+    """The path of each plan during `seconds`, in order; None if the person found no room to enter.
 
-    Same arguments, same paths. `ground` is connected; stops beside it are moved to it. Raises SimulationError.
+    Same arguments, same paths. `ground` is connected; stops outside are moved to it. Raises SimulationError.
     """
     everybody = [_Progress(plan) for plan in plans]
     try:
         _simulate(ground, everybody, math.ceil(seconds / CROWD_STEP_S))
-    except RuntimeError as error:  # JuPedSim's own, such as somebody pushed out of the ground
+    except RuntimeError as error:  # of JuPedSim, for example if a person is pushed off the ground
         raise SimulationError(f"JuPedSim failed: {str(error).splitlines()[0]}") from error
     return [_path(person, random) if len(person.positions) > 3 else None for person in everybody]
 
 
 def _simulate(ground: Polygon, everybody: Sequence[_Progress], steps: int) -> None:
-    """Move everybody for so many steps."""
+    """Simulate `steps` steps."""
     simulation = jupedsim.Simulation(
         model=jupedsim.CollisionFreeSpeedModelV2(), geometry=ground, dt=CROWD_STEP_S / SUBSTEPS
     )
@@ -115,7 +115,7 @@ def _simulate(ground: Polygon, everybody: Sequence[_Progress], steps: int) -> No
 
 
 def on_ground(inner: Polygon, at: Corner) -> Corner:
-    """The place on `inner` that is nearest to `at`."""
+    """The nearest place to `at` on `inner`."""
     found, _ = nearest_points(inner, shapely.Point(at))
     return (found.x, found.y)
 
@@ -129,7 +129,7 @@ def _enter(
     stage: int,
     step: int,
 ) -> None:
-    """Let the person enter where nobody is; else it is tried again."""
+    """Let the person enter if the place is free; else it is tried again in the next step."""
     plan = person.plan
     start = on_ground(inner, plan.start)
     now_s = step * CROWD_STEP_S
@@ -186,7 +186,7 @@ def _next_stop(simulation: jupedsim.Simulation, person: _Progress, inner: Polygo
 
 
 def _path(person: _Progress, random: np.random.Generator) -> MoverPath:
-    """The smoothed path, with the sway of who stands."""
+    """The smoothed path with sway."""
     raw = np.array(person.positions)
     facing = np.array(person.facing)
     position = smoothed(raw, SMOOTHING_STD_S / CROWD_STEP_S)
@@ -199,7 +199,7 @@ def _path(person: _Progress, random: np.random.Generator) -> MoverPath:
 
 
 def swaying(path: MoverPath, random: np.random.Generator) -> MoverPath:
-    """The path with small slow motions, such as those of people who stand."""
+    """The path with small slow motions, as of standing people."""
     n = len(path.heading)
     sway = smoothed(random.standard_normal((n, 3)), SWAY_STD_S / CROWD_STEP_S) * math.sqrt(
         2.0 * math.sqrt(math.pi) * SWAY_STD_S / CROWD_STEP_S

@@ -11,13 +11,23 @@ import shapely
 from shapely import Polygon
 
 from gridtrack.simulation.tracks import Corner
-from gridtrack.simulation.worlds.building import DOOR_M, door_leaf, enclose, rectangle, reliefs, threshold
 from gridtrack.simulation.worlds.furniture import clutter, furnish, pillar, sofa
-from gridtrack.simulation.worlds.scenery import Corners, Scenery, box, wall
+from gridtrack.simulation.worlds.scenery import (
+    DOOR_M,
+    Corners,
+    Scenery,
+    box,
+    door_leaf,
+    enclose,
+    rectangle,
+    reliefs,
+    threshold,
+    wall,
+)
 
 
 def room(random: np.random.Generator) -> Scenery:
-    """A room of a home, a laboratory or a café, with a lot of furniture, and a neighbouring room through a door."""
+    """A furnished room of a home, laboratory or café, and a neighbouring room through a door."""
     length_m, width_m, further_m = random.uniform(4.0, 11.0), random.uniform(3.5, 8.0), random.uniform(2.5, 5.0)
     first, second = rectangle(0, 0, length_m, width_m), rectangle(length_m, 0, length_m + further_m, width_m)
     scenery = Scenery(Polygon(rectangle(0.0, 0.0, length_m + further_m, width_m)))
@@ -29,7 +39,8 @@ def room(random: np.random.Generator) -> Scenery:
 
 
 class RowOfRooms(NamedTuple):
-    """Rooms between a corridor's wall at y `near_m` and an outer wall at `far_m`; walls at `ends` along x part them."""
+    """Rooms between a corridor wall at y = `near_m` and an outer wall at y = `far_m`, divided by walls at x =
+    `ends`."""
 
     near_m: float
     far_m: float
@@ -37,7 +48,7 @@ class RowOfRooms(NamedTuple):
 
     @property
     def rooms(self) -> list[Corners]:
-        """The inside of each."""
+        """The inside of each room."""
         low, high = sorted((self.near_m, self.far_m))
         return [rectangle(a + 0.1, low + 0.15, b - 0.1, high - 0.15) for a, b in itertools.pairwise(self.ends)]
 
@@ -51,7 +62,7 @@ def office(random: np.random.Generator) -> Scenery:
     keep = [*scenery.doors]
     for near_m, far_m in ((0.0, -depths[0]), (corridor_m, corridor_m + depths[1])):
         row = RowOfRooms(near_m, far_m, _cuts(random, length_m, 2.4, 6.5))
-        openings = _part(scenery, row, random)
+        openings = _partition_walls(scenery, row, random)
         keep += [((a + b) / 2.0, near_m) for a, b in openings]
         _corridor_wall(scenery, row, openings, random)
         _outer_walls(scenery, row, random)
@@ -68,7 +79,7 @@ def hall(random: np.random.Generator) -> Scenery:
     """A hall with columns, counters and benches: a foyer, a canteen, a shop, a station."""
     length_m, width_m = random.uniform(10.0, 30.0), random.uniform(8.0, 20.0)
     corners: list[Corner] = list(rectangle(0, 0, length_m, width_m))
-    if random.random() < 0.5:  # a corner is missing
+    if random.random() < 0.5:  # L-shaped
         x, y = length_m * random.uniform(0.5, 0.8), width_m * random.uniform(0.5, 0.8)
         corners = [(0, 0), (length_m, 0), (length_m, y), (x, y), (x, width_m), (0, width_m)]
     scenery = Scenery(Polygon(corners))
@@ -89,7 +100,7 @@ def hall(random: np.random.Generator) -> Scenery:
 
 
 def corridor(random: np.random.Generator) -> Scenery:
-    """Corridors that meet: straight, an L, a T or a cross, with doors, niches and what stands along the walls."""
+    """Corridors: straight, an L, a T or a cross, with doors, niches and clutter along the walls."""
     width_m, across_m = random.uniform(1.6, 4.0), random.uniform(1.6, 3.5)
     length_m, at = random.uniform(12.0, 35.0), random.uniform(4.0, 9.0)
     below_m, above_m = (random.uniform(3.0, 10.0) * (random.random() < 0.5) for _ in range(2))
@@ -116,7 +127,7 @@ def corridor(random: np.random.Generator) -> Scenery:
 
 
 def _corridor_ends(scenery: Scenery, length_m: float, corridor_m: float, random: np.random.Generator) -> None:
-    """Each end of a corridor along x is a wall, or leads further."""
+    """Close each end of a corridor along x with a wall, or continue it."""
     for start, end in (((0.0, corridor_m), (0.0, 0.0)), ((length_m, 0.0), (length_m, corridor_m))):
         if random.random() < 0.4:
             wall(scenery, start, end, 0.2)
@@ -124,8 +135,8 @@ def _corridor_ends(scenery: Scenery, length_m: float, corridor_m: float, random:
             scenery.doors.append(threshold(scenery, start, end, (0.1, corridor_m - 0.1), random))
 
 
-def _part(scenery: Scenery, row: RowOfRooms, random: np.random.Generator) -> list[tuple[float, float]]:
-    """Walls between the rooms; where along x their doors to the corridor are open."""
+def _partition_walls(scenery: Scenery, row: RowOfRooms, random: np.random.Generator) -> list[tuple[float, float]]:
+    """Add the walls between the rooms; returns the openings (first, last) along x of their doors to the corridor."""
     openings = []
     for a, b in itertools.pairwise(row.ends):
         middle, half = random.uniform(a + 0.9, b - 0.9), random.uniform(*DOOR_M) / 2.0
@@ -138,7 +149,7 @@ def _part(scenery: Scenery, row: RowOfRooms, random: np.random.Generator) -> lis
 def _corridor_wall(
     scenery: Scenery, row: RowOfRooms, openings: list[tuple[float, float]], random: np.random.Generator
 ) -> None:
-    """The wall between the rooms and the corridor, with panes and the leaves of doors."""
+    """Add the wall between the rooms and the corridor, with panes and door leaves."""
     length_m = row.ends[-1]
     start, end = (0.0, row.near_m), (length_m, row.near_m)
     panes = [(a + 0.2, a + 1.0) for a, b in openings if random.random() < 0.1]
@@ -152,14 +163,14 @@ def _corridor_wall(
 
 
 def _outer_walls(scenery: Scenery, row: RowOfRooms, random: np.random.Generator) -> None:
-    """The wall with windows that is far from the corridor, and that at x 0."""
+    """Add the outer wall with windows, and the wall at x = 0."""
     windows = [(a + 0.5, b - 0.5) for a, b in itertools.pairwise(row.ends) if random.random() < 0.1]
     wall(scenery, (0.0, row.far_m), (row.ends[-1], row.far_m), 0.3, (), windows)
     wall(scenery, (0.0, row.near_m), (0.0, row.far_m), 0.3)
 
 
 def _cuts(random: np.random.Generator, length_m: float, least_m: float, most_m: float) -> list[float]:
-    """0, `length_m`, and places between them that far apart."""
+    """Positions from 0 to `length_m` that are `least_m` to `most_m` apart."""
     ends = [0.0]
     while length_m - ends[-1] > most_m:
         ends.append(ends[-1] + float(random.uniform(least_m, min(most_m, length_m - ends[-1] - least_m))))
@@ -171,7 +182,7 @@ def _apart(stretch: tuple[float, float], taken: list[tuple[float, float]]) -> bo
 
 
 def _columns(scenery: Scenery, ground: Polygon, random: np.random.Generator) -> None:
-    """Equal columns on a grid."""
+    """Add equal columns on a grid."""
     x0, y0, x1, y1 = ground.bounds
     every = random.uniform(3.0, 7.0, 2)
     build = int(random.integers(1 << 30))

@@ -1,4 +1,4 @@
-"""Places outdoors on foot: plazas and car parks."""
+"""Places outdoors without a street network: plazas and car parks."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from shapely import Polygon
 
 from gridtrack.simulation.tracks import Corner
-from gridtrack.simulation.worlds.building import rectangle
-from gridtrack.simulation.worlds.scenery import Lane, Scenery, disc
-from gridtrack.simulation.worlds.street_furniture import (
+from gridtrack.simulation.worlds.furniture import (
     bench,
     hedge,
     house_front,
@@ -22,12 +20,13 @@ from gridtrack.simulation.worlds.street_furniture import (
     small_thing,
     tree,
 )
+from gridtrack.simulation.worlds.scenery import Lane, Scenery, disc, rectangle
 
 AISLE_M, BAY_M, BAY_WIDTH_M = 6.0, 5.2, 2.6
 
 
 def plaza(random: np.random.Generator) -> Scenery:
-    """An open place between houses: streets lead in at its corners; trees, benches, kiosks; some cycle across."""
+    """A square between houses, with streets at its corners, trees, benches, and cyclists who cross it."""
     sides = int(random.integers(3, 7))
     radius_m = random.uniform(9.0, 22.0)
     angles = np.sort(math.tau * (np.arange(sides) + random.uniform(-0.25, 0.25, sides)) / sides)
@@ -62,21 +61,21 @@ def plaza(random: np.random.Generator) -> Scenery:
 
 
 def _plaza_side(scenery: Scenery, start: Corner, end: Corner, random: np.random.Generator) -> None:
-    """Houses along a side, with a gap at both ends, or a hedge, or nothing."""
+    """Add houses along a side with a gap at both ends, or a hedge, or nothing."""
     length_m = math.dist(start, end)
     gap = min(random.uniform(2.0, 4.0) / length_m, 0.3)
     a = (start[0] + gap * (end[0] - start[0]), start[1] + gap * (end[1] - start[1]))
     b = (end[0] - gap * (end[0] - start[0]), end[1] - gap * (end[1] - start[1]))
     kind = random.random()
     if kind < 0.75:
-        # The line runs counter-clockwise, so that its right is outside.
+        # the line runs counter-clockwise: its right is outside
         house_front(scenery, a, b, random)
     elif kind < 0.9:
         hedge(scenery, a, b, random)
 
 
 def _across(scenery: Scenery, corners: list[Corner], random: np.random.Generator) -> Lane:
-    """The way of a cyclist from one corner to another, past the things in between."""
+    """The lane of a cyclist from one corner to another, around the things in between."""
     first, last = random.choice(len(corners), 2, replace=False)
     solid = shapely.union_all(scenery.blocked).buffer(0.7)
     ends = [np.array(corners[k]) * 1.3 for k in (first, last)]
@@ -89,7 +88,7 @@ def _across(scenery: Scenery, corners: list[Corner], random: np.random.Generator
 
 
 def car_park(random: np.random.Generator) -> Scenery:
-    """Rows of bays along aisles, some free; cars come and go along the aisles, people walk to and from them."""
+    """Rows of parking bays along aisles, some of them free; cars drive along the aisles, people walk between them."""
     rows, bays = int(random.integers(1, 4)), int(random.integers(6, 14))
     length_m, width_m = bays * BAY_WIDTH_M, rows * (AISLE_M + 2.0 * BAY_M)
     margin_m = 6.0
@@ -125,7 +124,7 @@ def _lamp(scenery: Scenery, x: float, y: float, random: np.random.Generator) -> 
 
 
 def _aisle(scenery: Scenery, y: float, length_m: float, margin_m: float, random: np.random.Generator) -> None:
-    """The aisle's lanes in both directions, and a door at each end."""
+    """Add the lanes of an aisle in both directions, and a door at each end."""
     ends = (-margin_m - 25.0, length_m + margin_m + 25.0)
     scenery.doors += [(-margin_m + 1.0, y + 2.0), (length_m + margin_m - 1.0, y - 2.0)]
     for sign in (1, -1):
@@ -138,7 +137,7 @@ def _aisle(scenery: Scenery, y: float, length_m: float, margin_m: float, random:
 def _car_park_edges(
     scenery: Scenery, length_m: float, width_m: float, margin_m: float, random: np.random.Generator
 ) -> None:
-    """A house, a hedge or a fence of posts along each long side."""
+    """Add a house front, a hedge or a fence of posts along each long side."""
     for start, end in (
         ((-margin_m, -2.0), (length_m + margin_m, -2.0)),
         ((length_m + margin_m, width_m + 2.0), (-margin_m, width_m + 2.0)),
@@ -164,7 +163,7 @@ def random_point(ground: Polygon, random: np.random.Generator) -> Corner:
 
 
 def _grid_points(ground: Polygon, every_m: float, turned: float) -> list[Corner]:
-    """The points of a turned square grid on a polygon."""
+    """The points of a rotated square grid inside a polygon."""
     reach = np.arange(-40.0, 40.0, every_m)
     c, s = math.cos(turned), math.sin(turned)
     points = [(float(c * x - s * y), float(s * x + c * y)) for x in reach for y in reach]

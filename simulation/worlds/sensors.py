@@ -1,4 +1,4 @@
-"""Lasers as various as real ones, where they stand or drive, and the window that fits them."""
+"""The lasers of worlds, drawn near real products, their windows, and good standing poses."""
 
 from __future__ import annotations
 
@@ -10,25 +10,24 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scene import UNLABELLED, Outline, Scene
-from gridtrack.simulation.laser import Laser, sweep
-from gridtrack.simulation.laser_errors import LaserErrors
+from gridtrack.simulation.laser import Laser, LaserErrors, sweep
 from gridtrack.simulation.tracks import Corner
 
 GRID_CELLS = 100
 CELLS_M = (0.05, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2)
 BEHIND = 0.2
-"""Share of the window's side that lies behind a laser that looks ahead only."""
+"""Share of the window's side behind a laser with a limited field of view."""
 SHIN_M, HIP_M = (0.08, 0.45), (0.8, 1.1)
-"""Heights at which lasers are mounted: no plane cuts a table's top."""
+"""Heights of mounted lasers: never at the height of a table top."""
 SHIN_SHARE = 0.85
 TRY_BEAMS = 240
 SLOWEST_HZ, FASTEST_HZ = 5.0, 20.0
 THINNED_SHARE = 0.4
-"""Of the recorders that could keep every second scan or fewer, those that do."""
+"""Share of recordings with every second scan or fewer, where the rate allows it."""
 
 
 class LaserProduct(NamedTuple):
-    """Data of a laser's data sheet: field of view, beams, range, scans a second, errors of the range, metres."""
+    """A laser: field of view, beams, maximum range (m), scans per second, and the errors of the ranges (m)."""
 
     view_deg: float
     beams: int
@@ -39,8 +38,8 @@ class LaserProduct(NamedTuple):
     resolution_m: float
 
 
-# The range errors of the first three are measured on standing surfaces of real recordings: those of the leg_tracker
-# package, 4 to 11 mm; the errors of a data sheet are larger.
+# The range errors of the first three are measured on static surfaces in real recordings (leg_tracker package: 4 to
+# 11 mm); data sheets state larger errors.
 PRODUCTS = (
     LaserProduct(240, 683, 5.6, 10, 0.003, 0.001, 0.001),  # Hokuyo URG-04LX
     LaserProduct(180, 512, 5.6, 10, 0.003, 0.001, 0.001),
@@ -60,7 +59,7 @@ OUTDOOR_RANGE_M = 16.0
 
 @dataclass(frozen=True)
 class WorldSensor:
-    """A laser, not placed yet, its rate, its height, and the cell of the window."""
+    """A laser without a pose, its rate, its height, and the cell size of the window."""
 
     laser: Laser
     rate_hz: float
@@ -69,18 +68,18 @@ class WorldSensor:
 
     @property
     def view_rad(self) -> float:
-        """From the first beam to the last."""
+        """The angle from the first beam to the last."""
         return self.laser.angle_increment * (self.laser.beams - 1)
 
     def grid(self, standing: bool) -> str:
-        """The window: ahead of a laser that stands and does not look all round, else about the laser."""
+        """The window: ahead of a standing laser with a limited field of view, else centred on the laser."""
         side_m = GRID_CELLS * self.cell_m
         ahead = standing and self.view_rad < math.radians(300.0)
         return f"{GRID_CELLS}x{self.cell_m:g}@{-(BEHIND if ahead else 0.5) * side_m:g},{-0.5 * side_m:g}"
 
 
 def draw_sensor(random: np.random.Generator, outdoors: bool) -> WorldSensor:
-    """A laser near one of PRODUCTS."""
+    """A random laser near one of PRODUCTS."""
     suited = [one for one in PRODUCTS if not outdoors or one.range_m >= OUTDOOR_RANGE_M]
     one = suited[random.integers(len(suited))]
     beams = int(np.clip(round(one.beams * random.choice([0.5, 1.0, 1.0, 1.3])), 180, 1440))
@@ -103,7 +102,7 @@ def draw_sensor(random: np.random.Generator, outdoors: bool) -> WorldSensor:
 
 
 def _draw_rate(random: np.random.Generator, product_hz: float) -> float:
-    """Recorded scans a second, to 0.5 Hz: all scans of the laser, or every n-th."""
+    """Recorded scans per second, a multiple of 0.5 Hz: all scans of the laser, or every n-th."""
     rate_hz = float(np.clip(product_hz * random.uniform(0.9, 1.1), SLOWEST_HZ, FASTEST_HZ))
     most = int(rate_hz / SLOWEST_HZ)
     thinned = most > 1 and random.random() < THINNED_SHARE
@@ -129,15 +128,15 @@ def _draw_errors(random: np.random.Generator, one: LaserProduct) -> LaserErrors:
 def standing_pose(
     sensor: WorldSensor, outlines: list[Outline], candidates: list[Corner], random: np.random.Generator
 ) -> SE2:
-    """A pose among some places, but for those with the narrowest view, looking where the view is wide."""
+    """A pose at one of the candidate places with the widest views (two thirds), facing a wide view."""
     scene = Scene(tuple(outlines), UNLABELLED, ())
-    views = [_wide(scene, sensor, at, random) for at in candidates]
+    views = [_widest_view(scene, sensor, at, random) for at in candidates]
     best = sorted(views, key=lambda view: -view[0])[: max(len(views) * 2 // 3, 1)]
     return best[random.integers(len(best))][1]
 
 
-def _wide(scene: Scene, sensor: WorldSensor, at: Corner, random: np.random.Generator) -> tuple[float, SE2]:
-    """The mean range in one of the better directions, and the pose that looks there."""
+def _widest_view(scene: Scene, sensor: WorldSensor, at: Corner, random: np.random.Generator) -> tuple[float, SE2]:
+    """The mean range in one of the wider directions, and the pose facing it."""
     reach_m = GRID_CELLS * sensor.cell_m
     turn = math.tau / TRY_BEAMS
     ranges, _ = sweep(scene, SE2(*at, 0.0), 0.0, turn, TRY_BEAMS, reach_m)

@@ -1,4 +1,4 @@
-"""Vehicles on a given lane: they speed up, slow down in bends, give way to whom they meet, and turn by rolling."""
+"""Vehicles on a given lane: they accelerate, slow down in bends, give way to others, and turn only while moving."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def ride(
     others: Sequence[MoverPath],
     seconds: float,
 ) -> MoverPath | None:
-    """The path along `lane` (n, 2) of a vehicle that starts at its beginning and vanishes at its end.
+    """The path of a vehicle along `lane` (n, 2) from beginning to end; it waits for `others` in front of it.
 
-    It waits for `others` before it. None where somebody walks into it, or it waits for too long.
+    None if somebody walks into it, or it waits too long.
     """
     points, speeds = _profile(lane, speed)
     first, steps = math.ceil(start_s / CROWD_STEP_S), math.ceil(seconds / CROWD_STEP_S)
@@ -60,13 +60,13 @@ def ride(
 
 
 def standing_still(x: float, y: float, heading: float, seconds: float) -> MoverPath:
-    """The path of what does not move."""
+    """The path of a body that does not move."""
     steps = math.ceil(seconds / CROWD_STEP_S)
     return MoverPath(0, np.tile([x, y], (steps, 1)), np.full(steps, heading))
 
 
 def _profile(lane: NDArray[np.float64], speed: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points (n, 2) POINT_EVERY_M apart along the rounded lane, and the speed that its bends allow at each."""
+    """Points (n, 2) along the smoothed lane, POINT_EVERY_M apart, and the maximum speed in its bends (n,)."""
     lengths = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(lane, axis=0).T))])
     even = np.arange(0.0, lengths[-1], POINT_EVERY_M)
     points = smoothed(
@@ -78,7 +78,7 @@ def _profile(lane: NDArray[np.float64], speed: float) -> tuple[NDArray[np.float6
 
 
 def _positions(others: Sequence[MoverPath], first: int, steps: int) -> NDArray[np.float64]:
-    """Where the others are from step `first` on: (steps, others, 2), far away where they are not there."""
+    """The positions of the others from step `first`: (steps, others, 2); far away while they are absent."""
     found = np.full((max(steps - first, 1), len(others), 2), 1e9)
     for k, path in enumerate(others):
         begin, end = max(path.first, first), min(path.first + len(path.heading), steps)
@@ -94,7 +94,7 @@ def _blocked(
     size_m: tuple[float, float],
     velocity: float,
 ) -> bool:
-    """Whether somebody is on the way of the next seconds, from the front on."""
+    """Whether somebody is in front of the vehicle, within its way of the next seconds."""
     offset = where - front
     along = offset @ ahead
     aside = np.abs(offset @ np.array([-ahead[1], ahead[0]]))
@@ -103,7 +103,7 @@ def _blocked(
 
 
 def _hits(path: MoverPath, size_m: tuple[float, float], where: NDArray[np.float64]) -> bool:
-    """Whether somebody is inside the body at any time."""
+    """Whether somebody is inside the vehicle at any time."""
     n = len(path.heading)
     offset = where[:n] - path.position[:, None]
     c, s = np.cos(path.heading)[:, None], np.sin(path.heading)[:, None]

@@ -8,10 +8,10 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from gridtrack.evaluation.results.summary import RunSummary
-from gridtrack.evaluation.results.trial_record import read_trial_record
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.trackers.weights import read_card
+from gridtrack.evaluation.runs.finished import FinishedTrial
+from gridtrack.evaluation.runs.summary import RunSummary
+from gridtrack.evaluation.runs.trial_record import read_trial_record
+from gridtrack.trackers.training.weights import read_card
 
 RECORDINGS = Path("data/junction")
 VALIDATION = RECORDINGS / "validation.tracks"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -11,11 +12,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import Mask
-from gridtrack.evaluation.scoring.samples import Sample
+from gridtrack.evaluation.referee.samples import Sample
 from gridtrack.reports.pictures import SHADES, UNOBSERVED, palette
 
 COLOURS = ("#1d4ed8", "#c2410c", "#0f766e", "#7e22ce")
-SETTINGS = {
+SETTINGS: dict[Any, Any] = {
     "font.size": 9,
     "axes.titlesize": "medium",
     "axes.titlelocation": "left",

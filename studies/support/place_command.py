@@ -11,7 +11,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gridtrack.evaluation.results.summary import ORACLE
+from gridtrack.evaluation.referee.splits import ORACLE
 
 from studies.support.comparison import compare
 from studies.support.drawings import COLOURS, SETTINGS, write_svg

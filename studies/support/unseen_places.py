@@ -8,23 +8,25 @@ from pathlib import Path
 
 import numpy as np
 
-from gridtrack.evaluation.results.recording import RecordingDescription
-from gridtrack.evaluation.results.summary import (
-    ORACLE,
+from gridtrack.evaluation.referee.splits import ORACLE
+from gridtrack.evaluation.runs.comparisons import Comparisons
+from gridtrack.evaluation.runs.finished import FinishedTrial, RunTrials
+from gridtrack.evaluation.runs.run_record import RecordingDescription
+from gridtrack.evaluation.runs.summarise import HEADLINE, summarise
+from gridtrack.evaluation.runs.summary import (
+    NO_ESTIMATE,
     PairFamily,
     PairTest,
+    PointEstimate,
+    RunSummary,
+    ScopeSummary,
     TrackerDifference,
     TrackerTrainings,
     read_summary,
 )
-from gridtrack.evaluation.results.trial_summary import StratumScores
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.evaluation.statistics.jackknife import COUNTS
-from gridtrack.evaluation.statistics.pair_statistics import PairStatistics
-from gridtrack.evaluation.statistics.run_statistics import RunStatistics
-from gridtrack.evaluation.statistics.training_statistics import TrainingStatistics
-from gridtrack.reports.tiers import TOLD_APART
-from gridtrack.trackers.card import GENERAL
+from gridtrack.evaluation.scores.registry import built_in, find_output
+from gridtrack.reports.differences import SIGNIFICANT_VERDICTS as TOLD_APART
+from gridtrack.trackers.training.card import GENERAL
 
 from studies.support.comparison import finished_trials
 from studies.support.results_file import NONE, ResultTable, chance_marked, measured_table, score_text
@@ -84,9 +86,15 @@ def further_training(label: str) -> bool:
 
 def pair_text(test: PairTest, decimals: int = 3) -> str:
     """The difference of a tested pair, marked if it is not significant."""
-    assert test.difference is not None
-    text = score_text(test.difference, test.low, test.high, signed=True, decimals=decimals)
+    text = point_text(test.difference, signed=True, decimals=decimals)
     return chance_marked(text, test.verdict not in TOLD_APART)
+
+
+def point_text(found: PointEstimate, *, signed: bool = False, decimals: int = 3) -> str:
+    """A value with its interval if it has one; NONE where it is undefined."""
+    if found.value is None:
+        return NONE
+    return score_text(found.value, found.low, found.high, signed=signed, decimals=decimals)
 
 
 class PlaceScores:
@@ -99,8 +107,8 @@ class PlaceScores:
                 raise SystemExit(f"{trial.folder}: not complete ({trial.record.outcome}): run the command again")
         self.described = recordings
         self._trials = trials
-        self.statistics = RunStatistics(recordings, trials, REFERENCE)
-        if not self.statistics.pools:
+        self.run = RunTrials(recordings, trials, REFERENCE)
+        if not self.run.pools:
             raise SystemExit(f"{', '.join(recordings)}: two recordings or more, with horizons in common, are needed")
 
     @classmethod
@@ -119,25 +127,25 @@ class PlaceScores:
         kept = [trial for trial in self._trials if trial.record.recording not in others.described]
         return PlaceScores({**self.described, **others.described}, [*kept, *others._trials])
 
+    @cached_property
+    def summary(self) -> RunSummary:
+        """All results of these recordings."""
+        return summarise(self.described, self._trials, (), False, REFERENCE)
+
     @property
     def labels(self) -> list[str]:
         """The rows: the oracle if there is one, then the trackers in their order, without further trainings."""
-        known = [label for label in self.statistics.labels if label != ORACLE and not further_training(label)]
-        ceiling = [label for label in self.statistics.labels if label == ORACLE]
+        known = [label for label in self.run.labels if label != ORACLE and not further_training(label)]
+        ceiling = [label for label in self.run.labels if label == ORACLE]
         return [*ceiling, *(name for name in trackers() if name in known), *(n for n in known if n not in trackers())]
 
     @cached_property
     def horizons(self) -> dict[float, int]:
         """The step nearest to each of HORIZONS_S, as far as forecasts reach."""
-        found = np.array(self.statistics.horizons_s)
+        found = np.array(self.run.horizons_s)
         half_a_step_s = np.diff(found).min() / 2.0
         nearest = {horizon_s: int(abs(found - horizon_s).argmin()) for horizon_s in HORIZONS_S}
         return {horizon_s: at for horizon_s, at in nearest.items() if abs(found[at] - horizon_s) <= half_a_step_s}
-
-    @cached_property
-    def strata(self) -> dict[str, dict[str, StratumScores]]:
-        """The pooled scores of each row, by stratum."""
-        return {label: self.statistics.pooled(label).strata for label in self.statistics.labels}
 
     @property
     def forecasts(self) -> dict[str, int]:
@@ -148,38 +156,41 @@ class PlaceScores:
         """Mean number of occupied cells in a stratum, `horizon_s` after a forecast, by recording."""
         found = {}
         for trial in self.trials_of(REFERENCE):
-            counts = self.statistics.frames_of(trial).counts[:, trial.steps]
-            of_step = counts[:, self.horizons[horizon_s], trial.strata.index(stratum)]
-            found[trial.record.recording] = float(
-                of_step[:, [COUNTS.index("tp"), COUNTS.index("fn")]].sum(axis=1).mean()
-            )
+            step = trial.steps[self.horizons[horizon_s]]
+            counts = self.run.sums(trial).by_frame("f1", [step], [stratum], ("tp chosen", "fn chosen"))
+            found[trial.record.recording] = float(counts.values.sum(axis=-1).mean())
         return found
 
     def trials_of(self, label: str) -> list[FinishedTrial]:
         """The trials of a row, in the order of the recordings."""
-        return self.statistics.comparable(label, list(self.described))
+        return self.run.comparable(label, list(self.described))
 
     @cached_property
     def why_no_interval(self) -> str:
         """Why there are no intervals; empty if there are."""
-        return next(iter(self.strata[REFERENCE].values())).interval
+        return self._pooled(REFERENCE).interval
 
-    def text(self, label: str, stratum: str, score: str, horizon_s: float) -> str:
-        """A score of a row, with its interval if it has one."""
-        return self.text_of(self.strata[label].get(stratum), score, horizon_s)
+    def _pooled(self, label: str) -> ScopeSummary:
+        found = self.summary.trackers[label].pooled
+        assert found is not None  # the recordings are pooled
+        return found
 
-    def on(self, name: str) -> dict[str, dict[str, StratumScores]]:
-        """The scores of each row on one recording at the common horizons, by stratum."""
-        trials = ((label, trial) for label in self.labels for trial in self.trials_of(label))
-        return {label: self.statistics.strata_of(trial) for label, trial in trials if trial.record.recording == name}
+    def text(self, label: str, stratum: str, score: str, horizon_s: float, recording: str = "") -> str:
+        """A score, as SCORE or SCORE.OUTPUT, of a row on a `recording`, or on all; with its interval if it has one."""
+        return point_text(self.at(label, stratum, score, horizon_s, recording))
 
-    def text_of(self, found: StratumScores | None, score: str, horizon_s: float) -> str:
-        """A score in one stratum, with its interval if it has one; NONE beyond the longest forecast."""
-        if found is None or horizon_s not in self.horizons:
-            return NONE
-        step = self.horizons[horizon_s]
-        value, *ends = (found.at(f"{score}{end}", step) for end in ("", "_low", "_high"))
-        return NONE if value is None else score_text(value, *ends)
+    def at(self, label: str, stratum: str, score: str, horizon_s: float, recording: str = "") -> PointEstimate:
+        """The score of `text`; of None beyond the longest forecast."""
+        if not recording or horizon_s not in self.horizons:
+            return self._at(self._pooled(label), stratum, score, self.horizons.get(horizon_s))
+        trial = next(one for one in self.trials_of(label) if one.record.recording == recording)
+        return self._at(
+            self.summary.trackers[label].recordings[recording], stratum, score, trial.steps[self.horizons[horizon_s]]
+        )
+
+    def _at(self, found: ScopeSummary | TrackerDifference, stratum: str, score: str, step: int | None) -> PointEstimate:
+        one, output = find_output(score, built_in())
+        return NO_ESTIMATE if step is None else found.at(stratum, one.name, output.name, step)
 
     def table(self, corner: str, columns: Sequence[tuple[str, str, str, float]]) -> ResultTable:
         """A row for each tracker; columns are heading, stratum, score and horizon."""
@@ -194,14 +205,11 @@ class PlaceScores:
     @cached_property
     def differences(self) -> dict[str, TrackerDifference]:
         """Paired differences of F1 from the reference, by label."""
-        return {one.tracker: one for one in self.statistics.differences()}
+        return {one.tracker: one for one in self.summary.differences if one.tests}
 
-    def difference(self, label: str, stratum: str, horizon_s: float) -> tuple[float | None, float | None, float | None]:
-        """F1 of a row less the reference's, and the ends of its interval; None if undefined."""
-        found, step = self.differences[label].strata.get(stratum), self.horizons[horizon_s]
-        if found is None:
-            return None, None, None
-        return found.f1[step], found.f1_low[step], found.f1_high[step]
+    def difference(self, label: str, stratum: str, horizon_s: float) -> PointEstimate:
+        """F1 of a row less the reference's."""
+        return self._at(self.differences[label], stratum, "f1", self.horizons[horizon_s])
 
     @cached_property
     def pair_families(self) -> list[PairFamily]:
@@ -210,12 +218,13 @@ class PlaceScores:
         Further trainings and the oracle are in no pair: they would add tests that answer no question.
         """
         rows = [trial for trial in self._trials if trial.record.label in self.labels]
-        return PairStatistics(RunStatistics(self.described, rows, REFERENCE)).families()
+        run = RunTrials(self.described, rows, REFERENCE)
+        return Comparisons(run, built_in(), find_output(HEADLINE, built_in())).families()
 
     @cached_property
     def may_be_chance(self) -> frozenset[tuple[str, str, int]]:
         """(row, stratum, step) of the F1 that does not differ significantly from the reference's."""
-        tests = ((family, test) for family in self.pair_families if family.score == "f1" for test in family.pairs)
+        tests = ((family, test) for family in self.pair_families if family.output == "f1" for test in family.pairs)
         return frozenset(
             (label, family.stratum, family.step)
             for family, test in tests
@@ -227,7 +236,9 @@ class PlaceScores:
         self, corner: str, stratum: str, score: str, labels: Collection[str], *, decimals: int = 3
     ) -> ResultTable:
         """The differences in a score between each two of `labels`; marked if not significant."""
-        found = {f.step: f.pairs for f in self.pair_families if (f.stratum, f.score) == (stratum, score)}
+        one, output = find_output(score, built_in())
+        key = stratum, one.name, output.name
+        found = {f.step: f.pairs for f in self.pair_families if (f.stratum, f.score, f.output) == key}
         columns = [
             {
                 f"{test.tracker} less {test.other}": pair_text(test, decimals)
@@ -250,24 +261,22 @@ class PlaceScores:
         return measured_table((f"F1, {STRATA[stratum]}", *(f"{h:g} s" for h in self.horizons)), rows)
 
     def _difference_text(self, label: str, stratum: str, horizon_s: float) -> str:
-        value, low, high = self.difference(label, stratum, horizon_s)
-        if value is None:
-            return NONE
+        found = self.difference(label, stratum, horizon_s)
         chance = (label, stratum, self.horizons[horizon_s]) in self.may_be_chance
-        return chance_marked(score_text(value, low, high, signed=True), chance)
+        return NONE if found.value is None else chance_marked(point_text(found, signed=True), chance)
 
     @cached_property
     def trainings(self) -> list[TrackerTrainings]:
         """The trackers with several trainings."""
-        return [one for one in TrainingStatistics(self.statistics).found() if len(one.labels) > 1]
+        return [one for one in self.summary.trainings if len(one.labels) > 1]
 
     def training_table(self) -> ResultTable:
         """F1 of each training of a tracker, their mean and standard deviation."""
         rows = [
             [
                 f"{one.tracker}, {STRATA[score.stratum]}, {score.horizon_s:g} s",
-                ", ".join(NONE if value is None else f"{value:.3f}" for value in score.f1),
-                *(NONE if value is None else f"{value:.3f}" for value in (score.f1_mean, score.f1_spread)),
+                ", ".join(NONE if value is None else f"{value:.3f}" for value in score.values),
+                *(NONE if value is None else f"{value:.3f}" for value in (score.mean, score.spread)),
             ]
             for one in self.trainings
             for score in one.scores

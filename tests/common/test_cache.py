@@ -1,4 +1,4 @@
-"""The cache of files: made once, checked at every use, safe from what is done to a copy, and bounded."""
+"""The cache of files: made once, checked at every use, independent of its copies, and bounded."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from gridtrack.common.cache import FileCache
 
 
 @pytest.fixture
-def told():
+def notes():
     return []
 
 
 @pytest.fixture
-def cache(tmp_path, monkeypatch, told):
+def cache(tmp_path, monkeypatch, notes):
     monkeypatch.setattr("gridtrack.common.cache.user_cache_folder", lambda: tmp_path / "cache")
-    return FileCache("things", 1 << 20, told.append)
+    return FileCache("things", 1 << 20, notes.append)
 
 
 def fetched(cache, key, target, content=b"content"):
-    """The content of the target, and whether it was made for this."""
+    """The content of the target, and whether this call made it."""
     made = []
 
     def make(path):
@@ -37,27 +37,27 @@ def entry_of(cache):
     return entry
 
 
-def test_a_file_is_made_once_for_each_key(cache, tmp_path, told):
+def test_a_file_is_made_once_for_each_key(cache, tmp_path, notes):
     assert fetched(cache, {"a": 1, "b": 2}, tmp_path / "one") == (b"content", True)
     assert fetched(cache, {"b": 2, "a": 1}, tmp_path / "two") == (b"content", False)
     assert fetched(cache, {"a": 1, "b": 3}, tmp_path / "three", b"") == (b"", True)
     assert fetched(cache, {"a": 1, "b": 3}, tmp_path / "four") == (b"", False)
-    assert told == []
+    assert notes == []
 
 
 @pytest.mark.parametrize(
     "damage", [lambda b: b[:-1], lambda b: b"x" + b[1:], lambda b: b[:5], lambda b: b"", lambda b: b + b"x"]
 )
-def test_a_damaged_entry_is_told_and_made_again(damage, cache, tmp_path, told):
+def test_a_damaged_entry_is_reported_and_made_again(damage, cache, tmp_path, notes):
     fetched(cache, {}, tmp_path / "one")
     entry = entry_of(cache)
     entry.write_bytes(damage(entry.read_bytes()))
     assert fetched(cache, {}, tmp_path / "two", b"anew") == (b"anew", True)
-    assert told == [f"{entry}: damaged; made again"]
+    assert notes == [f"{entry}: damaged; made again"]
     assert fetched(cache, {}, tmp_path / "three") == (b"anew", False)
 
 
-def test_what_is_done_to_a_copy_does_not_change_the_entry(cache, tmp_path, told):
+def test_a_changed_copy_does_not_change_the_entry(cache, tmp_path, notes):
     for target in (tmp_path / "one", tmp_path / "two"):
         fetched(cache, {}, target)
         with target.open("r+b") as file:
@@ -67,10 +67,10 @@ def test_what_is_done_to_a_copy_does_not_change_the_entry(cache, tmp_path, told)
         target.symlink_to(entry_of(cache))
         assert fetched(cache, {}, target) == (b"content", False)
         assert not target.is_symlink()
-    assert told == []
+    assert notes == []
 
 
-def test_two_that_make_the_same_at_once_both_get_it(cache, tmp_path, told):
+def test_two_threads_may_make_one_entry_at_once(cache, tmp_path, notes):
     both, results = threading.Barrier(2, timeout=20), {}
 
     def use(name):
@@ -87,10 +87,10 @@ def test_two_that_make_the_same_at_once_both_get_it(cache, tmp_path, told):
         thread.join()
     assert results == {"one": b"one", "two": b"two"}
     content, made = fetched(cache, {}, tmp_path / "three")
-    assert (content in (b"one", b"two"), made, told) == (True, False, [])
+    assert (content in (b"one", b"two"), made, notes) == (True, False, [])
 
 
-def test_nothing_stays_of_what_could_not_be_made(cache, tmp_path):
+def test_nothing_stays_of_an_interrupted_entry(cache, tmp_path):
     def make(path):
         path.write_bytes(b"half")
         raise KeyboardInterrupt
@@ -101,12 +101,12 @@ def test_nothing_stays_of_what_could_not_be_made(cache, tmp_path):
     assert not (tmp_path / "one").exists()
 
 
-def test_without_a_folder_everything_is_made_and_one_line_says_why(cache, tmp_path, told):
+def test_without_a_folder_nothing_is_cached_with_one_note(cache, tmp_path, notes):
     cache.folder.parent.write_text("a file where the folder should be")
     for _ in range(2):
         assert fetched(cache, {}, tmp_path / "one") == (b"content", True)
-    assert len(told) == 1
-    assert "cannot be used (Not a directory), so nothing is kept for the next time; set XDG_CACHE_HOME" in told[0]
+    assert len(notes) == 1
+    assert "cannot be used (Not a directory), so nothing is cached; set XDG_CACHE_HOME" in notes[0]
 
 
 def test_entries_used_longest_ago_are_deleted_beyond_the_limit(cache, tmp_path):

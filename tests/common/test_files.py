@@ -1,14 +1,21 @@
-"""Files are replaced whole or not changed, and read within a bound."""
+"""Files are replaced whole or not changed, and read within a bound; names cannot leave their folder."""
 
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import (
+    MAX_NAME_BYTES,
     atomic_write,
+    is_label,
+    is_name,
+    name_from,
     read_bounded,
     read_json,
     sha256_of,
@@ -95,3 +102,25 @@ def test_the_folders_of_a_user_follow_the_environment(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     assert user_data_folder() == tmp_path / "data" / "gridtrack"
     assert user_cache_folder() == tmp_path / "cache" / "gridtrack"
+
+
+@pytest.mark.parametrize("name", ["test", "leave-one-out", "first half", "exp[1]", "a*b?", "café", "東京", "x" * 160])
+def test_ordinary_names_are_allowed(name: str) -> None:
+    assert is_name(name)
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", "../x", "a/b", "a\\b", "/etc", ".hidden", " x", "a\nb", "a\x00b", "a\udce9", "é" * 81]
+)
+def test_names_that_are_no_part_of_a_path_are_refused(name: str) -> None:
+    assert not is_name(name)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.text(max_size=300))
+def test_a_name_never_leaves_its_folder(name: str) -> None:
+    if is_name(name):
+        assert (Path("/out") / name).parts == ("/", "out", name)
+    assert is_name(name_from(name))
+    assert is_label("a")
+    assert not is_label("a" * (MAX_NAME_BYTES + 1))

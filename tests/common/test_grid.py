@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridSpec, Shift, rolled, shift_between
+from gridtrack.common.grid import GridSpec, Shift, nearest_step, rolled, shift_between
 
 metres = st.floats(-1e6, 1e6)
 grids = st.builds(GridSpec, st.integers(1, 60), st.integers(1, 300).map(lambda n: n / 100), st.tuples(metres, metres))
@@ -83,7 +83,7 @@ def test_values_stay_at_their_place_in_the_world_when_the_window_moves() -> None
 
 
 @given(st.tuples(st.integers(-7, 7), st.integers(-7, 7)), st.tuples(st.integers(-7, 7), st.integers(-7, 7)))
-def test_two_moves_of_the_window_keep_what_both_keep(one: tuple[int, int], other: tuple[int, int]) -> None:
+def test_two_moves_of_the_window_keep_the_cells_that_both_keep(one: tuple[int, int], other: tuple[int, int]) -> None:
     values = np.arange(1, 26).reshape(5, 5)
     twice = rolled(rolled(values, Shift(*one), 0), Shift(*other), 0)
     once = rolled(values, Shift(one[0] + other[0], one[1] + other[1]), 0)
@@ -99,7 +99,7 @@ def test_rolled_cells_may_be_on_any_axes_and_take_an_array() -> None:
 
 
 @given(st.integers(-40, 40), st.integers(-40, 40), st.integers(1, 30), st.integers(1, 30), st.integers(1, 30))
-def test_the_window_of_a_map_has_the_cells_of_the_map_that_lie_in_it(
+def test_a_window_of_a_map_has_the_cells_of_the_map_inside_it(
     up: int, right: int, rows: int, columns: int, size: int
 ) -> None:
     area = np.arange(1, rows * columns + 1).reshape(rows, columns)
@@ -111,10 +111,19 @@ def test_the_window_of_a_map_has_the_cells_of_the_map_that_lie_in_it(
             assert found[r, c] == (area[r + up, c + right] if inside else 0)
 
 
-def test_a_shift_is_whole_cells_of_a_window_that_does_not_turn() -> None:
+def test_a_shift_is_whole_cells_of_a_window_that_does_not_rotate() -> None:
     assert shift_between(SE2(1.0, 2.0), SE2(1.4, 1.8), 0.2) == Shift(rows=-1, columns=2)
     assert not shift_between(SE2(0.1, 0.7, 0.3), SE2(0.1, 0.7, 0.3), 0.2)
     with pytest.raises(RecordingError, match="whole cells"):
         shift_between(SE2(), SE2(0.1, 0.0), 0.2)
     with pytest.raises(RecordingError, match="never turns"):
         shift_between(SE2(), SE2(0.0, 0.0, 0.1), 0.2)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "horizon_s", "step"),
+    [(10.0, 0.5, 5), (7.5, 0.5, 4), (7.5, 1.0, 8), (5.0, 0.5, 2), (7.0, 0.5, 4), (20.0, 2.5, 50), (3.0, 0.1, 0)],
+)
+def test_the_nearest_step_of_a_horizon_needs_the_first_digits_of_a_period_only(rate_hz, horizon_s, step):
+    assert nearest_step(horizon_s, 1 / rate_hz) == step
+    assert nearest_step(horizon_s, round(1 / rate_hz, 6)) == step

@@ -1,4 +1,4 @@
-"""Folders named by URLs: fetched whole, what is unchanged not again, no name that leads elsewhere; and uploaded."""
+"""Folders named by URLs: fetched whole, changed files only, no names outside the folder; and uploaded."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def content_of(folder):
 
 
 def lists(patched, store, path, size):
-    """Let the store list the file `path` alone."""
+    """Lets the store list the file `path` alone."""
     listed = [{"name": path, "size": size, "type": "file"}]
     patched.setattr(type(store), "ls", lambda files, root, **options: listed)
 
@@ -58,7 +58,7 @@ def test_a_folder_is_fetched_once_under_its_own_name(url, store, notes, cache):
     assert not list(cache.rglob(".*"))
 
 
-def test_of_a_changed_folder_only_what_changed_is_fetched_and_the_earlier_copy_stays(store, notes):
+def test_only_the_changed_files_of_a_folder_are_fetched_and_the_earlier_copy_stays(store, notes):
     first = fetched_folder(FOLDER, "weights", notes.append)
     store.pipe("/bucket/weights/kalman/hall.toml", b"another card")
     store.rm("/bucket/weights/kalman/hall.safetensors")
@@ -80,7 +80,7 @@ def test_of_a_changed_folder_only_what_changed_is_fetched_and_the_earlier_copy_s
         ("/bucket/weights", "is not a folder, or lists a file outside itself"),
     ],
 )
-def test_a_listed_name_that_leads_elsewhere_is_refused_before_anything_is_fetched(
+def test_a_listed_name_outside_the_folder_is_refused_before_anything_is_fetched(
     path, message, store, notes, cache, monkeypatch
 ):
     with monkeypatch.context() as patched:
@@ -90,7 +90,7 @@ def test_a_listed_name_that_leads_elsewhere_is_refused_before_anything_is_fetche
     assert (notes, cache.exists()) == ([], False)
 
 
-def test_a_folder_of_which_a_part_cannot_be_listed_is_not_taken_for_the_whole(store, monkeypatch):
+def test_a_folder_that_is_listed_in_part_is_an_error(store, monkeypatch):
     listed = type(store).ls
 
     def ls(files, path, **options):
@@ -104,11 +104,11 @@ def test_a_folder_of_which_a_part_cannot_be_listed_is_not_taken_for_the_whole(st
             list_folder(FOLDER)
 
 
-def test_a_folder_of_which_a_file_comes_in_another_size_is_not_kept(store, notes, cache, monkeypatch):
+def test_a_folder_with_a_file_of_another_size_is_not_kept(store, notes, cache, monkeypatch):
     path = "/bucket/weights/kalman/hall.toml"
     with monkeypatch.context() as patched:
         lists(patched, store, path, 9)
-        with pytest.raises(StoreError, match="4 bytes came, and 9 were announced; try again"):
+        with pytest.raises(StoreError, match="received 4 bytes instead of 9; try again"):
             fetched_folder(FOLDER, "weights", notes.append)
     assert content_of(cache) == {}
 
@@ -124,7 +124,7 @@ def test_a_folder_of_which_a_file_comes_in_another_size_is_not_kept(store, notes
         ("http://127.0.0.1:9/weights", "cannot be fetched"),
     ],
 )
-def test_a_folder_that_cannot_be_fetched_is_told_in_one_line(url, message, store, notes):
+def test_a_folder_that_cannot_be_fetched_is_one_line_of_error(url, message, store, notes):
     with pytest.raises(StoreError, match=message) as raised:
         fetched_folder(url, "weights", notes.append)
     assert "\n" not in str(raised.value)
@@ -158,16 +158,16 @@ def folder(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["memory", "file"])
-def test_a_folder_is_uploaded_without_what_is_hidden(kind, folder, tmp_path, store):
+def test_a_folder_is_uploaded_without_hidden_files(kind, folder, tmp_path, store):
     url = "memory://bucket/runs/hall" if kind == "memory" else f"file://{tmp_path}/store/runs/hall"
     assert list_folder(url) == {}
     upload_folder(folder, url, last="run.json")
     assert {name: stored.size for name, stored in list_folder(url).items()} == {"run.json": 2, "trial/scores": 2}
 
 
-def test_an_upload_that_did_not_arrive_whole_is_told(folder, store, monkeypatch):
+def test_an_incomplete_upload_is_an_error(folder, store, monkeypatch):
     arrived = []
     monkeypatch.setattr(type(store), "put_file", lambda files, local, path: arrived.append(path))
-    with pytest.raises(StoreError, match=r"hall/(trial/scores|run\.json): is not there in its 2 bytes"):
+    with pytest.raises(StoreError, match=r"hall/(trial/scores|run\.json): the upload is not complete"):
         upload_folder(folder, "memory://bucket/runs/hall", last="run.json")
     assert arrived[-1].endswith("run.json")

@@ -1,4 +1,4 @@
-"""JSON and TOML from anywhere: nested, long and unwritable content is refused in a few words, before it costs much."""
+"""Untrusted JSON and TOML: nested, long and unwritable content is refused in a few words, before it costs much."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_toml_is_read_as_by_the_standard_library(tables: dict[str, object]) -> N
         ('"\\', "Unterminated string"),
     ],
 )
-def test_json_that_could_not_be_used_is_refused(text: str, reason: str) -> None:
+def test_unusable_json_is_refused(text: str, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         parse_json(text.encode())
 
@@ -83,7 +83,7 @@ def test_json_at_the_limits_is_read() -> None:
         ('x = "', "Unterminated string|Illegal character|Unexpected"),
     ],
 )
-def test_toml_that_could_not_be_used_is_refused(text: str, reason: str) -> None:
+def test_unusable_toml_is_refused(text: str, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         parse_toml(text.encode())
 
@@ -100,17 +100,17 @@ def test_dots_and_brackets_in_strings_and_comments_are_no_nesting() -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        b'"' * 200_000,
-        b'\\"' * 500_000,
-        b'"\\"' * 100_000,
-        b"a" * 1_000_000,
-        b"a " * 500_000,
-        b"a.a " * 250_000,
-        b"'" * 999_999,
+        b'"' * 50_000,
+        b'\\"' * 125_000,
+        b'"\\"' * 25_000,
+        b"a" * 250_000,
+        b"a " * 125_000,
+        b"a.a " * 62_500,
+        b"'" * 249_999,
     ],
 )
-def test_the_limits_themselves_cost_in_proportion(text: bytes) -> None:
-    """Text that defeats a careless expression for strings or keys: quadratic would take hours."""
+def test_the_cost_of_the_limits_is_linear(text: bytes) -> None:
+    """Text that is hostile to regular expressions for strings or keys: quadratic time would be hours."""
     tracemalloc.start()
     for parse in (parse_json, parse_toml):
         with pytest.raises(ValueError, match=r"."):

@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 import re
+from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.hosting.contract_checks import CHECKS
 from gridtrack.evaluation.hosting.contract_clauses import CLAUSES
 from gridtrack.evaluation.hosting.contract_scene import drive, empty_stream, scene
-from gridtrack.evaluation.hosting.contract_suite import ClauseResult, check_tracker
+from gridtrack.evaluation.hosting.contract_suite import (
+    CHECKS,
+    ClauseResult,
+    TrackerUnderTest,
+    check_tracker,
+    require_equal,
+)
+from gridtrack.evaluation.hosting.limits import Limits
+from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.runs.learned import find_weights
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.registry import entries
 from gridtrack.trackers.selection import launch
+
+from scenes.programs_here import programs_here
 
 LEG_TRACKER = StreamSpec(GridSpec(100, 0.1, (-2.0, -4.5)), 0.1, "leg_tracker")
 JUNCTION = StreamSpec(GridSpec(100, 0.2, (-4.0, -16.0)), 0.125, "junction")
@@ -25,20 +36,39 @@ SMALL = StreamSpec(GridSpec(40, 0.2), 0.125, "here")
 
 
 @pytest.mark.parametrize("name", entries())
-def test_a_registered_tracker_satisfies_the_contract(name: str) -> None:
-    known = [
-        (stream, learned) for stream in (LEG_TRACKER, JUNCTION) if (learned := find_weights(name, stream.site, None))
-    ]
-    stream, learned = known[0] if known else (LEG_TRACKER, None)
-    results = check_tracker(launch(name), replace(stream, weights=learned and learned.path))
+def test_a_registered_tracker_satisfies_the_contract(name: str, trackers_here: None) -> None:
+    results = check_tracker(launch(name), stream_for(name))
     if missing := [r.observed for r in results[:3] if "No module named" in r.observed]:
         pytest.skip(missing[0])
     assert [r for r in results if not r.kept] == []
     assert len(results) == len(CLAUSES)
 
 
+@pytest.mark.parametrize("name", entries())
+def test_a_registered_tracker_forecasts_the_same_in_its_own_process(name: str, tmp_path: Path) -> None:
+    """With other hashes of strings, and nothing that other trackers have imported."""
+    forecasts = []
+    for where in (programs_here(), nullcontext()):
+        with where, TrackerUnderTest(launch(name), stream_for(name), {}, Limits(), str(tmp_path)) as subject:
+            try:
+                forecasts.append(subject.fresh_forecasts())
+            except TrialEnded as ended:
+                if ended.outcome != "unavailable":
+                    raise
+                pytest.skip(ended.reason)
+    require_equal(*forecasts, "here and in its own process")
+
+
+def stream_for(name: str) -> StreamSpec:
+    """The stream that a tracker has weights for."""
+    known = [(s, learned) for s in (LEG_TRACKER, JUNCTION) if (learned := find_weights(name, s.site, None))]
+    stream, learned = known[0] if known else (LEG_TRACKER, None)
+    return replace(stream, weights=learned and learned.path)
+
+
 def verdicts(name: str, verdict: str, **options: object) -> dict[str, ClauseResult]:
-    results = check_tracker(launch(name), SMALL, options)
+    with programs_here():
+        results = check_tracker(launch(name), SMALL, options)
     return {result.clause.name: result for result in results if result.verdict == verdict}
 
 
@@ -88,38 +118,31 @@ def test_a_tracker_that_keeps_the_contract_fails_nothing_and_some_clauses_do_not
 
 
 @pytest.mark.usefixtures("bad_trackers")
-def test_futures_drawn_without_the_seed_are_not_repeatable() -> None:
+def test_futures_and_classes_are_checked_like_occupancy() -> None:
     assert re.search("frame 4 .* differ by up to 1", verdicts("draws-other-futures", "failed")["repeatable"].observed)
-
-
-@pytest.mark.usefixtures("bad_trackers")
-def test_probabilities_of_classes_that_do_not_sum_to_1_are_no_valid_forecast() -> None:
     assert "semantics must sum to 1" in verdicts("lopsided-classes", "failed")["valid-forecast"].observed
 
 
 @pytest.mark.usefixtures("bad_trackers")
-def test_what_needs_a_broken_clause_is_not_checked_and_names_the_first_broken_one() -> None:
+def test_a_clause_that_needs_a_broken_one_is_not_checked_and_names_the_first_broken_one() -> None:
     unchecked = verdicts("wrong-shape", "not checked")
     assert {result.observed for result in unchecked.values()} == {"needs valid-forecast"}
     assert len(unchecked) == len(CLAUSES) - CLAUSES.index(next(iter(unchecked.values())).clause)
-
-
-@pytest.mark.usefixtures("bad_trackers")
-def test_a_tracker_without_the_weights_that_it_needs_is_not_checked_further() -> None:
     unchecked = verdicts("needs-weights", "not checked", at="start")
     assert unchecked["starts"].observed == "untrained: needs-weights: no weights"
     assert len(unchecked) == len(CLAUSES) - 2
 
 
-@pytest.mark.usefixtures("bad_trackers")
+@pytest.mark.usefixtures("bad_trackers", "trackers_here")
 def test_an_option_that_the_tracker_refuses_is_an_error_of_the_user() -> None:
     with pytest.raises(ConfigurationError, match="there is no option 'speed'"):
         check_tracker(launch("good"), SMALL, {"speed": 2})
 
 
-def test_each_result_is_reported() -> None:
+def test_each_result_is_reported_and_the_suite_runs_in_processes() -> None:
     seen: list[ClauseResult] = []
     assert check_tracker(launch("blank"), SMALL, report=seen.append) == seen
+    assert all(result.kept for result in seen)
 
 
 def test_a_scene_has_moving_boxes_and_occlusion_and_turns() -> None:

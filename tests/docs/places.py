@@ -1,8 +1,9 @@
-"""What the pages take for granted where their commands run: recordings under the names that the pages use."""
+"""The files that the commands of the pages need: recordings under the names that the pages use."""
 
 from __future__ import annotations
 
 import shutil
+import subprocess
 from collections.abc import Callable, Iterator
 from itertools import takewhile
 from pathlib import Path
@@ -17,6 +18,7 @@ from gridtrack.recordings import open_recording, packaged_recording, write_nativ
 from docs.pages import ROOT
 from scenes import drive_bag as drive
 from scenes.drive_bag import MS, START_NS, Laser, Message, Ros
+from studies.support.plugins import write_distribution
 
 DRIVE_MS = 8000
 FRONT = Laser("front_laser", SE2(0.4, 0.2, 0.8))
@@ -107,12 +109,15 @@ def _points(scan: Scan) -> np.ndarray:
     return np.concatenate([np.column_stack([flat, np.full(len(flat), z)]) for z in (0.0, 0.5, 1.5)])
 
 
-def clone(folder: Path) -> None:
-    """`data` of a clone: the weights are a copy, which commands may write to."""
+def data(folder: Path, *, own_weights: bool = False) -> None:
+    """`data` of a clone; `own_weights` may be written to."""
     (folder / "data").mkdir()
     for name in ("junction", "leg_tracker"):
         (folder / "data" / name).symlink_to(ROOT / "data" / name)
-    shutil.copytree(ROOT / "data" / "weights", folder / "data" / "weights")
+    if own_weights:
+        shutil.copytree(ROOT / "data" / "weights", folder / "data" / "weights")
+    else:
+        (folder / "data" / "weights").symlink_to(ROOT / "data" / "weights")
 
 
 def hall_recordings(folder: Path, *names: str) -> None:
@@ -134,3 +139,59 @@ def annotations(path: Path) -> None:
         for frame in range(300)
     ]
     path.write_text("\n".join(rows) + "\n")
+
+
+def hall(folder: Path) -> None:
+    data(folder)
+    hall_bag(folder / "my.bag")
+    recorded_drive(folder)
+
+
+def formats(folder: Path) -> None:
+    drive_bag(folder / "drive.bag", FRONT, REAR, poses=odometry)
+    drive_bag(folder / "poses.bag", LASER, poses=ego_poses)
+    drive_bag(folder / "no-poses.bag", LASER, poses=no_poses)
+    carmen_log(folder / "log.clf")
+    hall_bag(folder / "hall.bag", 5.0)
+    cloud_bag(folder / "clouds.bag")
+    annotations(folder / "annotations.txt")
+    hall_bag(folder / "demo_stationary_simple_environment.bag")
+
+
+def own_tracker(folder: Path) -> None:
+    data(folder)
+    hall_bag(folder / "my.bag", 14.0)
+    hall_recordings(folder, "train.mcap", "validation.mcap", "test-1.mcap")
+    example = ROOT / "examples"
+    for name in ("Makefile", "fading_tracker.cpp"):
+        shutil.copyfile(example / "cpp_tracker" / name, folder / name)
+    subprocess.run(["make", "--silent"], cwd=folder, check=True)
+    module = example / "example_tracker" / "example_tracker.py"
+    points, files = {"fading": "example_tracker:FadingTracker"}, {module.name: module.read_text("utf-8")}
+    (folder / "site").mkdir()
+    write_distribution(folder / "site", "example-tracker", points, files, group="gridtrack.trackers")
+
+
+def training(folder: Path) -> None:
+    data(folder, own_weights=True)
+    hall_bag(folder / "my.bag", 14.0)
+    hall_recordings(folder, "places/one.mcap", "places/two.mcap", "other_places/hall.mcap")
+
+
+def simulation(folder: Path) -> None:
+    data(folder)
+
+
+def slurm(folder: Path) -> None:
+    hall_recordings(folder, "my.mcap")
+
+
+PLACES: dict[str, Callable[[Path], None]] = {
+    "hall": hall,
+    "formats": formats,
+    "own tracker": own_tracker,
+    "training": training,
+    "simulation": simulation,
+    "slurm": slurm,
+}
+"""The files that the commands of a theme need, by theme."""

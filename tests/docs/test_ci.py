@@ -40,14 +40,16 @@ class Mine(Tracker):
 '''
 
 
-def github_lines() -> list[tuple[str, bool]]:
-    """The shell lines of the workflow, and whether each runs after a failure too."""
-    steps = yaml.safe_load(blocks(PAGE, "yaml")[0])["jobs"]["regression"]["steps"]
-    return [(step["run"], "if" in step) for step in steps if "run" in step]
+Line = tuple[str, bool]
+"""A shell line, and whether it runs after a failure too."""
 
 
-def gitlab_lines() -> list[tuple[str, bool]]:
-    return [(line, False) for line in yaml.safe_load(blocks(PAGE, "yaml")[2])["regression"]["script"]]
+def steps(number: int) -> list[Line]:
+    """The shell lines of a YAML block for GitHub: the workflow, or the steps that time in turns."""
+    found = yaml.safe_load(blocks(PAGE, "yaml")[number])
+    if isinstance(found, dict):
+        found = found["jobs"]["regression"]["steps"]
+    return [(step["run"], "if" in step) for step in found if "run" in step]
 
 
 @pytest.fixture
@@ -83,56 +85,54 @@ def scan(index: int, angles: np.ndarray) -> Scan:
     )  # fmt: skip
 
 
-def run_lines(folder: Path, lines: list[tuple[str, bool]]) -> int:
-    """The exit code of the first line that fails; after it run only the lines that always do."""
-    summary = folder / "summary.md"
+def run_lines(folder: Path, lines: list[Line]) -> int:
+    """The exit code of the first line that fails; after it only the lines run that always do."""
     programs = folder.parent / "bin"
-    environment = {**os.environ, "PATH": f"{programs}:{os.environ['PATH']}", "GITHUB_STEP_SUMMARY": str(summary)}
+    environment = {
+        **os.environ,
+        "PATH": f"{programs}:{os.environ['PATH']}",
+        "GITHUB_STEP_SUMMARY": str(folder / "summary.md"),
+    }
     code = 0
     for line, always in lines:
-        if code and not always:
-            continue
-        done = subprocess.run(["bash", "-e", "-c", line], cwd=folder, env=environment, check=False)
-        code = code or done.returncode
+        if always or not code:
+            done = subprocess.run(["bash", "-e", "-c", line], cwd=folder, env=environment, check=False)
+            code = code or done.returncode
     return code
 
 
-def in_turns_lines() -> list[tuple[str, bool]]:
-    """The steps that time the tracker in turns with its base, after the one that compares."""
-    compare = [line for line in github_lines() if "gridtrack compare" in line[0]]
-    return compare + [(step["run"], False) for step in yaml.safe_load(blocks(PAGE, "yaml")[1]) if "run" in step]
+def test_both_services_run_the_same_lines() -> None:
+    gitlab = yaml.safe_load(blocks(PAGE, "yaml")[2])["regression"]["script"]
+    assert gitlab == [line for line, always in steps(0) if not always]
 
 
-def test_a_job_times_the_tracker_in_turns_with_its_base(repository: Path) -> None:
+def test_a_job_passes_with_its_baseline_times_in_turns_and_fails_once_the_tracker_is_broken(repository: Path) -> None:
+    made = [(line, False) for line in commands(PAGE)]
+    assert (len(made), run_lines(repository, made)) == (2, 0)
+    shutil.rmtree(repository / "runs")
+    assert run_lines(repository, steps(0)) == 0
+    assert ElementTree.parse(repository / "junit.xml").getroot().get("failures") == "0"
+    assert (repository / "regress.md").read_text().startswith("## gridtrack regress: no worse")
+    assert (repository / "runs/now/report/index.html").is_file()
+
+    offer_base(repository)
+    code = run_lines(repository, steps(1))
+    timed = (repository / "regress.md").read_text()
+    assert "| my-tracker | update | base |" in timed
+    assert code == int("| worse | my-tracker |" in timed)  # by chance: the machine of a test may be busy
+
+    shutil.rmtree(repository / "runs")
+    (repository.parent / "site/mine.py").write_text(TRACKER.replace("self.last = frame.occupied", "pass"))
+    assert run_lines(repository, steps(0)) == 1
+    assert int(ElementTree.parse(repository / "junit.xml").getroot().get("failures", "0")) > 0
+    assert "## gridtrack regress: worse" in (repository / "summary.md").read_text()
+
+
+def offer_base(repository: Path) -> None:
+    """`base.toml`, and programs with which `python -m venv base-env` makes an environment that has everything."""
     (repository / "base.toml").write_text(blocks(PAGE, "toml")[0])
     programs = repository.parent / "bin"
     write_program(programs / "base-python", f'exec "{sys.executable}" "$@"')
     write_program(programs / "base-pip", 'test "$*" = "install ./base"')
     copies = " && ".join(f"cp ../bin/base-{name} base-env/bin/{name}" for name in ("python", "pip"))
     write_program(programs / "python", f'test "$*" = "-m venv base-env" && mkdir -p base-env/bin && {copies}')
-    assert run_lines(repository, [(line, False) for line in commands(PAGE)]) == 0
-    shutil.rmtree(repository / "runs")
-    code = run_lines(repository, in_turns_lines())
-    told = (repository / "regress.md").read_text()
-    assert "| my-tracker | update | base |" in told
-    assert code == int("| worse | my-tracker |" in told)  # as noise has it: the machine of a test may be busy
-
-
-@pytest.mark.parametrize("lines", [github_lines(), gitlab_lines()], ids=["github", "gitlab"])
-def test_a_job_passes_with_its_baseline_and_fails_where_the_tracker_broke(
-    repository: Path, lines: list[tuple[str, bool]]
-) -> None:
-    made = [(line, False) for line in commands(PAGE)]
-    assert (len(made), run_lines(repository, made)) == (2, 0)
-    shutil.rmtree(repository / "runs")
-    assert run_lines(repository, lines) == 0
-    assert ElementTree.parse(repository / "junit.xml").getroot().get("failures") == "0"
-    assert (repository / "regress.md").read_text().startswith("## gridtrack regress: no worse")
-    assert (repository / "runs/now/report/index.html").is_file()
-    shutil.rmtree(repository / "runs")
-    module = repository.parent / "site/mine.py"
-    module.write_text(TRACKER.replace("self.last = frame.occupied", "pass"))
-    assert run_lines(repository, lines) == 1
-    assert int(ElementTree.parse(repository / "junit.xml").getroot().get("failures", "0")) > 0
-    told = repository / ("summary.md" if lines == github_lines() else "regress.md")
-    assert "## gridtrack regress: worse" in told.read_text()

@@ -6,21 +6,20 @@ import re
 import shlex
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
 
-from gridtrack.cli import app
+from gridtrack.cli import LazyCommand, app
 from gridtrack.trackers import registry
-from gridtrack.trackers.migration import RENAMES
 from gridtrack.trackers.selection import parse_selection
 
 from docs.pages import PAGES, ROOT, commands, name_of, prose
 
-MODULES = ("gridtrack.trackers.serve",)
+MODULES = ("gridtrack.trackers.serve", "pip", "build", "venv")
 HISTORY = ("CHANGELOG.md", "docs/notebook/")
 PAST = [page for page in PAGES if name_of(page).startswith(HISTORY)]
 CURRENT = [page for page in PAGES if page not in PAST]
@@ -37,7 +36,7 @@ def targets() -> set[str]:
 
 
 def problem_of(line: str) -> str:
-    """What is wrong with a command line, "" if nothing is."""
+    """The fault of a command line, or ""."""
     program, *words = shlex.split(line)
     if program == "make":
         return "" if not words or words[0] in targets() else f"{line}: no such target"
@@ -49,8 +48,14 @@ def problem_of(line: str) -> str:
     return next(wrong_words(line, words), "")
 
 
+@cache
+def whole_command() -> Any:
+    """The command `gridtrack` with its sub-commands and their options."""
+    return typer.main.get_command(app)
+
+
 def wrong_words(line: str, words: list[str]) -> Iterator[str]:
-    command: Any = typer.main.get_command(app)
+    command = whole_command()
     rest = list(words)
     while rest and not rest[0].startswith("-") and (commands_of := getattr(command, "commands", None)) is not None:
         name = rest.pop(0)
@@ -58,6 +63,7 @@ def wrong_words(line: str, words: list[str]) -> Iterator[str]:
             yield f"{line}: no such command '{name}'"
             return
         command = commands_of[name]
+        command = command.load() if isinstance(command, LazyCommand) else command
     known = {option for parameter in command.params for option in parameter.opts} | {"--debug", "--help"}
     for word in rest:
         if word.startswith("--") and word.partition("=")[0] not in known:
@@ -69,7 +75,7 @@ def wrong_words(line: str, words: list[str]) -> Iterator[str]:
 
 
 def unknown_options(text: str) -> str:
-    """Which of the options in `NAME:key=value,...` the built-in tracker NAME lacks; `key=value,...` stands for any."""
+    """The options in `NAME:key=value,...` that the built-in tracker NAME lacks; `key=value,...` stands for any."""
     selection = parse_selection(text.replace(",...", ""))
     if selection.name not in registry.entries():
         return ""
@@ -78,24 +84,18 @@ def unknown_options(text: str) -> str:
     return f"{selection.name} has no option {', '.join(missing)}" if missing else ""
 
 
-@pytest.mark.parametrize("page", CURRENT, ids=name_of)
-def test_the_commands_of_a_page_exist(page: Path) -> None:
-    assert [problem for line in commands(page) if (problem := problem_of(line))] == []
+def test_the_commands_of_the_pages_exist() -> None:
+    lines = {line: page for page in CURRENT for line in commands(page)}
+    assert [f"{name_of(page)}: {problem}" for line, page in lines.items() if (problem := problem_of(line))] == []
 
 
-@pytest.mark.parametrize("page", CURRENT, ids=name_of)
-def test_the_files_that_a_page_names_exist(page: Path) -> None:
-    text = prose(page)
+def test_the_files_that_the_pages_name_exist() -> None:
     modules = {path.name for package in PACKAGES for path in (ROOT / package).rglob("*.py")}
-    assert [file for file in FILE.findall(text) if not (ROOT / file).exists()] == []
-    assert [name for name in re.findall(r"`(\w+\.py)`", text) if name not in modules] == []
-
-
-@pytest.mark.parametrize("page", [page for page in CURRENT if page.parent.name == "trackers"], ids=name_of)
-def test_no_page_on_a_tracker_names_an_option_by_its_old_name(page: Path) -> None:
-    old = {name for step in RENAMES.values() for renames in step.values() for name in renames.options}
-    old -= {"blank"}  # a tracker has this name
-    assert old & set(re.findall(r"`(\w+)`", page.read_text("utf-8"))) == set()
+    for page in CURRENT:
+        text = prose(page)
+        missing = [file for file in FILE.findall(text) if not (ROOT / file).exists()]
+        missing += [name for name in re.findall(r"`(\w+\.py)`", text) if name not in modules]
+        assert missing == [], name_of(page)
 
 
 def test_the_options_that_a_page_on_a_tracker_sets_exist() -> None:

@@ -1,165 +1,116 @@
-"""The commands of the pages run, block by block, where the files are that a page takes for granted.
+"""The commands of the pages run in this process: a theme is a folder, and the blocks of pages that share its files.
 
-A command that would take long runs on less: SMALLER. `make`, `python -m studies...` and `ros2` do nothing here;
-test_commands.py checks that targets and modules exist, and tests/studies/test_modules.py runs the modules.
+Equal commands of a theme run once, and long ones on less: SMALLER. `make`, `python -m studies...` and `ros2` do nothing
+here; test_commands.py checks that targets and modules exist, and tests/studies runs the modules. docs/ci.md has a test
+of its own.
 """
 
 from __future__ import annotations
 
 import os
+import re
+import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
-from gridtrack.recordings import packaged_recording
+from gridtrack.cli import app
 
 from docs import places
-from docs.pages import ROOT, name_of, shell_blocks
+from docs.pages import name_of, shell_blocks
 from docs.test_commands import CURRENT
 from studies.support.slurm_machine import missing_programs, slurm_machine
 
-SHELL = """set -euo pipefail
-gridtrack() { "$PYTHON" -m gridtrack.cli "$@"; }
-pip() { if [ "$*" = "install --editable my-tracker" ]; then install ./my-tracker; fi; }
-install() { "$PYTHON" -m pip install --quiet --no-index --no-deps --no-build-isolation --target "$SITE" "$1"; }
-make() { :; }
-python() { :; }
-ros2() { :; }
-ray() { :; }
-pytest() { :; }
-"""
-OWN = "gridtrack trackers new my-tracker\npip install --editable my-tracker\n"
-BEFORE = {
-    "docs/ci.md": OWN,
-    "docs/contract.md": OWN,
-    "docs/export.md": "gridtrack compare my.bag@0s-12s --tracker persistence --tracker kalman --out runs/hall\n",
-    "docs/junction.md": OWN,
-    "docs/regress.md": OWN,
-    "docs/export.md 2": "gridtrack compare my.bag@0s-12s --tracker persistence --out runs/fleet\n",
-    "docs/viewers.md 2": "gridtrack compare my.bag@0s-12s --tracker kalman --out runs/hall\n",
-    "examples/example_tracker/README.md": f"install '{ROOT}/examples/example_tracker'\n",
-    "examples/cpp_tracker/README.md": f"cp '{ROOT}'/examples/cpp_tracker/[Mf]* . && command make --silent\n",
+THEMES = {
+    "hall": (
+        *("README.md", "docs/export.md", "docs/export.md 2", "docs/importing.md", "docs/importing.md 2"),
+        *("docs/scale.md", "docs/scale.md 3", "docs/weights.md 2", "docs/statistics.md"),
+        *("docs/viewers.md", "docs/viewers.md 2", "docs/follow.md"),
+    ),
+    "formats": (
+        *(f"docs/importing.md {number}" for number in range(3, 8)),
+        *("docs/junction.md 3", "data/leg_tracker/README.md"),
+    ),
+    "own tracker": (
+        *("docs/own-tracker.md", "docs/first-comparison.md", "docs/contract.md", "docs/junction.md"),
+        *("data/junction/README.md", "docs/regress.md", "docs/regress.md 2"),
+        *("examples/example_tracker/README.md", "examples/cpp_tracker/README.md"),
+    ),
+    "training": (
+        *("docs/weights.md", "docs/weights.md 3", "docs/scale.md 4", "docs/trackers/floor.md"),
+        *("docs/trackers/model-free.md", "docs/trackers/one-shot.md", "docs/drives.md 2"),
+        "docs/results/moving/drives.md",
+    ),
+    "simulation": (
+        *("docs/junction.md 2", "docs/drives.md", "data/drives/README.md"),
+        *("docs/worlds.md", "docs/worlds.md 2", "data/worlds/README.md"),
+    ),
+    "slurm": ("docs/scale.md 2",),
 }
-"""What a reader of a page has done before its commands."""
+"""The blocks of each theme, in order: the page, and the number of the block on it from the second on."""
 
 SMALLER = (
     ("train=0s-600s", "train=0s-14s"),
     ("validation=600s-700s --stretch test=700s-", "validation=14s-20s --stretch test=20s-"),
     ("train=0s-75s --stretch validation=75s-90s --stretch test=90s-", "train=0s-20s"),
     ("data/junction/test-*.tracks", "data/junction/test-101.tracks@0s-12s data/junction/test-102.tracks@0s-12s"),
-    ("data/junction/train.tracks", "data/junction/validation.tracks@20s-80s"),
+    ("data/junction/train.tracks", "data/junction/validation.tracks@20s-40s"),
     ("data/junction/validation.tracks ", "data/junction/validation.tracks@0s-8s "),
     ("data/junction/validation.tracks@0s-90s", "data/junction/validation.tracks@0s-8s"),
     ("data/junction/validation.tracks@0s-60s", "data/junction/validation.tracks@0s-8s"),
-    ("my.bag@60s- --validation my.bag@0s-60s", "my.bag@8s- --validation my.bag@0s-8s"),
-    ("train kalman places", "train static-map places"),
-    ("devices=4,batch=32", "devices=2,updates=2,channels=2,repetitions=1"),
-    ("my.bag --tracker kalman --weights", "my.bag --tracker static-map --weights"),
-    ("stage=classes", "stage=classes,labelled_scans=20"),
-    ("compare my.mcap --tracker site", "compare my.mcap@114s-124s --validation my.mcap@75s-81s --tracker site"),
-    ("my.mcap --tracker persistence --tracker static-map --engine", "my.mcap@90s-102s --tracker blank --engine"),
-    ("--engine ray --address head:6379", "--engine ray --address local"),
-    ("partition=long,timeout_min=240", "partition=low"),
-    ("my.mcap --tracker static-map --engine ray", "my.mcap --tracker blank --engine ray --address local"),
+    ("compare my.bag ", "compare my.bag@0s-12s "),
+    ("my.bag@60s- --validation my.bag@0s-60s", "my.bag@20s- --validation my.bag@0s-8s"),
     ("RECORDING...", "my.bag@0s-12s"),
     ("RECORDING", "my.bag@0s-12s"),
+    ("train kalman my.mcap", "train static-map my.mcap"),
+    ("train kalman places", "train static-map places"),
+    ("site=kalman:card=site --tracker general=kalman:", "site=static-map:card=site --tracker general=static-map:"),
+    ("devices=4,batch=32", "devices=1,updates=2,channels=2,repetitions=1"),
+    ("--tracker kalman --weights", "--tracker static-map --weights"),
+    ("--tracker kalman --deadline", "--tracker blank --deadline"),
+    ("drive_0.mcap --tracker kalman", "drive_0.mcap --tracker persistence --tracker kalman"),
+    ("stage=classes", "stage=classes,labelled_scans=20"),
+    (
+        "class_layers=1 ",
+        "class_layers=1,class_channels=16,class_learning_rate=0.01,class_weight_decay=0.01,class_weights=none ",
+    ),
+    ("--tracker persistence --tracker static-map --engine", "--tracker blank --engine"),
+    ("--tracker static-map --engine ray", "--tracker blank --engine ray --address local"),
+    ("--engine ray --address head:6379", "--engine ray --address local"),
+    ("partition=long,timeout_min=240", "partition=low"),
+    ("my.mcap --tracker persistence --tracker static-map --segment 20s", "my.bag --tracker blank --segment 10s"),
     ("weights=DIR", "weights=data/weights"),
     ("FOLDER", "data/weights"),
     ("--minutes 75", "--minutes 0.5"),
     ("--count 400 --minutes 1.5", "--count 1 --minutes 0.2"),
     ("--count 20 --minutes 1", "--count 1 --minutes 0.2"),
     ("--count 10 --minutes 1", "--count 1 --minutes 0.2"),
-    ("gridtrack report runs/hall runs/other-day", "cp -r runs/hall runs/other-day; gridtrack report runs/*"),
-    ("gridtrack report runs/fleet --recordings 'hall-*,street-7'", "gridtrack report runs/fleet --recordings 'my*'"),
-    ("gridtrack regress runs/hall --baseline hall.json", "gridtrack regress runs/hall --baseline hall.json --update"),
-    ("gridtrack regress runs/seed-*", 'gridtrack regress "$(ls -d runs/* | head -1)"'),
+    ("runs/hall runs/other-day", "runs/hall runs/cluster"),
+    ("runs/fleet --recordings 'hall-*,street-7'", "runs/hall --recordings 'my*'"),
+    ("regress runs/seed-*", "regress runs/now"),
     ("train my-tracker", "train static-map"),
     ("test-*.mcap --tracker my-tracker", "test-*.mcap --tracker static-map"),
+    ("drive.bag --out drive.mcap --pose-topic", "poses.bag --out drive.mcap --pose-topic"),
+    ("drive.bag --out drive.mcap --ego-motion", "no-poses.bag --out drive.mcap --ego-motion"),
+    ("hall.bag --out hall.mcap --topic", "clouds.bag --out hall.mcap --topic"),
 )  # fmt: skip
-"""Texts of the pages, and what runs in their place: the same commands on seconds in place of minutes."""
+"""Texts of the pages and their replacements: the same commands on seconds, each on a file of its own."""
 
 LONG = ("gridtrack simulate drive-set", "gridtrack train --recipe")
-"""Commands that take an hour and have nothing to make them shorter."""
+"""Commands that take an hour and cannot be made shorter."""
 
-Prepare = Callable[[Path], object]
-
-
-def my_bag(folder: Path) -> None:
-    places.hall_bag(folder / "my.bag")
-
-
-def readme(folder: Path) -> None:
-    my_bag(folder)
-    places.recorded_drive(folder)
-
-
-def two_places(folder: Path) -> None:
-    my_bag(folder)
-    places.hall_recordings(folder, "places/one.mcap", "places/two.mcap", "other_places/hall.mcap")
-
-
-def bag_and_clone(folder: Path) -> None:
-    my_bag(folder)
-    places.clone(folder)
-
-
-def log_and_drive(folder: Path) -> None:
-    places.carmen_log(folder / "log.clf")
-    places.drive_bag(folder / "drive.bag", places.LASER, poses=places.no_poses)
-
-
-PLACES: dict[str, Prepare] = {
-    "README.md": readme,
-    "data/junction/README.md": places.clone,
-    "data/leg_tracker/README.md": lambda folder: places.hall_bag(folder / "demo_stationary_simple_environment.bag"),
-    "docs/ci.md": lambda folder: places.hall_recordings(folder, "recordings/one.mcap", "recordings/two.mcap"),
-    "docs/contract.md": my_bag,
-    "docs/export.md": my_bag,
-    "docs/export.md 2": my_bag,
-    "docs/first-comparison.md": places.clone,
-    "docs/follow.md": places.recorded_drive,
-    "docs/importing.md": my_bag,
-    "docs/importing.md 2": my_bag,
-    "docs/importing.md 3": lambda folder: places.drive_bag(
-        folder / "drive.bag", places.FRONT, places.REAR, poses=places.odometry
-    ),
-    "docs/importing.md 4": lambda folder: places.drive_bag(folder / "drive.bag", places.LASER, poses=places.ego_poses),
-    "docs/importing.md 5": log_and_drive,
-    "docs/importing.md 6": lambda folder: places.hall_bag(folder / "hall.bag"),
-    "docs/importing.md 7": lambda folder: places.cloud_bag(folder / "hall.bag"),
-    "docs/junction.md": places.clone,
-    "docs/junction.md 3": lambda folder: places.annotations(folder / "annotations.txt"),
-    "docs/own-tracker.md": places.clone,
-    "docs/regress.md": places.clone,
-    "docs/regress.md 2": lambda folder: places.hall_recordings(
-        folder, "train.mcap", "validation.mcap", "test-1.mcap", "test-2.mcap"
-    ),
-    "docs/scale.md": lambda folder: shutil.copyfile(packaged_recording("leg_tracker"), folder / "my.mcap"),
-    "docs/scale.md 2": lambda folder: shutil.copyfile(packaged_recording("leg_tracker"), folder / "my.mcap"),
-    "docs/scale.md 3": lambda folder: shutil.copyfile(packaged_recording("leg_tracker"), folder / "my.mcap"),
-    "docs/scale.md 4": two_places,
-    "docs/statistics.md": bag_and_clone,
-    "docs/trackers/floor.md": places.clone,
-    "docs/trackers/model-free.md": places.clone,
-    "docs/trackers/one-shot.md": places.clone,
-    "docs/viewers.md": my_bag,
-    "docs/viewers.md 2": my_bag,
-    "docs/weights.md": two_places,
-    "docs/weights.md 2": lambda folder: shutil.copyfile(packaged_recording("leg_tracker"), folder / "my.mcap"),
-    "docs/weights.md 3": two_places,
-    "examples/cpp_tracker/README.md": my_bag,
-    "examples/example_tracker/README.md": my_bag,
-}
-"""What makes the files that the blocks of a page take for granted."""
+OWN_PROCESS = ("--engine", "--follow")
+"""Options of commands that are about processes."""
 
 
 def named_blocks() -> Iterator[tuple[str, str]]:
-    """Every block with its name: the page, and which one of it from the second on."""
+    """Every block with its name."""
     for page in CURRENT:
         for number, block in enumerate(shell_blocks(page), start=1):
             yield f"{name_of(page)} {number}" if number > 1 else name_of(page), block
@@ -168,40 +119,89 @@ def named_blocks() -> Iterator[tuple[str, str]]:
 BLOCKS = dict(named_blocks())
 
 
-@pytest.mark.parametrize("name", BLOCKS)
-def test_the_commands_of_a_page_run(name: str, tmp_path: Path) -> None:
-    block = BLOCKS[name]
-    if any(command in block for command in LONG):
-        pytest.skip("takes an hour")
-    if "gridtrack simulate" in block and "gridtrack simulate tracks" not in block:
+def commands_of(theme: str) -> dict[str, str]:
+    """The commands of a theme in order, each once: the command -> the block that has it first."""
+    found: dict[str, str] = {}
+    for name in THEMES[theme]:
+        for line in BLOCKS[name].replace("\\\n", " ").splitlines():
+            command = " ".join(re.split(r"\s+#\s", line)[0].split()) + " "
+            for old, new in SMALLER:
+                command = command.replace(old, new)
+            if command.strip() and not command.startswith(LONG):
+                found.setdefault(command.strip(), name)
+    return found
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_the_commands_of_the_pages_run(theme: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if theme == "simulation":
         pytest.importorskip("sumolib", reason="needs the extra sim")
-    if "--engine slurm" in block and missing_programs():
+    if theme == "slurm" and missing_programs():
         pytest.skip(f"not installed: {', '.join(missing_programs())}")
-    PLACES.get(name, lambda folder: None)(tmp_path)
-    with slurm_machine() if "--engine slurm" in block else nullcontext() as configuration:
-        run(BEFORE.get(name, "") + block, tmp_path, SLURM_CONF=str(configuration))
+    site = tmp_path / "site"
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(site))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH")))))
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    places.PLACES[theme](tmp_path)
+    with slurm_machine() if theme == "slurm" else nullcontext() as configuration:
+        monkeypatch.setenv("SLURM_CONF", str(configuration))
+        for command, name in commands_of(theme).items():
+            run(command, f"{name}: {command}")
 
 
 def test_every_block_is_run_and_every_replacement_used() -> None:
-    text = "\n".join(BLOCKS.values())
-    assert [name for name in {*PLACES, *BEFORE} if name not in BLOCKS] == []
-    assert [old for old, _ in SMALLER if old not in text] == []
+    blocks = [name for theme in THEMES.values() for name in theme]
+    assert sorted([*blocks, "docs/ci.md"]) == sorted(BLOCKS)
+    text = "\n".join(f"{BLOCKS[name]} " for name in blocks).replace("\\\n", " ")
+    text = re.sub(r" +", " ", re.sub(r"\s+#\s.*", " ", text))
+    for old, new in SMALLER:
+        assert old in text, old
+        text = text.replace(old, new)
     assert [command for command in LONG if command not in text] == []
 
 
-def run(block: str, folder: Path, **more: str) -> None:
-    """Run a block in `folder` by bash, which ends it at the first command that fails; `more` is of its environment."""
-    for old, new in SMALLER:
-        block = block.replace(old, new)
-    environment = {
-        **os.environ,
-        "PYTHON": sys.executable,
-        "SITE": str(folder / "site"),
-        "PYTHONPATH": str(folder / "site"),
-        "XDG_DATA_HOME": str(folder / "home"),
-        **more,
-    }
-    done = subprocess.run(
-        ["bash", "-c", SHELL + block], cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, f"{block}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+def run(command: str, where: str) -> None:
+    """Run a command in the working folder. Raises AssertionError with its output where it fails."""
+    command, _, to = command.partition(" > ")
+    program, *words = (found for typed in shlex.split(command, posix=False) for found in expanded(typed))
+    if program == "gridtrack":
+        output = gridtrack(words, where)
+        if to:
+            Path(to).write_text(output)
+    elif command == "pip install --editable my-tracker":
+        pip_install("./my-tracker")
+    elif program == "printf":
+        Path(to).write_text(words[0].replace("\\n", "\n"))
+
+
+def expanded(typed: str) -> list[str]:
+    """A word as a shell passes it on: without its quotes, else the files that it names."""
+    (word,) = shlex.split(typed)
+    return sorted(map(str, Path().glob(word))) or [word] if "*" in word and word == typed else [word]
+
+
+def gridtrack(words: list[str], where: str) -> str:
+    """The output of a gridtrack command that ends well, in this process if it is not about processes."""
+    if words[0] in ("compare", "recording"):
+        remove(Path(words[words.index("--out") + 1] if "--out" in words else "runs/latest"))  # of an earlier page
+    if set(OWN_PROCESS) & set(words):
+        command = [sys.executable, "-m", "gridtrack.cli", *words]
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+        assert done.returncode == 0, f"{where}\n{done.stdout[-2000:]}"
+        return done.stdout
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, f"{where}\n{result.output[-2000:]}\n{result.exception!r}"
+    return result.stdout
+
+
+def remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    path.unlink(missing_ok=True)
+
+
+def pip_install(package: str) -> None:
+    """Install a package into the folder `site`, which is on the path."""
+    options = ("--quiet", "--no-index", "--no-deps", "--no-build-isolation", "--target", "site")
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, package], check=True)

@@ -1,121 +1,69 @@
-"""A small recording, and trackers that fail half way, for runs through the real processes."""
+"""Runs on a small recording: its settings, a tracker that fails half way, and recorded progress."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import pytest
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.scan import Scan
-from gridtrack.evaluation.results.trial_record import TrialRecord
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
-from gridtrack.recordings import RecordingInfo, write_native
+from gridtrack.evaluation.runs.summary import RunSummary
+from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.evaluation.runs.trial_record import TrialRecord
+from tests.conftest import PLUGINS
 
-RATE_HZ, SECONDS, BEAMS = 10, 20, 120
-STRETCHES = {"train": (0.0, 4.0), "validation": (4.0, 9.0), "test": (9.0, None)}
-
-STAGED = '''
-import os, time
-import numpy as np
-from gridtrack.common.config import Settings
-from gridtrack.trackers.contract import Forecast, Tracker
-
-
-class Options(Settings):
-    crash_at: int = 0
-    crash_in: int = 2
-    sleep_s: float = 0.0
-    starts: str = ""
-
-
-class Staged(Tracker):
-    """Forecasts the last frame; dies at the update `crash_at` of the stretch `crash_in`, and takes its time.
-
-    Stretches are counted in one process; with a file `starts`, each earlier process counts as one.
-    """
-
-    Options = Options
-
-    def __init__(self, stream, options):
-        super().__init__(stream, options)
-        self.stretch = 0
-        if options.starts:
-            with open(options.starts, "ab") as file:
-                self.stretch = file.tell()
-                file.write(b".")
-
-    def reset(self, seed):
-        self.stretch, self.updates = self.stretch + 1, 0
-
-    def update(self, frame):
-        self.updates, self.last = self.updates + 1, frame.occupied
-        if self.stretch == self.options.crash_in and self.updates == self.options.crash_at:
-            os.abort()
-        time.sleep(self.options.sleep_s)
-
-    def predict(self, steps):
-        return Forecast(np.repeat(self.last[None].astype(np.float32), steps + 1, axis=0))
-'''
-
-
-def scan(index: int, speed: float = 0.0, wall_m: float = 3.0) -> Scan:
-    """A wall ahead, and something 0.3 m wide that walks to and fro before it."""
-    angles = np.linspace(-math.pi / 3, math.pi / 3, BEAMS)
-    ranges = wall_m / np.cos(angles)
-    towards = 0.8 * math.sin(index / 12)
-    ranges[np.abs(angles - towards) < 0.08] = 1.6
-    return Scan(
-        stamp_ns=1_000_000_000_000 + index * 1_000_000_000 // RATE_HZ,
-        ranges=ranges.astype(np.float32),
-        angle_min=float(angles[0]),
-        angle_increment=float(angles[1] - angles[0]),
-        range_min=0.05,
-        range_max=8.0,
-        world_T_sensor=SE2(speed * index / RATE_HZ, 0.0, 0.0),
-    )
-
+from scenes.room import STAGED, write_room
 
 Record = Callable[..., Path]
 
 
 @pytest.fixture
 def record(tmp_path: Path) -> Record:
-    """`record(name, seconds, stretches, speed, wall_m)` writes a recording and gives its path; m/s of the sensor."""
-
-    def record(
-        name: str = "room",
-        seconds: int = SECONDS,
-        stretches: dict[str, object] | None = None,
-        speed: float = 0.0,
-        wall_m: float = 3.0,
-    ) -> Path:
-        path = tmp_path / f"{name}.mcap"
-        info = RecordingInfo(
-            site="room", grid="40x0.2@-1,-4", rate_hz=RATE_HZ, stretches=STRETCHES if stretches is None else stretches
-        )
-        with path.open("wb") as file:
-            write_native(file, info, (scan(index, speed, wall_m) for index in range(seconds * RATE_HZ)))
-        return path
-
-    return record
+    """`record(name, seconds, stretches, speed, wall_m)` writes a recording of the room, and returns its path."""
+    return lambda name="room", *where, **how: write_room(tmp_path / f"{name}.mcap", *where, **how)
 
 
 @pytest.fixture
-def settings(record: Record, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., CompareSettings]:
-    """`settings(*trackers, **more)` for the small recording, with nothing learned but what a test puts there."""
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An empty folder for the user's own weights."""
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+
+
+@pytest.fixture
+def settings(record: Record, tmp_path: Path, home: None) -> Callable[..., CompareSettings]:
+    """`settings(*trackers, **more)` for the small recording, with nothing learned but what a test puts there."""
     given = {"recordings": (str(record()),), "out": tmp_path / "run", "horizon_s": 1.0, "every_s": 0.5}
     return lambda *trackers, **more: CompareSettings(trackers=trackers, **(given | more))
+
+
+@pytest.fixture
+def compare(settings: Callable[..., CompareSettings], progress: RecordedProgress) -> Callable[..., RunSummary]:
+    """`compare(*trackers, **settings)` runs a comparison, one trial at a time, and returns the summary."""
+    return lambda *trackers, **more: run(
+        resolve(settings(*trackers, **({"jobs": 1} | more))), ("gridtrack", "compare"), progress
+    )
 
 
 @pytest.fixture
 def staged(install: Callable[..., Path]) -> Path:
     """Registers the tracker `staged`; the folder of its code."""
     return install("staged", {"staged": "staged_tracker:Staged"}, {"staged_tracker.py": STAGED})
+
+
+@pytest.fixture
+def train(record: Record, tmp_path: Path) -> Callable[..., Path]:
+    """`train(folder, tracker, *recordings, **more)` trains on recordings, or the room; the path of the card."""
+
+    def train(folder: str, tracker: str = "static-map", *recordings: object, **more: Any) -> Path:
+        on = tuple(map(str, recordings)) or (str(record()),)
+        return train_tracker(Recipe(tracker=tracker, recordings=on, out=tmp_path / folder, **more), lambda text: None)
+
+    return train
 
 
 class RecordedProgress:
@@ -126,6 +74,8 @@ class RecordedProgress:
         self.frames: dict[str, int] = {}
         self.delivered: dict[str, int] = {}
         self.records: dict[str, TrialRecord] = {}
+        self.on_frame: Callable[[str, int], None] = lambda trial, delivered: None
+        """Called after each frame of a trial with the number of its frames so far."""
 
     def note(self, text: str) -> None:
         self.notes.append(text)
@@ -138,6 +88,7 @@ class RecordedProgress:
 
     def advanced(self, trial: str) -> None:
         self.delivered[trial] = self.delivered.get(trial, 0) + 1
+        self.on_frame(trial, self.delivered[trial])
 
     def ended(self, trial: str, record: TrialRecord) -> None:
         self.records[trial] = record
@@ -146,3 +97,10 @@ class RecordedProgress:
 @pytest.fixture
 def progress() -> RecordedProgress:
     return RecordedProgress()
+
+
+@pytest.fixture
+def movers(install: Callable[..., Path]) -> None:
+    """Registers the trackers `mover`, which forecasts velocities, and `guesser`, which samples futures."""
+    module = PLUGINS / "movers.py"
+    install("movers", {"mover": "movers:Mover", "guesser": "movers:Guesser"}, {module.name: module.read_text()})

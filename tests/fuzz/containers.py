@@ -19,8 +19,8 @@ from mcap.records import Chunk, Metadata
 from pyarrow import parquet
 
 from fuzz.damage import Choices, damaged_bytes, damaged_json, damaged_text, one_of
-from gridtrack.recordings.formats.native_layout import METADATA_NAME, NATIVE_SCHEMA
 from gridtrack.recordings.mcap_file import ENVELOPE, MCAP_MAGIC
+from gridtrack.recordings.native_messages import METADATA_NAME, NATIVE_SCHEMA
 from gridtrack.trackers.wire import MAGIC, MESSAGE_PREFIX, VERSION
 
 Record = tuple[int, bytes]

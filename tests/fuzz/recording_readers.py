@@ -20,8 +20,7 @@ from fuzz.containers import (
 from fuzz.damage import Choices, damaged_bytes, damaged_text, one_of
 from fuzz.reader import CLASSES, GRID, Reader, on_file
 from gridtrack.common.geometry import SE2
-from gridtrack.common.pose_quality import PoseQuality
-from gridtrack.common.scan import Scan
+from gridtrack.common.scan import PoseQuality, Scan
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.recordings import RecordingInfo, import_recording, open_recording, write_native
 from gridtrack.recordings.frames.transform import SE3

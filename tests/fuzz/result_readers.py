@@ -17,25 +17,26 @@ from fuzz.containers import (
 )
 from fuzz.damage import Choices, damaged_json, damaged_text, damaged_value, dumped, one_of
 from fuzz.reader import CLASSES, GRID, Reader, on_file
+from gridtrack.evaluation.referee.samples import read_samples
 from gridtrack.evaluation.regression.baseline import digest_of, read_baseline
 from gridtrack.evaluation.regression.history import append_entry, read_history
 from gridtrack.evaluation.regression.measuring import measure_run
-from gridtrack.evaluation.results.recording import RecordingSummary
-from gridtrack.evaluation.results.run_record import RunConfiguration, RunRecord, TrialIdentity, read_run_record
-from gridtrack.evaluation.results.summary import RunSummary, TrackerSummary
-from gridtrack.evaluation.results.trial_record import read_trial_record
-from gridtrack.evaluation.results.trial_summary import TrialSummary
 from gridtrack.evaluation.runs.recipe import read_recipe
-from gridtrack.evaluation.scoring.histograms import read_tally
-from gridtrack.evaluation.scoring.samples import read_samples
-from gridtrack.evaluation.scoring.score_store import read_label_free, read_losses
-from gridtrack.evaluation.scoring.strata import STRATA
-from gridtrack.evaluation.statistics.frame_counts import read_frame_counts
+from gridtrack.evaluation.runs.run_record import (
+    RecordingSummary,
+    RunConfiguration,
+    RunRecord,
+    TrialIdentity,
+    read_run_record,
+)
+from gridtrack.evaluation.runs.summary import RunSummary, TrackerSummary, TrialSummary
+from gridtrack.evaluation.runs.sums import TrialSums
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.reports.run import read_runs
-from gridtrack.trackers.card import Card, CardThresholds, TrainingData
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import read_trackers_toml
-from gridtrack.trackers.weights import load_weights, save_weights
+from gridtrack.trackers.training.card import Card, CardThresholds, TrainingData
+from gridtrack.trackers.training.weights import load_weights, save_weights
 
 from scenes.drawn_samples import write_samples
 from scenes.synthetic_run import description, identity, write_trial
@@ -86,7 +87,7 @@ def run_folder(folder: Path) -> None:
         status="complete",
     ).write(folder)
     write_trial(folder, "kalman", "a", 0.7, seed=1, frames=2, steps=STEPS)
-    trial = TrialSummary(outcome="ok", frames_scored=2, frames_expected=2, strata={})
+    trial = TrialSummary(outcome="ok", frames_scored=2, frames_expected=2)
     summary = RunSummary(
         recordings={"a": RecordingSummary(**dict(described))},
         trackers={"kalman": TrackerSummary(tracker="kalman", recordings={"a": trial})},
@@ -107,10 +108,10 @@ def read_run(folder: Path) -> str:
     read_run_record(folder)
     trial = folder / "kalman@a"
     record = read_trial_record(trial)
-    read_losses(trial, STEPS, STRATA)
-    read_label_free(trial, STEPS, STRATA)
-    read_frame_counts(trial, STEPS, STRATA)
-    read_tally(trial, STEPS)
+    sums = TrialSums(trial)
+    for score in sums.scores:
+        layout = sums.layouts[score]
+        sums.by_frame(score, range(sums.steps + 1), layout.strata, layout.parts)
     measure_run(folder)
     return f"{len(run.summary.trackers)} trackers, {record and record.outcome}"
 

@@ -20,7 +20,7 @@ from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
 
-Stage = Literal["start", "reset", "update", "predict"]
+Stage = Literal["start", "reset", "update", "predict", "every"]
 
 
 class At(Settings):
@@ -50,7 +50,7 @@ class Good(Tracker):
         return np.zeros((steps + 1, *self.stream.grid.shape), np.float32)
 
     def _maybe(self, stage: str) -> None:
-        if self.options.at == stage:
+        if self.options.at in (stage, "every"):
             self.misbehave()
 
     def misbehave(self) -> None:

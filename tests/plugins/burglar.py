@@ -1,4 +1,4 @@
-"""A tracker that attacks the host and the recording when it starts, and tells on stderr what it got."""
+"""A tracker that attacks the host and the recording when it starts, and reports the results on stderr."""
 
 from __future__ import annotations
 
@@ -24,22 +24,20 @@ CLONE_NEWUSER = 0x10000000
 BLOCK = 1 << 20
 
 
-class Attack(Settings):
-    attack: str = ""
-    target: str = ""
-    """A path, a port or a process, as the attack needs it."""
+class Attacks(Settings):
+    attacks: tuple[tuple[str, str], ...] = ()
+    """Names of ATTACKS with their targets: a path, a port or a process."""
 
 
 class Burglar(Tracker):
-    """Does what its option `attack` says, once."""
+    """Carries out its attacks, one after the other."""
 
-    Options = Attack
+    Options = Attacks
 
     def __init__(self, stream: StreamSpec, options: Any) -> None:
         super().__init__(stream, options)
-        if options.attack:
-            found = ATTACKS[options.attack](options.target)
-            print("found:", json.dumps(found), file=sys.stderr, flush=True)
+        found = [ATTACKS[name](target) for name, target in options.attacks]
+        print("found:", json.dumps(found), file=sys.stderr, flush=True)
 
     def reset(self, seed: int) -> None: ...
 
@@ -129,7 +127,7 @@ def writes(_: str) -> list[str]:
 
 
 def fills(folder: str) -> int:
-    """Write files until there is no room; how much there was, MiB."""
+    """Write files until the memory is full; its size, MiB."""
     written = 0
     with suppress(OSError), Path(folder, "burglar").open("wb", buffering=0) as file:
         while True:

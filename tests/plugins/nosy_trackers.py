@@ -14,9 +14,9 @@ import numpy as np
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.card import card_for
-from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker
-from gridtrack.trackers.weights import save_weights
+from gridtrack.trackers.contract import FitTask, Forecast, StreamSpec, Tracker
+from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.weights import save_weights
 
 MEMBERS = {"name", "sha256", "grid", "period_s", "site", "classes", "labelled"}
 
@@ -41,26 +41,20 @@ class Nosy(Tracker):
         return Forecast(np.zeros((steps + 1, *self.stream.grid.shape), np.float32))
 
     @classmethod
-    def fit(
-        cls,
-        train: Sequence[FrameSource],
-        validation: Sequence[FrameSource],
-        score: Score,
-        out: FitOutput,
-        options: Found,
-    ) -> None:
+    def fit(cls, task: FitTask) -> None:
+        sources, options = (*task.train, *task.validation), task.options
         found = {
-            "members": sorted({n for s in (*train, *validation) for n in dir(s) if n[0] != "_"} - MEMBERS),
-            "attributes": reached((*train, *validation, out)),
+            "members": sorted({n for s in sources for n in dir(s) if n[0] != "_"} - MEMBERS),
+            "attributes": reached((task,)),
             "objects": suspects(gc.get_objects()),
             "stack": stack(),
-            "frames": [sum(1 for _ in source) for source in (*train, *validation)],
-            "command": [out.command] if options.secret[::-1] in out.command else [],
+            "frames": [sum(1 for _ in source) for source in sources],
+            "command": [task.command] if options.secret[::-1] in task.command else [],
             "traces": traces(options.secret[::-1]),
         }
         Path(options.found).write_text(json.dumps(found))
-        out.report("looked around")
-        save_weights(out.path, card_for("nosy", out, train, validation, {}), {})
+        task.report("looked around")
+        save_weights(task.out, card_for("nosy", task, {}), {})
 
 
 class NosyInTrial(Tracker):

@@ -1,15 +1,17 @@
-"""A program on the wire that starts correctly, and answers an `update` in the way named by its argument."""
+"""A program on the wire that starts correctly, and answers an `update` in the way named by its argument.
+
+Tests of its answers import it, and start it only for claims about processes.
+"""
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
 
 import numpy as np
 
-from gridtrack.trackers.wire import MESSAGE_PREFIX, Message, encode, fill_from, receive, write_to
+from gridtrack.trackers.wire import MESSAGE_PREFIX, Message, encode, fill_from, receive
 
 TIMES = {"elapsed_ns": 1, "cpu_ns": 1}
 STARTED = {
@@ -31,9 +33,11 @@ def answer(number: int, kind: str = "done", **fields: object) -> bytes:
     return b"".join(encode(Message(kind, number, TIMES | fields)))
 
 
-def misbehave(how: str, number: int) -> None:
+def answers_to_update(number: int) -> dict[str, bytes]:
+    """The answers by name."""
     done = answer(number)
-    answers = {
+    return {
+        "done": done,
         "twice": done + done,
         "garbage": b"Hello, I am a tracker\n" * 10,
         "huge-body": MESSAGE_PREFIX.pack(b"GTW", 1, 2, 1 << 62) + b"{}",
@@ -51,20 +55,15 @@ def misbehave(how: str, number: int) -> None:
         "made-up-outcome": answer(number, "error", outcome="ok", reason="all is well"),
         "terminal-codes": answer(number, "error", outcome="crashed", reason="\x1b[31mred\nalert\x07"),
     }
-    if how == "drips":
-        for byte in done:
-            os.write(1, bytes([byte]))
-            time.sleep(0.2)
-    elif how == "stops-reading":
-        time.sleep(3600)
-    elif how == "closes-stdin":
-        os.close(0)
-        os.write(1, done)
-        time.sleep(3600)
-    else:
-        os.write(1, answers[how])
-        if how == "half-a-message":
-            sys.exit(0)
+
+
+def answer_to(request: Message, how: str, described: dict[str, object]) -> bytes:
+    """The answer to any request; `described` are the fields by which it describes itself."""
+    if request.kind == "start":
+        return b"".join(encode(Message("started", request.number, STARTED | described)))
+    if request.kind == "predict":
+        return b"".join(encode(Message("forecast", request.number, TIMES, large_forecast(request.fields["steps"]))))
+    return answers_to_update(request.number)[how if request.kind == "update" else "done"]
 
 
 def large_forecast(steps: int) -> dict[str, np.ndarray]:
@@ -75,26 +74,24 @@ def large_forecast(steps: int) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    fill = fill_from(0)
+    how, fill = sys.argv[1], fill_from(0)
     while True:
-        try:
-            request = receive(fill, 1 << 28)
-        except EOFError:
-            return
-        if request.kind == "start":
-            described = json.loads(sys.argv[2]) if len(sys.argv) > 2 else {}
-            named = [f"class {i}" for i in range(10_000)] if sys.argv[1] == "many-classes" else []
-            write_to(1, encode(Message("started", request.number, STARTED | {"classes": named} | described)))
-            if sys.argv[1] == "stops-reading":
-                time.sleep(3600)
-        elif request.kind == "predict":
-            write_to(1, encode(Message("forecast", request.number, TIMES, large_forecast(request.fields["steps"]))))
-        elif request.kind == "update" and sys.argv[1] == "large-forecasts":
-            write_to(1, encode(Message("done", request.number, TIMES)))
-        elif request.kind == "update":
-            misbehave(sys.argv[1], request.number)
+        request = receive(fill, 1 << 28)
+        if request.kind == "update" and how == "drips":
+            for byte in answer(request.number):
+                os.write(1, bytes([byte]))
+                time.sleep(0.2)
+        elif request.kind == "update" and how == "closes-stdin":
+            os.close(0)
+            os.write(1, answer(request.number))
+            time.sleep(3600)
         else:
-            write_to(1, encode(Message("done", request.number, TIMES)))
+            os.write(1, answer_to(request, how, {}))
+            if request.kind == "update" and how == "half-a-message":
+                sys.exit(0)
+            if how == "stops-reading":
+                time.sleep(3600)
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,7 +29,7 @@ def test_a_dropped_beam_is_invalid() -> None:
     assert lost.mean() == pytest.approx(0.2, abs=4 * math.sqrt(0.2 * 0.8 / BEAMS))
 
 
-def test_range_noise_is_a_standard_deviation_in_metres_of_returns_only() -> None:
+def test_range_noise_is_in_metres_and_changes_returns_only() -> None:
     scan = replace(SCAN, ranges=SCAN.ranges.copy())
     scan.ranges[:4] = math.inf, math.nan, 9.0, 0.01
     noisy = degrader(Degradation(range_noise=0.05), seed=1)(scan).ranges
@@ -52,7 +50,7 @@ def test_a_dropped_frame_is_empty() -> None:
     assert all((scan.ranges == 3.0).all() for scan, gone in zip(seen, dropped, strict=True) if not gone)
 
 
-def test_pose_jitter_shifts_and_turns_the_pose() -> None:
+def test_pose_jitter_shifts_and_rotates_the_pose() -> None:
     poses = [degrader(Degradation(pose_jitter=0.05), seed=1)(scan).world_T_sensor for scan in scans(2000)]
     off = np.array([(p.x - 1.0, p.y - 2.0, (p.theta - 0.3) * JITTER_LEVER_M) for p in poses])
     np.testing.assert_allclose(off.std(axis=0), 0.05, rtol=0.08)
@@ -86,12 +84,12 @@ def test_truth_and_stamp_are_not_changed() -> None:
     assert degraded.stamp_ns == SCAN.stamp_ns
 
 
-def test_the_text_of_a_degradation_is_read_and_unknown_kinds_are_refused() -> None:
-    asked = parse_degradation("beam-dropout=0.2,range-noise=0.05,frame-drop=0.1,pose-jitter=0.05")
-    assert asked == Degradation(beam_dropout=0.2, range_noise=0.05, frame_drop=0.1, pose_jitter=0.05)
-    assert asked.kinds == ("beam_dropout", "range_noise", "frame_drop", "pose_jitter")
+def test_a_degradation_is_read_from_text_and_unknown_kinds_are_refused() -> None:
+    given = parse_degradation("beam-dropout=0.2,range-noise=0.05,frame-drop=0.1,pose-jitter=0.05")
+    assert given == Degradation(beam_dropout=0.2, range_noise=0.05, frame_drop=0.1, pose_jitter=0.05)
+    assert given.kinds == ("beam_dropout", "range_noise", "frame_drop", "pose_jitter")
     assert parse_degradation("frame-drop=0.1").kinds == ("frame_drop",)
-    assert asked.only("range_noise") == Degradation(range_noise=0.05)
+    assert given.only("range_noise") == Degradation(range_noise=0.05)
     with pytest.raises(ConfigurationError, match=r"--degrade: .*beam-dropuot.*did you mean 'beam-dropout'"):
         parse_degradation("beam-dropuot=0.2")
     with pytest.raises(ConfigurationError, match="'foo'; known: beam-dropout, frame-drop, pose-jitter, range-noise"):
@@ -103,7 +101,7 @@ def test_the_text_of_a_degradation_is_read_and_unknown_kinds_are_refused() -> No
             parse_degradation(nothing)
 
 
-def test_a_degraded_stream_has_the_ticks_and_the_grid_of_the_original(write: Callable[..., Path], scan) -> None:
+def test_a_degraded_stream_has_the_ticks_and_the_grid_of_the_original(write, scan) -> None:
     path = write([scan(k, beams=360) for k in range(40)], grid="40x0.25", rate_hz=10.0)
     stream = open_stream(path)
     plain = list(stream)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 
 from gridtrack.common.errors import ConfigurationError, GridtrackError, RecordingError
-from gridtrack.common.scan import Scan
 from gridtrack.recordings import import_recording, open_recording, packaged_recording
 
 
@@ -50,14 +48,14 @@ def test_importing_again_gives_the_same_bytes(log: Path, tmp_path: Path) -> None
     assert import_recording(log, out, site="hall", overwrite=True).path.read_bytes() == once
 
 
-def test_a_stretch_that_the_recording_does_not_have_is_refused_before_anything_is_written(log, tmp_path) -> None:
+def test_a_stretch_outside_the_recording_is_refused_before_anything_is_written(log, tmp_path) -> None:
     out = tmp_path / "out.mcap"
     with pytest.raises(RecordingError, match=r"building.clf@100s-200s: the recording is 4\.0 s long: name a range"):
         import_recording(log, out, stretches={"train": (0.0, 2.0), "test": (100.0, 200.0)})
     assert not out.exists()
 
 
-def test_an_import_replaces_a_recording_only_where_it_is_told_to(log: Path, tmp_path: Path) -> None:
+def test_an_import_replaces_a_recording_only_with_overwrite(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     before = import_recording(log, out, site="hall").path.read_bytes()
     with pytest.raises(RecordingError, match="exists already; choose another place for the result, or replace it with"):
@@ -65,9 +63,7 @@ def test_an_import_replaces_a_recording_only_where_it_is_told_to(log: Path, tmp_
     assert out.read_bytes() == before
 
 
-def test_an_import_keeps_the_metadata_that_no_option_replaces(
-    write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
-) -> None:
+def test_an_import_keeps_the_metadata_that_no_option_replaces(write, scan, tmp_path: Path) -> None:
     source = write([scan(0), scan(1)], site="hall", licence="CC0", rate_hz=10.0)
     info = import_recording(source, tmp_path / "out.mcap", rate_hz=5.0).info
     assert (info.site, info.licence, info.rate_hz) == ("hall", "CC0", 5.0)
@@ -92,7 +88,7 @@ def test_a_failed_import_does_not_change_an_existing_file(log: Path, tmp_path: P
     assert sorted(p.name for p in tmp_path.iterdir()) == ["building.clf", "out.mcap"]
 
 
-def test_the_source_is_never_overwritten(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_the_source_is_never_overwritten(write, scan) -> None:
     path = write([scan(0)])
     with pytest.raises(RecordingError, match="is the source itself"):
         import_recording(path, path)
@@ -105,9 +101,7 @@ def csv_of(path: Path, rows: list[str], columns: str = "stamp_ns,beam,class,sens
     return path
 
 
-def test_labels_are_read_from_a_csv(
-    write: Callable[..., Path], scan: Callable[..., Scan], same_scans, tmp_path: Path
-) -> None:
+def test_labels_are_read_from_a_csv(write, scan, same_scans, tmp_path: Path) -> None:
     scans = [scan(k) for k in range(4)]
     stamps = [s.stamp_ns for s in scans]
     rows = [f"{stamps[1]},0,person,", f"{stamps[1]},35,car,scan", f"{stamps[3]},7,person,scan"]
@@ -120,9 +114,7 @@ def test_labels_are_read_from_a_csv(
     assert imported.overview().sensors["scan"].labelled_scans == 2
 
 
-def test_labels_of_sensors_that_share_a_stamp_may_alternate(
-    write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
-) -> None:
+def test_labels_of_sensors_that_share_a_stamp_may_alternate(write, scan, tmp_path: Path) -> None:
     scans = [scan(0, "front"), scan(0, "rear")]
     rows = [f"{scans[0].stamp_ns},{beam},person,{sensor}" for beam in (0, 1, 2) for sensor in ("front", "rear")]
     imported = import_recording(write(scans), tmp_path / "out.mcap", labels=csv_of(tmp_path / "labels.csv", rows))
@@ -142,7 +134,7 @@ def test_labels_of_sensors_that_share_a_stamp_may_alternate(
     ],
 )
 def test_the_error_for_a_label_without_a_beam_names_its_line(
-    rows: list[str], message: str, write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
+    rows: list[str], message: str, write, scan, tmp_path: Path
 ) -> None:
     scans = [scan(k) for k in range(3)]
     labels = csv_of(tmp_path / "labels.csv", [row.format(*(s.stamp_ns for s in scans)) for row in rows])
@@ -151,9 +143,7 @@ def test_the_error_for_a_label_without_a_beam_names_its_line(
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_a_csv_without_the_columns_is_refused(
-    write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
-) -> None:
+def test_a_csv_without_the_columns_is_refused(write, scan, tmp_path: Path) -> None:
     labels = csv_of(tmp_path / "labels.csv", [], columns="time,class")
     with pytest.raises(RecordingError, match="expected the columns stamp_ns, beam, class"):
         import_recording(write([scan(0)]), tmp_path / "out.mcap", labels=labels)

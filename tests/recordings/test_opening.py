@@ -1,8 +1,7 @@
-"""Any installed format is found by its entry point; a broken one is reported and does not stop the others."""
+"""Formats are found by the file, those of other distributions only by name; a broken one stops no other."""
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
@@ -11,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from gridtrack.common.errors import RecordingError
-from gridtrack.common.scan import Scan
+from gridtrack.common.errors import PluginError, RecordingError
 from gridtrack.recordings import CloudSlice, import_recording, open_recording
+from gridtrack.recordings.opening import recordings_at
 from gridtrack.recordings.stream import open_stream
 
 Install = Callable[..., Path]
@@ -24,7 +23,7 @@ from gridtrack.common.scan import Scan
 from gridtrack.recordings import Recording, RecordingFormat
 
 class CsvRecording(Recording):
-    """One scan a line: the stamp in nanoseconds, then the ranges."""
+    """One scan per line: the stamp in nanoseconds, then the ranges."""
     def read(self, topics):
         for line in self.path.read_text().splitlines()[1:]:
             stamp_ns, *ranges = line.split(",")
@@ -65,95 +64,112 @@ def install_formats(install: Install) -> Callable[[dict[str, str]], None]:
     sys.modules.pop("csv_scans", None)
 
 
-def test_a_recording_is_read_in_a_format_of_another_distribution(install_formats, csv_file: Path) -> None:
+def test_a_format_of_another_distribution_is_loaded_only_by_its_name(install_formats, csv_file: Path) -> None:
+    install_formats({"csv": "csv_scans:FORMAT"})
     with pytest.raises(RecordingError, match=r"not a recording that gridtrack reads; formats: .*CARMEN log \(\.clf"):
         open_recording(csv_file)
-    install_formats({"csv": "csv_scans:FORMAT"})
-    recording = open_recording(csv_file)
+    assert "csv_scans" not in sys.modules
+    recording = open_recording(csv_file, format="csv")
     assert [scan.stamp_ns for scan in recording.scans()] == [1000, 2000]
     assert recording.overview().topics == {"csv": "CSV, 2"}
     assert recording.warnings == []
+    assert recordings_at(csv_file.parent, "csv") == [csv_file]
     with pytest.raises(RecordingError, match=r"no such recording; did you mean 'walk\.csv'"):
-        open_recording(csv_file.with_name("wakl.csv"))
+        open_recording(csv_file.with_name("wakl.csv"), format="csv")
 
 
-def test_an_option_that_the_format_cannot_use_is_refused(install_formats, csv_file: Path) -> None:
+def test_an_import_keeps_the_name_of_the_format_in_its_command(install_formats, csv_file: Path, tmp_path: Path) -> None:
     install_formats({"csv": "csv_scans:FORMAT"})
-    with pytest.raises(RecordingError, match=r"--topic is for recordings with several topics; a CSV of scans"):
-        open_recording(csv_file, topic="front")
-    with pytest.raises(RecordingError, match=r"--cloud-slice is for ROS recordings with point clouds"):
-        open_recording(csv_file, cloud_slice=CloudSlice(low_m=0.0, high_m=1.0))
+    imported = import_recording(csv_file, tmp_path / "walk.mcap", format="csv")
+    assert imported.info.command == "gridtrack recording import walk.csv --out walk.mcap --format csv"
 
 
-def test_a_broken_format_is_reported_and_does_not_stop_the_others(
-    install_formats, csv_file: Path, write: Callable[..., Path], scan: Callable[..., Scan]
+def test_built_in_formats_are_found_beside_a_named_one(install_formats, csv_file: Path, write, scan) -> None:
+    install_formats({"csv": "csv_scans:FORMAT"})
+    assert len(list(open_recording(write([scan(0)]), format="csv").scans())) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("cvs", "no recording format 'cvs'; did you mean 'csv'"),
+        ("absent", r"recording format 'absent' of csv-scans 1\.0 cannot be imported \(AttributeError"),
+        ("a-type", r"recording format 'a-type' of csv-scans 1\.0: csv_scans:NO_FORMAT is not a"),
+        ("missing", r"recording format 'missing' of csv-scans 1\.0 .*No module named 'no_such_module'"),
+        ("Wrong", "'Wrong' is not a valid name"),
+        ("carmen", r"recording format 'carmen' of .*: registered by two distributions, "),
+    ],
+)
+def test_a_named_format_that_cannot_be_loaded_is_one_line_of_error(
+    install_formats, csv_file: Path, name: str, message: str
 ) -> None:
     install_formats(
         {
             "absent": "csv_scans:ABSENT",
-            "buggy": "csv_scans:FORGETFUL",
             "csv": "csv_scans:FORMAT",
             "missing": "no_such_module:FORMAT",
             "Wrong": "csv_scans:FORMAT",
             "a-type": "csv_scans:NO_FORMAT",
+            "carmen": "csv_scans:FORMAT",
         }
     )
-    assert len(list(open_recording(write([scan(0)])).scans())) == 1
-    recording = open_recording(csv_file)
-    assert len(list(recording.scans())) == 2
-    warnings = "\n".join(recording.warnings)
-    assert "recording format 'absent' of csv-scans 1.0 cannot be imported" in warnings
-    assert "forgetful: its `recognises` failed" in warnings
-    assert "recording format 'a-type' of csv-scans 1.0: csv_scans:NO_FORMAT is not a" in warnings
-    assert "'Wrong' is not a valid name" in warnings
-    csv_file.write_text("something else")
-    with pytest.raises(RecordingError, match=r"not available: .*No module named 'no_such_module'") as error:
-        open_recording(csv_file)
+    with pytest.raises(PluginError, match=message) as error:
+        open_recording(csv_file, format=name)
     assert "\n" not in str(error.value)
 
 
-def test_a_format_that_fails_to_open_is_one_error_with_its_reason(install_formats, csv_file: Path) -> None:
-    install_formats({"csv": "csv_scans:UNOPENABLE"})
-    with pytest.raises(RecordingError, match=r"cannot be opened as unopenable \(ValueError: no header\)"):
-        open_recording(csv_file)
-
-
-def test_of_two_formats_of_one_name_neither_is_used_and_the_others_are(
-    install_formats, csv_file: Path, write: Callable[..., Path], scan: Callable[..., Scan], tmp_path: Path
-) -> None:
-    install_formats({"carmen": "csv_scans:FORMAT"})
+def test_a_broken_format_stops_no_other_one(install_formats, csv_file: Path, write, scan, tmp_path: Path) -> None:
+    """One that is not named is not loaded; one that has the name of a built-in one is reported, and neither is used."""
+    install_formats({"buggy": "csv_scans:FORGETFUL", "missing": "no_such_module:FORMAT", "carmen": "csv_scans:FORMAT"})
     recording = open_recording(write([scan(0)]))
     assert len(list(recording.scans())) == 1
     (warning,) = recording.warnings
     assert re.search(r"recording format 'carmen' of .*: registered by two distributions, ", warning)
     assert "gridtrack " in warning
     assert "csv-scans 1.0" in warning
-    for path in (csv_file, tmp_path / "a.clf"):
-        path.write_text("scans")
-        with pytest.raises(RecordingError, match=r"not available: .*'carmen' of .*registered by two distributions"):
-            open_recording(path)
-
-
-def test_a_format_loads_its_libraries_only_when_a_file_of_it_is_opened(
-    tmp_path: Path, write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
-    def loaded(statement: str) -> list[str]:
-        program = f"import gridtrack.recordings, json, sys\n{statement}\nprint(json.dumps(sorted(sys.modules)))"
-        done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
-        heavy = ("rosbags", "pyarrow", "numba", "gridtrack.simulation")
-        return [name for name in json.loads(done.stdout) if name.startswith(heavy)]
-
+    recording = open_recording(write([scan(0)]), format="buggy")
+    assert any("forgetful: its `recognises` failed" in line for line in recording.warnings)
     log = tmp_path / "a.clf"
-    log.write_text("")
-    opening = "from gridtrack.recordings import open_recording as o\n"
-    assert loaded("") == []
-    assert loaded(f"{opening}o({str(write([scan(0)]))!r}); o({str(log)!r})") == []
+    log.write_text("scans")
+    with pytest.raises(
+        RecordingError, match=r"not available: .*'carmen' of .*registered by two distributions"
+    ) as error:
+        open_recording(log)
+    assert "\n" not in str(error.value)
+
+
+def test_an_option_that_the_format_cannot_use_is_refused(install_formats, csv_file: Path) -> None:
+    install_formats({"csv": "csv_scans:FORMAT", "unopenable": "csv_scans:UNOPENABLE"})
+    with pytest.raises(RecordingError, match=r"--topic is for recordings with several topics; a CSV of scans"):
+        open_recording(csv_file, format="csv", topic="front")
+    with pytest.raises(RecordingError, match=r"--cloud-slice is for ROS recordings with point clouds"):
+        open_recording(csv_file, format="csv", cloud_slice=CloudSlice(low_m=0.0, high_m=1.0))
+    with pytest.raises(RecordingError, match=r"cannot be opened as unopenable \(ValueError: no header\)"):
+        open_recording(csv_file, format="unopenable")
+
+
+def test_a_format_loads_its_libraries_only_when_a_file_of_it_is_opened(tmp_path: Path, write, scan) -> None:
+    """In three steps: the import, native and CARMEN recordings opened, a native one read as frames."""
+    (tmp_path / "a.clf").write_text("")
+    program = f"""
+import json, sys
+def loaded(*names):
+    return [name for name in sys.modules if name.partition(".")[0] in names or name.startswith("gridtrack.simulation")]
+from gridtrack.recordings import open_recording
+assert not loaded("rosbags", "pyarrow", "numba"), loaded("rosbags", "pyarrow", "numba")
+open_recording({str(write([scan(0)]))!r})
+open_recording({str(tmp_path / "a.clf")!r})
+assert not loaded("rosbags", "pyarrow", "numba"), loaded("rosbags", "pyarrow", "numba")
+from gridtrack.recordings.stream import open_stream
+list(open_stream({str(write([scan(0)]))!r}, rate_hz=10.0))
+assert not loaded("rosbags", "pyarrow"), loaded("rosbags", "pyarrow")
+"""
+    done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("folder", ["exp[1]", "a*b", "who?", "two words", "café"])
-def test_a_path_is_never_read_as_a_pattern(
-    folder: str, tmp_path: Path, write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_a_path_is_never_read_as_a_pattern(folder: str, tmp_path: Path, write, scan) -> None:
     for place, scans in (("exp1", 9), ("aXb", 9), ("whom", 9), ("twowords", 9), (folder, 3)):
         (tmp_path / place).mkdir(exist_ok=True)
         write((scan(k) for k in range(scans)), f"{place}/rec [1]*?.mcap")

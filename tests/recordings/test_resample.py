@@ -28,12 +28,12 @@ def test_regular_scans_are_used_unchanged() -> None:
     assert chosen([0, 100, 200, 300], range(4)) == [0, 100, 200, 300]
 
 
-def test_jitter_takes_the_nearest() -> None:
+def test_the_nearest_scan_is_used() -> None:
     assert chosen([0, 130, 180, 310], range(4)) == [0, 130, 180, 310]
     assert chosen([0, 60, 140, 190, 301], range(4)) == [0, 60, 190, 301]
 
 
-def test_of_two_equally_near_the_earlier() -> None:
+def test_the_earlier_of_two_equally_near_scans_is_used() -> None:
     assert chosen([0, 50, 150, 200], range(3)) == [0, 50, 200]
 
 
@@ -41,7 +41,7 @@ def test_one_missing_scan_is_bridged_by_its_neighbour() -> None:
     assert chosen([0, 100, 300, 400], range(5)) == [0, 100, 100, 300, 400]
 
 
-def test_a_gap_of_more_than_two_periods_is_empty_but_for_its_edges() -> None:
+def test_a_gap_of_more_than_two_periods_is_empty_except_at_its_edges() -> None:
     assert chosen([0, 100, 520, 600], range(7)) == [0, 100, None, None, None, 520, 600]
     assert chosen([0, 100, 301], range(4)) == [0, 100, None, 301]
 

@@ -14,11 +14,10 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.recording import DamageError
-from gridtrack.recordings.scene_messages import OBJECTS, OUTLINES, SceneReader, SceneWriter
+from gridtrack.recordings.file_reading import DamageError
+from gridtrack.recordings.native_messages import OBJECTS, OUTLINES, SceneReader, SceneWriter
 
 CLASSES = ("pedestrian", "car", "static")
 BOX = np.array([[-2, -1], [2, -1], [2, 1], [-2, 1 / 3]], np.float32)
@@ -46,7 +45,7 @@ def assert_same_scene(found: Scene | None, expected: Scene) -> None:
 
 
 @pytest.fixture
-def recording(write: Callable[..., Path], scan: Callable[..., Scan]) -> Path:
+def recording(write, scan) -> Path:
     return write([replace(scan(k), scene=scene(k)) for k in range(20)], classes=CLASSES)
 
 
@@ -55,19 +54,17 @@ def test_every_scan_round_trips_with_its_scene(recording: Path) -> None:
         assert_same_scene(found.scene, scene(k))
 
 
-def test_an_empty_scene_round_trips(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_an_empty_scene_round_trips(write, scan) -> None:
     (found,) = open_recording(write([replace(scan(0), scene=Scene((), 255, ()))], classes=CLASSES)).scans()
     assert found.scene == Scene((), 255, ())
 
 
-def test_a_scan_without_truth_does_not_get_that_of_the_scan_before(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_a_scan_without_truth_does_not_get_the_scene_of_the_scan_before(write, scan) -> None:
     path = write([replace(scan(0), scene=scene(0)), scan(1)], classes=CLASSES)
     assert [found.scene is not None for found in open_recording(path).scans()] == [True, False]
 
 
-def test_sensors_that_scan_at_once_share_the_scene(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_sensors_that_scan_at_once_share_the_scene(write, scan) -> None:
     both = [replace(scan(k, sensor), scene=scene(k)) for k in range(3) for sensor in ("front", "rear")]
     path = write(both, classes=CLASSES)
     for found, expected in zip(open_recording(path).scans(), both, strict=True):
@@ -82,7 +79,7 @@ def test_static_outlines_are_written_once(recording: Path) -> None:
     assert topics[OBJECTS] == "foxglove.SceneUpdate, 20"
 
 
-def test_the_overview_counts_truth(recording: Path, write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_the_overview_counts_truth(recording: Path, write, scan) -> None:
     text = str(open_recording(recording).overview())
     assert "20 scans with truth" in text
     assert "classes: pedestrian, car, static" in text
@@ -101,9 +98,7 @@ def test_the_messages_place_the_outlines_at_the_poses(recording: Path) -> None:
     assert line.color.a == 1.0
 
 
-def test_an_object_of_a_class_that_the_recording_does_not_name_is_refused(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_an_object_of_an_unknown_class_is_refused(write, scan) -> None:
     with pytest.raises(RecordingError, match="'static 0' is of class 2; the recording names only 0"):
         write([replace(scan(0), scene=scene(0))])
 
@@ -145,7 +140,7 @@ def test_an_invalid_message_is_one_clear_line(change: Callable[[SceneUpdate], ob
     assert "\n" not in str(error.value)
 
 
-def test_bytes_that_are_not_a_message_and_too_large_messages_are_refused() -> None:
+def test_other_bytes_and_too_large_messages_are_refused() -> None:
     with pytest.raises(DamageError, match=r"not a foxglove\.SceneUpdate"):
         SceneReader(CLASSES).add(OBJECTS, b"\xff" * 40)
     with pytest.raises(DamageError, match="at most 8388608 are read"):

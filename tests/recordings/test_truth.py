@@ -38,7 +38,7 @@ def drawn(cover):
     return ["".join(".#i"[cell] for cell in row) for row in cover[::-1]]
 
 
-def test_a_box_is_a_ring_of_outline_round_its_interior():
+def test_a_box_is_a_ring_of_outline_around_its_interior():
     truth = truth_grid(scene(objects=[body(box(0.5, 1.5, 4, 3))]), GRID, HERE)
     assert drawn(truth.cover) == [
         "#####",
@@ -49,7 +49,7 @@ def test_a_box_is_a_ring_of_outline_round_its_interior():
     ]
 
 
-def test_a_triangles_slope_passes_through_the_cells_it_has_length_in():
+def test_a_slope_passes_through_the_cells_in_which_it_has_length():
     truth = truth_grid(scene(static=[outline((0.5, 0.5), (4.5, 0.5), (0.5, 4.5))]), GRID, HERE)
     assert drawn(truth.cover) == [
         "#....",
@@ -104,7 +104,7 @@ def test_an_outline_inside_another_object_counts_and_road_users_take_precedence(
     assert leaning.labels[0].tolist() == [3, 3, 4, 4, 4]
 
 
-def test_static_cells_are_those_of_static_outlines_only():
+def test_static_cells_are_on_static_outlines_only():
     found = static_cells(scene(static=[box(0.5, 0.5, 4, 4)], objects=[body(box(2.2, 2.2, 0.5, 0.5))]), GRID, HERE)
     assert found.sum() == 16
     assert not found[2, 2]

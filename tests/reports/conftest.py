@@ -8,30 +8,28 @@ import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.results.passes import CallTimes, Latency, Quantiles
-from gridtrack.evaluation.results.recording import RecordingDescription
-from gridtrack.evaluation.results.trial_record import TrialRecord
-from gridtrack.evaluation.scoring.beam_errors import beam_errors
-from gridtrack.evaluation.scoring.counting import count_forecast
-from gridtrack.evaluation.scoring.moments import moments
-from gridtrack.evaluation.scoring.motion import ObservedMotion
-from gridtrack.evaluation.scoring.neighbourhoods import sum_neighbourhoods
-from gridtrack.evaluation.scoring.observed_kinds import observed_kinds
-from gridtrack.evaluation.scoring.referee import ScoredForecast
-from gridtrack.evaluation.scoring.regions import Regions
-from gridtrack.evaluation.scoring.samples import SAMPLES, SampleWriter
-from gridtrack.evaluation.scoring.score_store import ScoreWriter
-from gridtrack.evaluation.scoring.spatial_store import SpatialWriter
-from gridtrack.evaluation.scoring.strata import STRATA
-from gridtrack.evaluation.scoring.thresholds import Thresholds, bins_of
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.referee.kinds import Regions, observed_kinds
+from gridtrack.evaluation.referee.motion import ObservedMotion
+from gridtrack.evaluation.referee.referee import ScoredForecast, moments
+from gridtrack.evaluation.referee.samples import SAMPLES, SampleWriter
+from gridtrack.evaluation.referee.strata import STRATA
+from gridtrack.evaluation.runs.finished import FinishedTrial
+from gridtrack.evaluation.runs.passes import CallTimes, Latency, Quantiles
+from gridtrack.evaluation.runs.run_record import RecordingDescription
+from gridtrack.evaluation.runs.scorekeeper import Counter
+from gridtrack.evaluation.runs.summarise import summarise
+from gridtrack.evaluation.runs.sums import SumsWriter
+from gridtrack.evaluation.runs.trial_record import ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.scores.definition import TrialFacts
+from gridtrack.evaluation.scores.registry import built_in
+from gridtrack.evaluation.scores.thresholds import Thresholds, bins_of
 from gridtrack.recordings.observation import Observation
 from gridtrack.reports.page import render_report
 from gridtrack.trackers.contract import Forecast
 
 from scenes.report_page import HOSTILE
-from scenes.synthetic_run import DESCRIBED, write_run_record
+from scenes.synthetic_run import DESCRIBED, description, write_run_record
+from scenes.synthetic_run import write_trial as write_drawn_trial
 
 GRID = GridSpec(32, 0.2, (-3.2, 0.0))
 PERIOD_S, STEPS, FRAMES, WARM_UP, EVERY = 0.125, 20, 120, 20, 4
@@ -113,21 +111,19 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
     folder.mkdir(parents=True)
     values = np.full((STEPS + 1, len(STRATA)), 0.375 if chosen_on else 0.5)
     thresholds = Thresholds(bins_of(values), chosen_on)
+    counter = Counter(built_in(), TrialFacts(GRID.cell_m, STEPS, STRATA, thresholds))
     with (
-        ScoreWriter(folder, STEPS, thresholds) as scores,
-        SpatialWriter(folder, STEPS, STRATA) as spatial,
+        SumsWriter(folder, counter.layouts, STEPS) as sums,
         SampleWriter(folder / SAMPLES, GRID, PERIOD_S, STEPS) as samples,
     ):
         for t in list(range(WARM_UP, FRAMES - STEPS, EVERY))[:scored]:
             targets = tuple(moment.target for moment in MOMENTS[t : t + STEPS + 1])
             one = ScoredForecast(Forecast(forecast(t)), targets, MOMENTS[t].region_maps, JUST_SEEN)
-            counted = count_forecast(one.forecast.occupancy, targets, one.region_maps)
-            scores.add(one.stamp_ns, f"{t:032x}", counted, one.frames[-1].stamp_ns)
-            sums = sum_neighbourhoods(one.forecast.occupancy, targets, one.region_maps, JUST_SEEN)
-            spatial.add(one.stamp_ns, sums, beam_errors(one.forecast.occupancy, targets, one.region_maps, GRID.cell_m))
+            for score, counted in counter.count(one).items():
+                sums.add(one.stamp_ns, f"{t:032x}", score, counted)
             samples.add(one)
     record = TrialRecord(
-        schema=2,
+        schema=3,
         label=label,
         recording=RECORDING,
         outcome=outcome,
@@ -135,7 +131,7 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
         frames_scored=scored,
         frames_expected=EXPECTED,
         steps=STEPS,
-        thresholds=thresholds.used(),
+        thresholds=ThresholdsUsed.of(thresholds),
         peak_rss_mb=123.0,
         latency_ms=LATENCY if outcome == "ok" else None,
         **DESCRIBED.get(tracker, {}),
@@ -159,11 +155,59 @@ def write_run(run, trackers=None, broken=(), notices=(), chosen_on="crossing@0s-
     return run
 
 
+@pytest.fixture(scope="package")
+def browser():
+    """Chromium, one for all tests of reports; they are skipped where there is none."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
+    if (program := shutil.which("chromium")) is None:
+        pytest.skip("Chromium is not installed (Debian: apt install chromium)")
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
 @pytest.fixture(scope="session")
 def run_folder(tmp_path_factory):
     """A run of two trackers and two of the floor that all finished, and one tracker that crashed half-way."""
     run = tmp_path_factory.mktemp("runs") / "demo"
     return write_run(run, broken=[("unlucky", 7, "crashed", "ValueError: lost my way")])
+
+
+TWENTY = [f"seed-{i:02}" for i in range(20)]
+TWENTY_SKILLS = {"persistence": 0.6, "good": 0.8, "<b>even": 0.6, "unlucky": 0.9, "oracle": 1.0}
+"""Of each tracker on every recording; `unlucky` did not complete the first one."""
+
+
+@pytest.fixture(scope="session")
+def twenty(tmp_path_factory):
+    """A run on twenty recordings, so with intervals and tests, at 2 Hz and in few strata so that it is small."""
+    folder = tmp_path_factory.mktemp("runs") / "twenty"
+    described = dict.fromkeys(TWENTY, description(period_s=0.5, steps=5))
+    trials = [
+        write_drawn_trial(
+            folder,
+            label,
+            name,
+            skill,
+            seed=i,
+            frames=4,
+            scored=2 if (label, i) == ("unlucky", 0) else 4,
+            strata=(*STRATA, "occluded", "occluded to 0.5 s", "occluded 0.5-1 s"),
+            steps=5,
+        )
+        for i, name in enumerate(TWENTY)
+        for label, skill in TWENTY_SKILLS.items()
+    ]
+    summarise(described, trials, [], False).write(folder)
+    write_run_record(folder, described)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def twenty_report(twenty):
+    """The report of `twenty`."""
+    return render_report([twenty])
 
 
 @pytest.fixture

@@ -8,12 +8,11 @@ import shutil
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.results.columns import PROBABILITY_EDGES
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.runs.summarise import summarise
+from gridtrack.evaluation.scores.cells import PROBABILITY_EDGES
 from gridtrack.reports.page import render_report
-from gridtrack.reports.probability_curves import probability_curves
 from gridtrack.reports.run import read_runs
+from gridtrack.reports.score_figures import score_figures
 from gridtrack.reports.table import headline_tables
 
 from scenes import synthetic_run as synthetic
@@ -21,7 +20,7 @@ from scenes.report_page import data_of, opened
 
 RECORDINGS = [f"seed-{i:02}" for i in range(20)]
 SKILLS = {"persistence": 0.6, "good": 0.8}
-STEPS, STEP = 8, "8"
+STEPS, STEP = 5, "2"
 """Steps of a forecast, and the one 1 s ahead."""
 TOP_BIN = 5
 """Bins from the last one to that of the cells that are called occupied at a threshold of 0.5."""
@@ -40,15 +39,13 @@ def written(run, recordings, steps=STEPS, skills=SKILLS, **trial):
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """Twenty recordings with ground truth."""
-    described = dict.fromkeys(RECORDINGS, synthetic.description(steps=STEPS))
-    return written(tmp_path_factory.mktemp("runs") / "twenty", described, frames=2, strata=STRATA_WITH_TRUTH)
+def run(twenty):
+    return twenty
 
 
 @pytest.fixture(scope="module")
-def report(run):
-    return render_report([run])
+def report(twenty_report):
+    return twenty_report
 
 
 @pytest.fixture
@@ -59,7 +56,7 @@ def page(browser, report):
 
 def curves_of(run):
     runs = read_runs([run])
-    curves, notices = probability_curves(runs, headline_tables(runs))
+    curves, notices = score_figures(runs, headline_tables(runs))
     assert notices == ()
     return curves
 
@@ -67,11 +64,12 @@ def curves_of(run):
 def ends_at_half(curve):
     """Precision with the ends of its interval at the point of the cells that are called occupied at 0.5."""
     at = curve["p"].index(pytest.approx(PROBABILITY_EDGES[-1 - TOP_BIN], rel=1e-3))
-    return [curve[name][at] for name in ("precision", "precision_low", "precision_high")]
+    return [curve["precision"][end][at] for end in ("value", "low", "high")]
 
 
-def expected_at_half(scores, step=int(STEP)):
-    return [getattr(scores, name)[step] for name in ("precision", "precision_low", "precision_high")]
+def expected_at_half(scope, stratum, step=int(STEP)):
+    point = scope.at(stratum, "f1", "precision", step)
+    return [point.value, point.low, point.high]
 
 
 def test_precision_at_the_threshold_in_use_has_the_interval_of_the_summary(run):
@@ -79,8 +77,10 @@ def test_precision_at_the_threshold_in_use_has_the_interval_of_the_summary(run):
     curves = curves_of(run)
     for label in SKILLS:
         for stratum in ("in-motion", "visible"):
-            expected = expected_at_half(read.summary.trackers[label].pooled.strata[stratum])
-            assert ends_at_half(curves["all recordings", label][stratum][STEP]) == pytest.approx(expected, rel=1e-3)
+            expected = expected_at_half(read.summary.trackers[label].pooled, stratum)
+            assert ends_at_half(curves["all recordings", label]["pr_auc"][stratum][STEP]) == pytest.approx(
+                expected, rel=1e-3
+            )
 
 
 @pytest.fixture(scope="module")
@@ -91,41 +91,41 @@ def long_run(tmp_path_factory):
 
 
 def test_blocks_of_one_long_recording_are_those_of_the_summary(long_run):
-    scores = read_runs([long_run])[0].summary.trackers["good"].recordings["long"].strata["in-motion"]
-    assert scores.interval == ""
-    curve = curves_of(long_run)["long", "good"]["in-motion"]["4"]
-    assert ends_at_half(curve) == pytest.approx(expected_at_half(scores, 4), rel=1e-3)
+    trial = read_runs([long_run])[0].summary.trackers["good"].recordings["long"]
+    assert trial.interval == ""
+    curve = curves_of(long_run)["long", "good"]["pr_auc"]["in-motion"]["4"]
+    assert ends_at_half(curve) == pytest.approx(expected_at_half(trial, "in-motion", 4), rel=1e-3)
 
 
 def test_where_the_blocks_cannot_be_found_the_curves_have_no_bands_and_a_notice_says_why(long_run, tmp_path):
     """They depend on the scores of every tracker."""
     run = shutil.copytree(long_run, tmp_path / "run")
-    (run / "persistence@long" / "scores.parquet").write_bytes(b"not")
+    (run / "persistence@long" / "sums.parquet").write_bytes(b"not")
     runs = read_runs([run])
-    curves, notices = probability_curves(runs, headline_tables(runs))
+    curves, notices = score_figures(runs, headline_tables(runs))
     assert ("long", "persistence") not in curves
-    assert "precision_low" not in curves["long", "good"]["in-motion"]["4"]
+    assert "low" not in curves["long", "good"]["pr_auc"]["in-motion"]["4"]["precision"]
     assert [notice.partition(": ")[0] for notice in notices] == ["persistence", "no intervals of precision over recall"]
 
 
 def test_where_scores_have_no_interval_precision_has_none(run):
-    curve = curves_of(run)[RECORDINGS[0], "good"]["in-motion"][STEP]
-    assert "precision_low" not in curve
+    curve = curves_of(run)[RECORDINGS[0], "good"]["pr_auc"]["in-motion"][STEP]
+    assert "low" not in curve["precision"]
 
 
 def test_recordings_of_other_periods_have_curves_together_where_their_scores_are_pooled(tmp_path):
     periods_s = np.where(np.arange(20) < 10, 0.125, 0.25)
     described = {
-        name: synthetic.description(period_s=period_s, steps=STEPS)
+        name: synthetic.description(period_s=period_s, steps=8)
         for name, period_s in zip(RECORDINGS, periods_s, strict=True)
     }
-    run = written(tmp_path / "run", described, frames=2)
+    run = written(tmp_path / "run", described, 8, frames=2)
     (read,) = read_runs([run])
     horizons_s = read.summary.pooled_horizons_s
     assert horizons_s == (0.0, 0.5, 1.0)
-    scores = read.summary.trackers["good"].pooled.strata["in-motion"]
-    curve = curves_of(run)["all recordings", "good"]["in-motion"]["2"]
-    assert ends_at_half(curve) == pytest.approx(expected_at_half(scores, 2), rel=1e-3)
+    curve = curves_of(run)["all recordings", "good"]["pr_auc"]["in-motion"]["2"]
+    expected = expected_at_half(read.summary.trackers["good"].pooled, "in-motion", 2)
+    assert ends_at_half(curve) == pytest.approx(expected, rel=1e-3)
 
 
 def numbers_of(page, figure):
@@ -136,12 +136,12 @@ def numbers_of(page, figure):
 
 def test_hidden_cells_by_time_have_bands_and_their_ends_in_the_file(page, run):
     section = page.locator("#hidden-time")
-    assert section.locator("polygon.band").count() == len(SKILLS)
+    assert section.locator("polygon.band").count() == 4
     assert "a band is a 95 % interval" in section.locator(".note").inner_text()
     first = numbers_of(page, "hidden-time")[0]
-    scores = read_runs([run])[0].summary.trackers["good"].pooled.strata["occluded to 0.5 s"]
-    assert float(first["good low"]) == pytest.approx(scores.f1_low[int(STEP)], rel=1e-4)
-    assert float(first["good high"]) == pytest.approx(scores.f1_high[int(STEP)], rel=1e-4)
+    point = read_runs([run])[0].summary.trackers["good"].pooled.at("occluded to 0.5 s", "f1", "f1", int(STEP))
+    assert float(first["good low"]) == pytest.approx(point.low, rel=1e-4)
+    assert float(first["good high"]) == pytest.approx(point.high, rel=1e-4)
     section.locator(".chart").focus()
     page.keyboard.press("ArrowRight")
     low, high = (f"{float(first[name]):.3f}" for name in ("good low", "good high"))
@@ -150,18 +150,18 @@ def test_hidden_cells_by_time_have_bands_and_their_ends_in_the_file(page, run):
 
 def test_precision_over_recall_has_bands_and_their_ends_in_the_file(page, report):
     section = page.locator("#precision-recall")
-    assert section.locator("polygon.band").count() == len(SKILLS)
+    assert section.locator("polygon.band").count() == 4
     assert "a band is a 95 % interval" in section.locator(".note").inner_text()
     rows = [row for row in numbers_of(page, "precision-recall") if row["tracker"] == "good"]
     (pooled,) = [
-        row["bins"]
+        row["figures"]["pr_auc"]
         for recording in data_of(report.read_text())["recordings"]
         for row in recording["rows"]
         if (recording["name"], row["label"]) == ("all recordings", "good")
     ]
     curve = pooled["in-motion"][STEP]
     drawn = [tuple(float(row[f"precision{end}"]) for end in ("", " low", " high")) for row in rows]
-    ends = list(zip(*(curve[f"precision{end}"] for end in ("", "_low", "_high")), strict=True))
+    ends = list(zip(*(curve["precision"][end] for end in ("value", "low", "high")), strict=True))
     assert set(drawn) == set(ends)
     recall = [float(row["recall"]) for row in rows]
     assert (recall[0], drawn[0]) == (0.0, ends[0])
@@ -178,9 +178,9 @@ def test_a_file_without_intervals_has_no_columns_of_their_ends(page):
 def crowded(tmp_path_factory):
     """Eight trackers, each a little better than the one before."""
     run = tmp_path_factory.mktemp("runs") / "crowded"
-    described = dict.fromkeys(RECORDINGS, synthetic.description(steps=STEPS))
+    described = dict.fromkeys(RECORDINGS, synthetic.description(steps=2, period_s=0.5))
     skills = {f"tracker {n}": 0.2 + 0.1 * n for n in range(8)}
-    return render_report([written(run, described, frames=2, skills=skills)])
+    return render_report([written(run, described, 2, skills, frames=2)])
 
 
 def test_of_many_bands_that_of_the_line_next_to_the_pointer_is_drawn(browser, crowded):
@@ -200,4 +200,20 @@ def test_of_many_bands_that_of_the_line_next_to_the_pointer_is_drawn(browser, cr
         assert figure.locator('.band[visibility="visible"]').count() == 0
         page.get_by_role("button", name="tracker 0").click()
         page.get_by_role("button", name="tracker 1").click()
-        assert figure.locator('.band[visibility="hidden"]').count() == 0, "six can be told from each other"
+        assert figure.locator('.band[visibility="hidden"]').count() == 0, "six can be distinguished"
+
+
+def test_a_browser_draws_ranking_groups_and_curves_without_an_error(browser, twenty_report):
+    page = browser.new_page()
+    page.set_default_timeout(120_000)
+    faults = []
+    page.on("console", lambda message: message.type == "error" and faults.append(message.text))
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto(twenty_report.as_uri())
+    page.locator("#every-score table").wait_for()
+    assert faults == []
+    assert page.locator("#ranking .whisker").count() == 4
+    assert page.locator("#ranking circle.tier").count() == 2
+    assert page.locator("#curves .band").count() == 4
+    assert page.locator('[aria-pressed="true"]').count() == 5
+    page.close()

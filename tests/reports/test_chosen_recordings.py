@@ -10,12 +10,11 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.statistics.summary import summarise
-from gridtrack.reports import chosen_recordings
-from gridtrack.reports.chosen_recordings import chosen_runs
+from gridtrack.evaluation.runs.summarise import summarise
+from gridtrack.reports import page as page_module
 from gridtrack.reports.formats import render_as
 from gridtrack.reports.page import render_page
-from gridtrack.reports.run import read_runs
+from gridtrack.reports.run import chosen_runs, read_runs
 from gridtrack.reports.table import headline_tables
 
 from scenes import synthetic_run as synthetic
@@ -43,8 +42,8 @@ def run(tmp_path_factory):
 def room_for_three(run, monkeypatch):
     """Room on a page for what is pooled and two recordings."""
     tables = headline_tables(read_runs([run]))
-    sizes = [chosen_recordings._values(table) for table in tables]
-    monkeypatch.setattr(chosen_recordings, "MOST_VALUES", sizes[0] + sum(sorted(sizes[1:])[-2:]))
+    sizes = [sum(len(curve) for row in table.rows for _, curve in row.trial.curves()) for table in tables]
+    monkeypatch.setattr(page_module, "MOST_VALUES", sizes[0] + sum(sorted(sizes[1:])[-2:]))
 
 
 def recordings_on(page):

@@ -8,6 +8,7 @@ import pytest
 
 from gridtrack.reports.page import render_report
 
+from scenes.edited_run import put
 from scenes.report_page import opened
 
 STEPS = 20
@@ -34,7 +35,7 @@ def report(run_folder, tmp_path_factory):
     for entry in summary["trackers"].values():
         (trial,) = entry["recordings"].values()
         for at, age in enumerate(AGES):
-            trial["strata"][f"occluded {age}"] = {**trial["strata"]["visible"], "f1": [0.5 - 0.1 * at] * (STEPS + 1)}
+            put(trial, f"occluded {age}", "f1.f1", 0.5 - 0.1 * at)
     summary["trackers"]["good"]["recordings"]["crossing"]["deadline"] = deadline(1.0, 4.0)
     (run / "summary.json").write_text(json.dumps(summary))
     return render_report([run])
@@ -72,19 +73,20 @@ def test_a_rate_is_a_number_but_where_there_was_none(numbers_of):
 
 
 @pytest.mark.parametrize(
-    ("figure", "told"),
+    ("figure", "choices"),
     [
         ("ranking", {"recording": "crossing", "stratum": "in-motion", "score": "pr_auc", "horizon, s": "1"}),
         ("curves", {"recording": "crossing", "stratum": "in-motion", "score": "pr_auc"}),
+        ("scale", {"recording": "crossing", "stratum": "in-motion", "score": "fss", "horizon, s": "1"}),
         ("every-score", {"recording": "crossing", "stratum": "in-motion", "horizon, s": "1"}),
         ("conditions", {"recording": "crossing", "stratum": "in-motion", "score": "f1", "horizon, s": "0.5"}),
     ],
 )
-def test_a_file_says_in_every_row_what_its_numbers_are_of(numbers_of, figure, told):
+def test_a_file_has_the_choices_in_every_row(numbers_of, figure, choices):
     heading, *rows = numbers_of(figure)
     assert rows
     for row in rows:
-        assert dict(zip(heading, row, strict=True)).items() >= told.items()
+        assert dict(zip(heading, row, strict=True)).items() >= choices.items()
     assert len(set(heading)) == len(heading)
 
 

@@ -9,22 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
-from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.scoring.counting import for_calibration
-from gridtrack.evaluation.scoring.histograms import UnitHistograms
-from gridtrack.evaluation.scoring.strata import STRATA
-from gridtrack.evaluation.statistics.score_intervals import HEADLINE_STRATA
-from gridtrack.evaluation.statistics.trial_files import TrialFiles
+from gridtrack.evaluation.referee.strata import STRATA
+from gridtrack.evaluation.runs.passes import Quantiles
+from gridtrack.evaluation.runs.result_files import RunError
+from gridtrack.evaluation.runs.sums import SUMS_FILE, TrialSums
+from gridtrack.evaluation.scores.cells import PROBABILITY_EDGES
+from gridtrack.evaluation.scores.definition import Sums
 from gridtrack.recordings.degradation import Degradation
-from gridtrack.reports.conditions import DEGRADATION_TEXTS
+from gridtrack.reports.measurements import DEGRADATION_TEXTS, keeps_up
 from gridtrack.reports.page import render_page
-from gridtrack.reports.probability_curves import probability_curves
 from gridtrack.reports.run import read_runs
+from gridtrack.reports.score_figures import score_figures
 from gridtrack.reports.scripts import ASSETS
 from gridtrack.reports.table import headline_tables
 
+from scenes.edited_run import put, trial_of, value_of
 from scenes.report_page import data_of
+from scenes.synthetic_run import write_confusion
 
 STEPS = 20
 DOCS = Path(__file__).parents[2] / "docs"
@@ -76,12 +77,12 @@ def good_of(run_folder, tmp_path, summary_of):
 
 def test_every_rate_has_its_f1_beside_the_untimed_one_and_what_was_missed(good_of, run_folder, summary_of):
     row, data = good_of(deadline=DEADLINE)
-    untimed = summary_of(run_folder)["trackers"]["good"]["recordings"]["crossing"]["strata"]["in-motion"]["f1"][4]
+    untimed = value_of(trial_of(summary_of(run_folder), "good"), "in-motion", "f1.f1", 4)
     rate = row["conditions"]["rate"]
     assert rate["values"] == [0.0, 1.0, 4.0]
     assert rate["f1"]["in-motion"] == [pytest.approx(untimed), 0.413, 0.217]
     assert rate["notes"] == ["no deadline", "0 % of frames missed", "50 % of frames missed"]
-    assert data["recordings"][0]["conditions_ahead"] == "0.5 s"
+    assert data["recordings"][0]["conditions_ahead_s"] == 0.5
     assert row["latency"]["highest_hz"] == 21.5
 
 
@@ -120,16 +121,26 @@ def test_invalid_conditions_are_refused_in_one_line(good_of, damage):
         good_of(deadline=deadline, robustness=robustness)
 
 
-def test_scores_of_optional_parts_can_be_chosen_where_a_row_has_them_and_only_there(good_of, run_folder, summary_of):
-    optional = {"flow_error", "flow_coverage", "energy_score"}
-    _, data = good_of()
-    assert optional.isdisjoint(score["key"] for score in data["scores"])
-    strata = summary_of(run_folder)["trackers"]["good"]["recordings"]["crossing"]["strata"]
-    strata["in-motion"] |= dict.fromkeys(optional, [0.25] * (STEPS + 1))
-    row, data = good_of(strata=strata)
-    better = {score["key"]: score["better"] for score in data["scores"] if score["key"] in optional}
-    assert better == {"flow_error": -1, "flow_coverage": 0, "energy_score": -1}
-    assert row["strata"]["in-motion"]["flow_error"] == [0.25] * (STEPS + 1)
+def test_a_score_of_somebody_elses_package_is_shown_as_it_is_described(run_folder, tmp_path, summary_of):
+    """The page knows no list of scores: it has the description from the summary."""
+    output = {"name": "depth", "title": "Surprise", "unit": "cells", "better": "lower", "tested": True, "decimals": 1}
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    summary = summary_of(run)
+    summary["scores"].append({"name": "surprise", "title": "Surprise", "about": "Ours.", "outputs": [output]})
+    put(trial_of(summary, "good"), "in-motion", "surprise.depth", 12.25, 11.5, 13.0)
+    (run / "summary.json").write_text(json.dumps(summary))
+    page = render_page(read_runs([run]))
+    data = data_of(page)
+    assert data["scores"][-2]["outputs"] == [output]
+    assert "about" not in data["scores"][-2]
+    (row,) = [row for row in data["recordings"][0]["rows"] if row["label"] == "good"]
+    assert row["strata"]["in-motion"]["surprise"]["depth"]["low"] == [11.5] * (STEPS + 1)
+    assert ">Surprise, cells</th>" in page, "it is tested, so it has a column"
+    assert "12.2<small>[11.5, 13.0]</small>" in page
+
+
+def test_a_score_that_no_row_has_cannot_be_chosen(good_of):
+    assert {"flow_error", "energy"}.isdisjoint(score["name"] for score in good_of()[1]["scores"])
 
 
 def test_every_kind_of_degradation_has_a_text_and_a_row_in_the_documentation():
@@ -147,56 +158,74 @@ def test_times_are_the_latencys_and_say_whether_it_keeps_up(good_of):
     assert data["recordings"][0]["period_ms"] == 125.0
 
 
-def test_a_tracker_with_classes_has_its_confusion_matrices(good_of):
-    curves = dict.fromkeys(
-        ("nll_per_cell", "nll_per_scan", "nll_summed_over_scans", "balanced_accuracy"), [0.5] * (STEPS + 1)
-    )
-    counts = dict.fromkeys(("cells", "scans"), [9] * (STEPS + 1))
-    confusion = [{"step": 8, "cells": [[5, 1, 0], [2, 3, 1]]}]
-    kinds = {"visible": {**curves, **counts, "confusion": confusion}}
-    row, _ = good_of(semantics={"classes": ["<b>bus</b>", "car"], "kinds": kinds})
-    assert row["classes"] == {"names": ["<b>bus</b>", "car"], "confusion": {"visible": {"8": [[5, 1, 0], [2, 3, 1]]}}}
-    assert good_of(semantics=None)[0]["classes"] is None
+@pytest.mark.parametrize(
+    ("update", "predict", "verdict"),
+    [(4.0, 40.0, "yes"), (50.0, 60.0, "updates only"), (101.0, 1.0, "no")],
+)
+def test_a_tracker_keeps_up_when_update_and_forecast_fit_into_the_period(update, predict, verdict):
+    times = [Quantiles(p50=0.1, p95=0.2, p99=ms) for ms in (update, predict)]
+    assert keeps_up(*times, 100.0) == verdict
 
 
-def curves_of(run):
+def figures_of(run):
     runs = read_runs([run])
-    return probability_curves(runs, headline_tables(runs))
+    return score_figures(runs, headline_tables(runs))
+
+
+def test_a_tracker_with_classes_has_its_confusion_matrices_now_and_at_the_steps_of_the_headline(run_folder, tmp_path):
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    counts = {0: [[50000, 1, 0], [2, 3, 1]], 8: [[5, 1, 0], [2, 3, 1]], 9: [[1, 1, 1], [1, 1, 1]]}
+    write_confusion(run / "good@crossing", ["<b>bus</b>", "car"], counts)
+    figures, notices = figures_of(run)
+    found = figures["crossing", "good"]["class_log_loss"]
+    assert found == {"visible": {"0": {"confusion": counts[0]}, "8": {"confusion": counts[8]}}}
+    assert notices == ()
 
 
 def test_the_area_below_precision_over_recall_is_about_pr_auc(run_folder, summary_of):
-    curves, notices = curves_of(run_folder)
+    curves, notices = figures_of(run_folder)
     assert notices == ()
     for label in ("good", "fair", "persistence", "unlucky"):
-        strata = summary_of(run_folder)["trackers"][label]["recordings"]["crossing"]["strata"]
+        trial = trial_of(summary_of(run_folder), label)
         for stratum in ("in-motion", "visible"):
-            curve = curves["crossing", label][stratum]["8"]
-            area = sum(np.diff([0.0, *curve["recall"]]) * curve["precision"])
-            assert area == pytest.approx(strata[stratum]["pr_auc"][8], abs=0.02)
+            curve = curves["crossing", label]["pr_auc"][stratum]["8"]
+            area = sum(np.diff([0.0, *curve["recall"]]) * curve["precision"]["value"])
+            assert area == pytest.approx(value_of(trial, stratum, "pr_auc.area", 8), abs=0.02)
             assert curve["p"] == sorted(curve["p"], reverse=True)
             assert len(curve["p"]) <= 80
 
 
 def test_a_forecast_of_zeros_and_ones_has_one_precision_and_recall_at_every_threshold(run_folder):
-    curve = curves_of(run_folder)[0]["crossing", "persistence"]["visible"]["8"]
+    curve = figures_of(run_folder)[0]["crossing", "persistence"]["pr_auc"]["visible"]["8"]
     assert curve["p"] == pytest.approx([PROBABILITY_EDGES[-2], PROBABILITY_EDGES[1], 0.0], rel=1e-3)
     assert curve["recall"][0] == curve["recall"][1] < curve["recall"][2] == 1.0
-    assert curve["precision"][0] == curve["precision"][1] > curve["precision"][2]
+    precision = curve["precision"]["value"]
+    assert precision[0] == precision[1] > precision[2]
 
 
 def test_a_calibrated_forecast_lies_on_the_diagonal(run_folder, monkeypatch):
-    cells = np.full((STEPS + 1, len(HEADLINE_STRATA), PROBABILITY_BINS), 1000)
-    positives = (cells * (PROBABILITY_EDGES[:-1] + PROBABILITY_EDGES[1:]) / 2).astype(int)
-    read = UnitHistograms(cells[None], positives[None], for_calibration(positives), HEADLINE_STRATA)
-    monkeypatch.setattr(TrialFiles, "histograms", lambda files, trials, *_: [read] * len(trials))
-    curve = curves_of(run_folder)[0]["crossing", "good"]["dynamic"]["8"]
+    plain = TrialSums.by_unit
+
+    def calibrated(self, score, units, *at):
+        sums = plain(self, score, units, *at)
+        if score == "calibration":
+            cells, p = (np.array([part.startswith(name) for part in sums.parts]) for name in ("cells ", "p "))
+            sums.values[..., cells] = 1000
+            sums.values[..., [part.startswith("occupied ") for part in sums.parts]] = sums.values[..., p] = np.linspace(
+                0, 1000, cells.sum()
+            )
+        return Sums(sums.values, sums.parts)
+
+    monkeypatch.setattr(TrialSums, "by_unit", calibrated)
+    curve = figures_of(run_folder)[0]["crossing", "good"]["calibration"]["dynamic"]["8"]
     assert curve["mean_p"] == pytest.approx(curve["share"], abs=1e-3)
+    assert len(curve["share"]) > 50
 
 
-def test_a_histogram_that_cannot_be_read_has_a_notice_and_the_page_is_complete(run_folder, tmp_path):
+def test_sums_that_cannot_be_read_have_a_notice_and_the_page_is_complete(run_folder, tmp_path):
     run = shutil.copytree(run_folder, tmp_path / "run")
-    (run / "good@crossing" / "histogram.parquet").write_bytes(b"not")
-    curves, notices = curves_of(run)
+    (run / "good@crossing" / SUMS_FILE).write_bytes(b"not")
+    curves, notices = figures_of(run)
     assert ("crossing", "good") not in curves
     assert ("crossing", "fair") in curves
     assert notices[0].startswith("good: no curves of its probabilities")

@@ -12,13 +12,15 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
-from gridtrack.reports.chosen_scores import ScoreChoice, parse_score_choices
-from gridtrack.reports.formats import FORMATS, render_as
-from gridtrack.reports.latex import latex_text
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
+from gridtrack.reports.chosen_scores import parse_score_choices
+from gridtrack.reports.formats import FORMATS, latex_text, render_as
+from gridtrack.reports.run import read_runs
+
+from scenes.edited_run import edited, put, trial_of, value_of
 
 HOSTILE = "=_[*]<script>alert(1)</script>--> \\input{/etc/passwd} $x$ %&#~^{}|`\"'!?,,--\x1b@all"
-COLUMNS = "f1 in-motion 1s, nll visible 0.5s,ece dynamic"
+COLUMNS = "f1 in-motion 1s, log_loss visible 0.5s,f1.recall dynamic, calibration dynamic"
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +67,11 @@ def test_csv_has_the_values_of_the_summary_with_their_intervals(run_folder, summ
     step = entry["recordings"]["crossing"]["horizons_s"].index(1.0)
     assert {row["tracker"] for row in rows} == set(entry["trackers"])
     for row in rows:
-        strata = entry["trackers"][row["tracker"]]["recordings"]["crossing"]["strata"]
-        assert float(row["f1 in-motion 1 s"]) == strata["in-motion"]["f1"][step]
-        assert float(row["nll visible 0.5 s"]) == strata["visible"]["nll"][step // 2]
-        assert float(row["ece dynamic 1 s"]) == strata["dynamic"]["ece"][step]
+        trial = trial_of(entry, row["tracker"])
+        assert float(row["f1 in-motion 1 s"]) == value_of(trial, "in-motion", "f1.f1", step)
+        assert float(row["log_loss visible 0.5 s"]) == value_of(trial, "visible", "log_loss.mean", step // 2)
+        assert float(row["f1.recall dynamic 1 s"]) == value_of(trial, "dynamic", "f1.recall", step)
+        assert float(row["calibration dynamic 1 s"]) == value_of(trial, "dynamic", "calibration.error", step)
 
 
 def test_rows_are_chosen_by_patterns_and_the_best_is_the_best_of_them(run_folder):
@@ -79,11 +82,9 @@ def test_rows_are_chosen_by_patterns_and_the_best_is_the_best_of_them(run_folder
 
 
 def test_an_undefined_score_is_empty_in_csv_and_a_dash_in_the_others(run_folder, tmp_path):
-    run = shutil.copytree(run_folder, tmp_path / "run")
-    summary = json.loads((run / "summary.json").read_text())
-    scores = summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["in-motion"]
-    scores["f1"] = [None] * len(scores["f1"])
-    (run / "summary.json").write_text(json.dumps(summary))
+    run = edited(
+        run_folder, tmp_path / "run", lambda summary: put(trial_of(summary, "fair"), "in-motion", "f1.f1", None)
+    )
     choice = {"rows": "fair", "columns": "f1 in-motion 1s"}
     assert next(csv.DictReader(io.StringIO(text_of("csv", run, **choice))))["f1 in-motion 1 s"] == ""
     assert "| fair | – |" in text_of("markdown", run, **choice)
@@ -158,27 +159,37 @@ def test_a_hostile_name_is_text_in_svg(hostile_run, label):
     assert drawn == render_as("svg", [hostile_run])
 
 
-@pytest.mark.parametrize("stratum", STRATA_WITH_TRUTH)
-@pytest.mark.parametrize(("horizon", "ahead_s"), [("", 1.0), (" 1s", 1.0), (" 0.5 s", 0.5)])
-def test_every_stratum_can_be_a_column(stratum, horizon, ahead_s):
+@pytest.fixture(scope="module")
+def every_stratum(run_folder, tmp_path_factory):
+    """A run with each stratum that there may be, and those of a class of two words."""
+
+    def add(summary):
+        for stratum in (*STRATA_WITH_TRUTH, "dynamic traffic light"):
+            put(trial_of(summary, "good"), stratum, "f1.f1", 0.5)
+
+    return read_runs([edited(run_folder, tmp_path_factory.mktemp("strata") / "run", add)])
+
+
+def test_every_stratum_can_be_a_column(every_stratum):
     """Some names end as a horizon does: `occluded to 0.5 s`."""
-    assert parse_score_choices(f"f1 {stratum}{horizon}") == (ScoreChoice("f1", stratum, ahead_s),)
+    for stratum in (*STRATA_WITH_TRUTH, "dynamic traffic light"):
+        for text, ahead_s in (("", 1.0), (" 1s", 1.0), (" 0.5 s", 0.5)):
+            (choice,) = parse_score_choices(f"f1 {stratum}{text}", every_stratum)
+            assert (choice.score.name, choice.output.name) == ("f1", "f1")
+            assert (choice.stratum, choice.horizon_s) == (stratum, ahead_s)
 
 
 def test_a_score_below_zero_is_drawn(run_folder, tmp_path):
     plt = pytest.importorskip("matplotlib.pyplot", reason="needs the extra `figures`")
-    run = shutil.copytree(run_folder, tmp_path / "run")
-    summary = json.loads((run / "summary.json").read_text())
-    shares = summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["visible"]
-    shares["share_of_oracle"] = [-0.25] * len(shares["f1"])
-    (run / "summary.json").write_text(json.dumps(summary))
+    share = "f1.oracle_share"
+    run = edited(run_folder, tmp_path / "run", lambda summary: put(trial_of(summary, "fair"), "visible", share, -0.25))
     limits = []
     plain = plt.Axes.set_ylim
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             plt.Axes, "set_ylim", lambda axis, *ends, **how: (limits.append(ends), plain(axis, *ends, **how))[1]
         )
-        render_as("svg", [run], rows="fair", columns="share_of_oracle visible")
+        render_as("svg", [run], rows="fair", columns=f"{share} visible")
     assert (-0.25, 1.0) in limits
 
 
@@ -186,9 +197,9 @@ def test_a_figure_draws_each_chosen_score_over_the_horizon(run_folder):
     pytest.importorskip("matplotlib", reason="needs the extra `figures`")
     root = ElementTree.fromstring(render_as("svg", [run_folder], rows="good,fair", columns=COLUMNS))
     words = [text.strip() for text in root.itertext()]
-    assert {"F1, in-motion", "log loss, visible", "ECE, dynamic", "good", "fair"} <= set(words)
+    assert {"F1, in-motion", "Log loss, nats, visible", "Recall, dynamic", "good", "fair"} <= set(words)
     assert "persistence" not in words
-    assert len([node for node in root.iter() if node.get("id", "").startswith("axes_")]) == 3
+    assert len([node for node in root.iter() if node.get("id", "").startswith("axes_")]) == 4
 
 
 def test_a_pdf_is_a_pdf_with_embedded_outlines(hostile_run, tmp_path):
@@ -222,6 +233,7 @@ def test_two_runs_are_in_one_table(run_folder, tmp_path):
         (["--format", "csv", "--rows", "goood"], "--rows 'goood': no such row: did you mean 'good'?"),
         (["--format", "csv", "--columns", "f1"], "expected SCORE STRATUM HORIZON"),
         (["--format", "csv", "--columns", "f9 visible"], "no score 'f9'"),
+        (["--format", "csv", "--columns", "f1.recoll visible"], "no output 'recoll': did you mean 'recall'?"),
         (["--format", "csv", "--columns", "f1 visibel"], "did you mean 'visible'?"),
         (["--format", "csv", "--columns", "f1 visible 60s"], "60 s is beyond the horizon of 2.5 s"),
         (["--rows", "good"], "the page shows every row"),
@@ -245,10 +257,3 @@ def test_a_horizon_between_two_steps_is_taken_at_the_nearest_and_named_by_its_ti
     assert [name for name in row if name.startswith("f1")] == [
         f"f1 visible {time} s" for time in ("0.571429", "1.28571", "1.42857")
     ]
-
-
-def test_a_column_without_a_horizon_is_one_second_ahead():
-    assert parse_score_choices("f1_low in-motion, nll visible 0.5 s") == (
-        ScoreChoice("f1_low", "in-motion", 1.0),
-        ScoreChoice("nll", "visible", 0.5),
-    )

@@ -18,7 +18,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from typer.testing import CliRunner
 
 from gridtrack.cli import app
-from gridtrack.evaluation.scoring.samples import SAMPLES, read_samples
+from gridtrack.evaluation.referee.samples import SAMPLES, read_samples
 from gridtrack.recordings import RecordingInfo, write_native
 
 from scenes import truth_scene

@@ -71,7 +71,7 @@ def test_enter_opens_what_a_figure_means_and_escape_closes_it(opened):
     button.focus()
     page.keyboard.press("Enter")
     assert meaning.is_visible()
-    assert "A bar joins rows that are not told apart" in meaning.inner_text()
+    assert "A bar joins rows that do not differ significantly" in meaning.inner_text()
     page.keyboard.press("Escape")
     assert not meaning.is_visible()
     assert page.evaluate("document.activeElement.textContent") == "What it means"

@@ -8,16 +8,13 @@ import pytest
 
 from gridtrack.reports.page import render_report
 
+from scenes.synthetic_run import write_confusion
+
 LONG = "new-dilated-convgru (general)"
 LONGER = "a-label-that-somebody-wrote-to-tell-all-of-the-options-of-a-tracker-apart"
 UNBROKEN = "NotASingleSignAtWhichALineCouldEndIsInThisLabel"
 CLASSES = ["pedestrian", "cyclist", "car", "articulated lorry with a trailer", "static"]
 WIDTHS = [1280, 400]
-CURVES = ("nll_per_cell", "nll_per_scan", "nll_summed_over_scans", "balanced_accuracy", "cells", "scans")
-CONFUSED = {
-    **dict.fromkeys(CURVES, [1] * 21),
-    "confusion": [{"step": 8, "cells": [[5, 1, 0, 0, 0, 0]] * len(CLASSES)}],
-}
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +27,8 @@ def report(make_run, tmp_path_factory):
     summary = json.loads((run / "summary.json").read_text())
     (times,) = [one["latency_ms"] for one in summary["trackers"]["persistence"]["recordings"].values()]
     times["update"] |= {"p50": 0.02, "p95": 0.02, "p99": 0.02, "twentieths": [0.02] * 21}
-    (trial,) = summary["trackers"][LONG]["recordings"].values()
-    trial["semantics"] = {"classes": CLASSES, "kinds": {"visible": CONFUSED}}
+    summary["recordings"]["crossing"]["classes"] = CLASSES
+    write_confusion(run / f"{LONG}@crossing", CLASSES, {8: [[5, 1, 0, 0, 0, 0]] * len(CLASSES)})
     (run / "summary.json").write_text(json.dumps(summary))
     return render_report([run])
 

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from gridtrack.reports.meanings import meanings
+from gridtrack.reports.page import meanings
 
 
 @pytest.mark.parametrize("meaning", meanings(), ids=lambda meaning: meaning.name)

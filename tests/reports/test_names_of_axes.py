@@ -13,7 +13,7 @@ from scenes.report_page import HOSTILE
 
 AXES = {
     "curves": ("horizon, s", "PR-AUC"),
-    "scale": ("side in cells", "FSS"),
+    "scale": ("side in cells", "Fractions skill score"),
     "precision-recall": ("recall", "precision"),
     "threshold": ("threshold", "F1"),
     "calibration": ("forecast probability", "share occupied"),
@@ -85,7 +85,7 @@ def test_the_figure_of_degraded_input_names_the_only_kind(browser, run_folder, t
     run = shutil.copytree(run_folder, tmp_path / "run")
     summary = json.loads((run / "summary.json").read_text())
     trial = summary["trackers"]["good"]["recordings"]["crossing"]
-    f1 = {"in-motion": trial["strata"]["in-motion"]["f1"]}
+    f1 = {"in-motion": trial["strata"]["in-motion"]["f1"]["f1"]["value"]}
     points = [{"strength": at, "value": 0.2 * at, "delivered": "", "f1": f1} for at in (0.0, 1.0)]
     trial["robustness"] = {"degradation": {"beam_dropout": 0.2}, "kinds": {"beam_dropout": points}}
     (run / "summary.json").write_text(json.dumps(summary))

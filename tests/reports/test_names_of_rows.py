@@ -24,7 +24,7 @@ def test_a_row_with_general_weights_has_one_name(browser, run_folder, tmp_path):
     with opened(browser, render_report([run])) as page:
         page.locator(".player[data-ready]").wait_for()
         page.get_by_label("wipe between the first two").check()
-        page.get_by_role("button", name="most telling of the first two").click()
+        page.get_by_role("button", name="most different of the first two").click()
         chips = page.locator("#trackers button").all_inner_texts()
         said = page.evaluate(SAID)
     assert {"good (general)", "fair (general)", "persistence"} <= set(chips)

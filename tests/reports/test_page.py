@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.scoring.samples import SAMPLES, read_samples
-from gridtrack.reports.changes import changes_of
+from gridtrack.evaluation.referee.samples import SAMPLES, read_samples
 from gridtrack.reports.page import render_report
 from gridtrack.reports.pictures import frame_png, probability_png
 from gridtrack.reports.run import ReportError, read_runs
+from gridtrack.reports.run_description import changes_of
 
+from scenes.edited_run import put, trial_of
 from scenes.report_page import data_of
 
 HOSTILE = '</script><script>alert(1)</script><img src="https://example.org/x">"\' & {{ 7 * 7 }}'
@@ -91,13 +92,17 @@ def test_every_picture_and_figure_has_a_description_in_words(page):
 
 
 def test_the_data_of_the_page_has_the_summarys_numbers(page, run_folder, summary_of):
-    strata = summary_of(run_folder)["trackers"]["fair"]["recordings"]["crossing"]["strata"]
+    strata = trial_of(summary_of(run_folder), "fair")["strata"]
     (fair,) = [row for row in data_of(page)["recordings"][0]["rows"] if row["label"] == "fair"]
-    for stratum in ("in-motion", "dynamic", "visible", "standing", "static"):
-        for score in ("f1", "pr_auc", "nll", "brier", "fss_5", "soft_iou"):
-            expected = strata[stratum][score]
-            if expected and None not in expected:
-                assert fair["strata"][stratum][score] == pytest.approx(expected, rel=1e-4)
+    compared = 0
+    for stratum, scores in strata.items():
+        for score, outputs in scores.items():
+            for output, estimate in outputs.items():
+                if None not in estimate["value"]:
+                    shown = fair["strata"][stratum][score][output]["value"]
+                    assert shown == pytest.approx(estimate["value"], rel=1e-4, abs=1e-9)
+                    compared += 1
+    assert compared > 60
 
 
 def test_without_a_script_the_pictures_of_one_moment_are_the_samples(page, run_folder):
@@ -244,10 +249,9 @@ def test_where_nothing_moved_the_lead_does_not_say_that_no_tracker_completed(mak
     run = make_run(tmp_path / "run")
     summary = summary_of(run)
     for entry in summary["trackers"].values():
-        in_motion = entry["recordings"]["crossing"]["strata"]["in-motion"]
-        in_motion["pr_auc"] = [None] * len(in_motion["pr_auc"])
+        put(entry["recordings"]["crossing"], "in-motion", "pr_auc.area", None)
     (run / "summary.json").write_text(json.dumps(summary))
-    assert lead_of_run(run, tmp_path).startswith("No tracker has a PR-AUC on in-motion cells 1 s ahead on crossing")
+    assert lead_of_run(run, tmp_path).startswith("No tracker has a score on in-motion cells 1 s ahead on crossing")
 
 
 def test_where_only_the_floor_ran_the_lead_says_so(make_run, tmp_path):
@@ -262,8 +266,7 @@ def with_pr_auc_in_motion(run, target, **pr_auc):
     summary = json.loads((target / "summary.json").read_text())
     summary["trackers"] = {label: summary["trackers"][label] for label in pr_auc}
     for label, value in pr_auc.items():
-        in_motion = summary["trackers"][label]["recordings"]["crossing"]["strata"]["in-motion"]
-        in_motion["pr_auc"] = [value] * len(in_motion["pr_auc"])
+        put(trial_of(summary, label), "in-motion", "pr_auc.area", value)
     (target / "summary.json").write_text(json.dumps(summary))
     return target
 
@@ -276,7 +279,7 @@ CHANCE = " The order may be chance: there are fewer than the 20 units that a tes
     [
         (
             {"good": 0.61234, "fair": 0.5, "persistence": 0.2},
-            "good has the highest PR-AUC on in-motion cells 1 s ahead, 0.612; the floor, persistence, reaches 0.200."
+            "good has the highest PR-AUC on in-motion cells 1 s ahead, 0.612; the floor, persistence, has 0.200."
             f"{CHANCE}",
         ),
         (
@@ -286,21 +289,21 @@ CHANCE = " The order may be chance: there are fewer than the 20 units that a tes
         (
             {"good": 0.60001, "fair": 0.6, "blank": 0.0, "persistence": 0.0},
             "good and fair have the highest PR-AUC on in-motion cells 1 s ahead, 0.600 each; the floor, blank and"
-            f" persistence, reaches 0.000.{CHANCE}",
+            f" persistence, has 0.000.{CHANCE}",
         ),
         (
             {"good": 0.0, "fair": 0.0002, "blank": 0.0},
-            "On in-motion cells 1 s ahead every tracker has a PR-AUC of 0.000.",
+            "Every tracker has a PR-AUC of 0.000 on in-motion cells 1 s ahead.",
         ),
-        ({"good": 0.0}, "On in-motion cells 1 s ahead every tracker has a PR-AUC of 0.000."),
+        ({"good": 0.0}, "Every tracker has a PR-AUC of 0.000 on in-motion cells 1 s ahead."),
         (
             {"good": 0.2001, "fair": 0.1, "persistence": 0.2},
-            "No tracker beats the floor on in-motion cells 1 s ahead: persistence at a PR-AUC of 0.200, the highest of"
-            f" the trackers, good, at 0.200.{CHANCE}",
+            "No tracker beats the floor on in-motion cells 1 s ahead: persistence has a PR-AUC of 0.200, the highest"
+            f" of the trackers, good, 0.200.{CHANCE}",
         ),
         (
             {"good": 0.0, "persistence": 0.2},
-            "No tracker beats the floor on in-motion cells 1 s ahead: persistence at a PR-AUC of 0.200, good at 0.000."
+            "No tracker beats the floor on in-motion cells 1 s ahead: persistence has a PR-AUC of 0.200, good 0.000."
             f"{CHANCE}",
         ),
     ],

@@ -9,11 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.scoring.sample_objects import KeptObject
-from gridtrack.evaluation.scoring.samples import SAMPLES, read_samples
+from gridtrack.evaluation.referee.samples import SAMPLES, KeptObject, read_samples
 from gridtrack.reports import page as page_module
 from gridtrack.reports import player
-from gridtrack.reports.moment_packing import CALLED, IN_MOTION, PACKED_LEVELS, TrackerPlanes, level_colours, pack_moment
+from gridtrack.reports.moments import CALLED, IN_MOTION, PACKED_LEVELS, TrackerPlanes, level_colours, pack_moment
 from gridtrack.reports.page import render_report
 from gridtrack.reports.pictures import palette
 from gridtrack.reports.scripts import data_in_page, json_in_page

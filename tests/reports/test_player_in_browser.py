@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from gridtrack.evaluation.scoring.sample_objects import KeptObject
-from gridtrack.evaluation.scoring.samples import read_samples
+from gridtrack.evaluation.referee.samples import KeptObject, read_samples
 from gridtrack.reports.page import render_report
 from gridtrack.reports.scripts import json_in_page
 
@@ -44,9 +43,9 @@ def test_sliders_and_buttons_have_names_and_work(opened):
     page.get_by_role("slider", name="time").fill("5")
     page.get_by_role("slider", name="horizon").fill("0")
     shows(page, 5, 0)
-    for words in ("worst of the first", "most telling of the first two"):
+    for words in ("worst of the first", "most different of the first two"):
         page.get_by_role("button", name=words).click()
-        assert re.match(r"moment \d+ of 20(, the |: no )(worst|most telling)", player.locator(".why").inner_text())
+        assert re.match(r"moment \d+ of 20(, the |: no )(worst|most different)", player.locator(".why").inner_text())
     page.get_by_label("tracker 3").select_option("none")
     page.get_by_label("tracker 4").select_option("none")
     assert player.locator(".moment-panel").count() == 4
@@ -68,15 +67,15 @@ def test_the_jumps_are_of_the_trackers_on_screen_and_say_so(opened):
     page, player = opened()
     for at, name in enumerate(("good", "none", "persistence", "blank"), 1):
         page.get_by_label(f"tracker {at}").select_option(name)
-    why = jumped(page, player, "most telling of the first two")
-    expect(why).to_have_text(re.compile(r"^moment \d+ of 20, the most telling of good and persistence \+1 s$"))
+    why = jumped(page, player, "most different of the first two")
+    expect(why).to_have_text(re.compile(r"^moment \d+ of 20, the most different of good and persistence \+1 s$"))
     page.locator("#trackers").get_by_role("button", name="good", exact=True).click()
     why = jumped(page, player, "worst of the first")
     expect(why).to_have_text(re.compile(r"^moment \d+ of 20, the worst of persistence \+1 s$"))
     page.get_by_role("slider", name="time").fill("4")
     expect(why).to_have_text("moment 5 of 20")
     page.locator("#trackers").get_by_role("button", name="persistence", exact=True).click()
-    expect(jumped(page, player, "most telling of the first two")).to_have_text(
+    expect(jumped(page, player, "most different of the first two")).to_have_text(
         "moment 5 of 20: too few trackers are shown"
     )
 
@@ -231,13 +230,13 @@ RIGHT, HALF, WRONG, NOTHING = [4, 0, 0], [2, 2, 2], [0, 4, 4], [0, 0, 0]
     [
         (
             {6: (RIGHT, HALF), 8: (RIGHT, WRONG), 9: (WRONG, WRONG)},
-            "moment 9 of 20, the most telling of {} and {} +1 s",
+            "moment 9 of 20, the most different of {} and {} +1 s",
         ),
         ({6: (HALF, HALF), 9: (WRONG, WRONG)}, "moment 10 of 20, the worst of {} +1 s"),
         ({}, "moment 1 of 20"),
     ],
 )
-def test_the_player_opens_at_the_most_telling_moment_else_the_worst_else_the_first(
+def test_the_player_opens_at_the_most_different_moment_else_the_worst_else_the_first(
     browser, run_folder, tmp_path, counts, line
 ):
     """A page whose first two trackers have these counts, by moment, and in which nothing moves at any other."""

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from gridtrack.evaluation.results.columns import PRIOR_TABLE
+from gridtrack.evaluation.runs.prior_pass import PRIOR_COLUMNS, PRIOR_FILE
 from gridtrack.reports.page import render_page, render_report
 from gridtrack.reports.priors import NEVER_SEEN, PRIOR_LEVELS
 from gridtrack.reports.run import read_runs
@@ -32,8 +32,9 @@ def columns(expected_at):
 
 
 def write_prior(folder, cells):
-    table = pa.table([cells[name].ravel() for name in PRIOR_TABLE.names], schema=PRIOR_TABLE.schema)
-    parquet.write_table(table, folder / PRIOR_TABLE.file)
+    schema = pa.schema([(name, kind) for name, (kind, _) in PRIOR_COLUMNS.items()])
+    table = pa.table([cells[name].ravel() for name in PRIOR_COLUMNS], schema=schema)
+    parquet.write_table(table, folder / PRIOR_FILE)
 
 
 @pytest.fixture
@@ -76,15 +77,15 @@ def test_a_run_without_priors_has_no_figure_of_them(run_folder):
     ],
     ids=["above 1", "NaN", "more than visible", "a row short", "another order"],
 )
-def test_a_damaged_prior_is_told_and_the_others_are_shown(run, damage):
+def test_a_damaged_prior_has_a_notice_and_the_others_are_shown(run, damage):
     write_prior(run / "good@crossing", damage(columns((3, 5))))
     page = render_page(read_runs([run]))
     assert "prior.parquet: not the prior of a grid of 32 x 32 cells" in page
     assert [row["label"] for row in data_of(page)["priors"][0]["rows"]] == ["fair"]
 
 
-def test_a_file_that_is_no_parquet_is_told(run):
-    (run / "good@crossing" / PRIOR_TABLE.file).write_bytes(b"PAR1 no")
+def test_a_file_that_is_no_parquet_has_a_notice(run):
+    (run / "good@crossing" / PRIOR_FILE).write_bytes(b"PAR1 no")
     assert "cannot be read as a prior" in render_page(read_runs([run]))
 
 

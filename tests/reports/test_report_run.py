@@ -5,8 +5,8 @@ import shutil
 
 import pytest
 
-from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.results.summary import MAX_SUMMARY_BYTES
+from gridtrack.evaluation.runs.result_files import RunError
+from gridtrack.evaluation.runs.summary import MAX_SUMMARY_BYTES
 from gridtrack.reports.run import ReportError, read_runs
 
 
@@ -36,8 +36,9 @@ def test_scores_are_those_of_the_file(run_folder, summary_of):
         for name, trial in entry.recordings.items():
             for stratum, scores in trial.strata.items():
                 expected = written["trackers"][label]["recordings"][name]["strata"][stratum]
-                assert scores.f1 == tuple(expected["f1"])
-                assert scores.nll == tuple(expected["nll"])
+                for output in ("f1.f1", "log_loss.mean"):
+                    score, _, own = output.partition(".")
+                    assert scores[score][own].value == tuple(expected[score][own]["value"])
 
 
 def test_only_trials_that_scored_every_frame_are_complete(run_folder):
@@ -54,7 +55,7 @@ def test_an_unfinished_run_and_a_missing_folder_have_different_errors(copied, tm
 
 def test_another_schema_is_refused_by_name(copied):
     change(copied, schema=7)
-    assert "schema 7; this gridtrack reads schema 2" in refusal(copied)
+    assert "schema 7; this gridtrack reads schema 3" in refusal(copied)
 
 
 @pytest.mark.parametrize("content", ["{", "[]", '"x"', "[" * 100_000, "\udcff"])
@@ -71,7 +72,7 @@ def test_a_file_too_large_is_refused_before_it_is_read(copied):
 
 def test_curves_that_do_not_reach_every_horizon_are_refused(copied):
     summary = json.loads((copied / "summary.json").read_text())
-    summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["in-motion"]["f1"].pop()
+    summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["in-motion"]["f1"]["f1"]["value"].pop()
     change(copied, **summary)
     assert "fair on crossing, in-motion" in refusal(copied)
 
@@ -87,10 +88,10 @@ def test_horizons_beyond_the_limit_are_refused(copied, last):
 def test_unknown_keys_are_left_alone_and_nan_is_undefined(copied):
     summary = json.loads((copied / "summary.json").read_text())
     summary["later"] = {"anything": 1}
-    summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["in-motion"]["f1"][3] = float("nan")
+    summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["in-motion"]["f1"]["f1"]["value"][3] = float("nan")
     change(copied, **summary)
     (run,) = read_runs([copied])
-    assert run.summary.trackers["fair"].recordings["crossing"].strata["in-motion"].f1[3] is None
+    assert run.summary.trackers["fair"].recordings["crossing"].at("in-motion", "f1", "f1", 3).value is None
 
 
 def test_runs_of_the_same_name_are_named_by_their_paths(run_folder, tmp_path):

@@ -22,10 +22,10 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene, SceneObject
-from gridtrack.evaluation.scoring.samples import SAMPLES
+from gridtrack.evaluation.referee.samples import SAMPLES
 from gridtrack.recordings import RecordingInfo, write_native
-from gridtrack.reports.rerun_run import write_rerun_run
 from gridtrack.reports.run import ReportError
+from gridtrack.reports.viewers import write_rerun_run
 
 from scenes.drawn_samples import STAMP_NS, write_samples
 

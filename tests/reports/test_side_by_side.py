@@ -6,11 +6,11 @@ import shutil
 import numpy as np
 import pytest
 
-from gridtrack.reports.changes import changes_of
 from gridtrack.reports.notices import notices_of
 from gridtrack.reports.page import render_report
-from gridtrack.reports.recording_section import styles_of
 from gridtrack.reports.run import read_runs
+from gridtrack.reports.run_description import changes_of
+from gridtrack.reports.styles import styles_of
 from gridtrack.reports.table import headline_tables
 
 from scenes.report_page import opened

@@ -6,48 +6,35 @@ import io
 import json
 import re
 import shutil
+from itertools import combinations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rich.console import Console
 
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.runs.summary import NO_ESTIMATE, PairFamily, PairTest, read_summary
 from gridtrack.reports import terminal
 from gridtrack.reports.answer import answer_of
 from gridtrack.reports.chosen_scores import exported_tables
-from gridtrack.reports.differences import difference_table
+from gridtrack.reports.differences import difference_table, groups_of
+from gridtrack.reports.formats import pull_request_markdown
 from gridtrack.reports.markdown import escaped
 from gridtrack.reports.notices import notices_of
 from gridtrack.reports.page import render_page
-from gridtrack.reports.pull_request import pull_request_markdown
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_markdown, headline_tables, main_tables
 
-from scenes import synthetic_run as synthetic
+from scenes.edited_run import put
+from scenes.report_page import data_of
 
 RECORDINGS = [f"seed-{i:02}" for i in range(20)]
-SKILLS = {"persistence": 0.6, "good": 0.8, "<b>even": 0.6, "unlucky": 0.9, "oracle": 1.0}
+SKILLS = ("persistence", "good", "<b>even", "unlucky", "oracle")
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs") / "twenty"
-    trials = [
-        synthetic.write_trial(
-            folder,
-            label.replace("/", ""),
-            name,
-            skill,
-            seed=i,
-            frames=4,
-            scored=2 if (label, i) == ("unlucky", 0) else 4,
-        )
-        for i, name in enumerate(RECORDINGS)
-        for label, skill in SKILLS.items()
-    ]
-    described = {name: synthetic.description() for name in RECORDINGS}
-    summarise(described, trials, [], False).write(folder)
-    synthetic.write_run_record(folder, described)
-    return folder
+def run(twenty):
+    return twenty
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +44,8 @@ def pooled(run):
 
 
 @pytest.fixture(scope="module")
-def page(run):
-    return render_page(read_runs([run]))
+def page(twenty_report):
+    return twenty_report.read_text("utf-8")
 
 
 def test_all_recordings_together_are_the_first_and_the_main_table(run, pooled):
@@ -70,7 +57,7 @@ def test_all_recordings_together_are_the_first_and_the_main_table(run, pooled):
 
 def test_every_f1_of_a_complete_row_has_its_interval_around_it(pooled):
     for row in pooled.rows_in("ranked") + pooled.rows_in("floor"):
-        f1 = [cell for column, cell in zip(pooled.columns, row.cells, strict=True) if column.score == "f1"]
+        f1 = [cell for column, cell in zip(pooled.columns, row.cells, strict=True) if column.key == ("f1", "f1")]
         assert len(f1) == 10
         assert all(cell.interval[0] < cell.value < cell.interval[1] for cell in f1)
 
@@ -121,17 +108,16 @@ def test_the_other_scores_stand_below_f1_with_uncorrected_p_and_no_verdict(run, 
     (good,) = [one for one in read_runs([run])[0].summary.differences if one.tracker == "good"]
     differences = page.partition("Difference from persistence")[2].partition("</section>")[0]
     rows = differences.partition(">good<")[2].partition("unlucky")[0]
-    for test in good.headline:
-        assert test.pr_auc_low < test.pr_auc < test.pr_auc_high
-        assert test.nll_low <= test.nll <= test.nll_high
-        assert test.fss_5_low < test.fss_5 < test.fss_5_high
-        assert test.beam_error_low < test.beam_error < test.beam_error_high
+    for test in good.tests:
+        for output in ("pr_auc.area", "fss.5_cells", "beam_error.mean", "log_loss.mean"):
+            found = good.at(test.stratum, *output.split("."), test.step)
+            assert found.low <= found.value <= found.high
     assert "</span> <small>F1</small>" in differences, "the name and the score are words of their own"
-    for name in ("log loss", "PR-AUC", "FSS, 5 cells", "soft IoU", "beam error, m"):
+    for name in ("Log loss, nats", "PR-AUC", "FSS, 5 cells", "Soft IoU", "Beam error, m"):
         row = rows.partition(f"<small>{name}</small>")[2].partition("</tr>")[0]
         assert row.count(", uncorrected</small>") == 9
         assert "better" not in row
-    assert f"{good.headline[0].pr_auc:+.3f}" in rows
+    assert f"{good.at('in-motion', 'pr_auc', 'area', good.tests[0].step).value:+.3f}" in rows
 
 
 def test_the_result_of_a_comparison_is_a_sentence_a_table_of_all_recordings_and_lines(run, capsys):
@@ -176,23 +162,28 @@ ALIKE, UNTESTED = "no difference shown", ""
 
 
 @pytest.mark.parametrize(
-    ("verdicts", "told"),
+    ("verdicts", "words"),
     [
-        ({}, "it is told apart from FLOOR, and from every other tracker."),
-        ({"persistence": ALIKE}, "it is not told apart from FLOOR, but from every other tracker."),
-        ({"<b>even": ALIKE}, "it is told apart from FLOOR, but not from <b>even."),
-        ({"persistence": ALIKE, "<b>even": ALIKE}, "it is not told apart from FLOOR, nor from <b>even."),
-        ({"<b>even": UNTESTED}, "it is told apart from FLOOR; not tested: <b>even."),
-        ({"persistence": UNTESTED}, "the floor, persistence, reaches F1; it is told apart from every other tracker."),
+        ({}, "it differs significantly from FLOOR, and from every other tracker."),
+        ({"persistence": ALIKE}, "it does not differ significantly from FLOOR, but from every other tracker."),
+        ({"<b>even": ALIKE}, "it differs significantly from FLOOR, but not from <b>even."),
+        (
+            {"persistence": ALIKE, "<b>even": ALIKE},
+            "it does not differ significantly from FLOOR, nor from <b>even.",
+        ),
+        ({"<b>even": UNTESTED}, "it differs significantly from FLOOR; not tested: <b>even."),
+        (
+            {"persistence": UNTESTED},
+            "the floor, persistence, has F1; it differs significantly from every other tracker.",
+        ),
         (
             {"persistence": UNTESTED, "<b>even": UNTESTED},
-            "the floor, persistence, reaches F1. The order may be chance: these rows were not tested against each"
-            " other.",
+            "the floor, persistence, has F1. The order may be chance: these rows were not tested against each other.",
         ),
     ],
 )
-def test_the_lead_says_which_rows_the_best_one_is_told_apart_from(run, pooled, tmp_path, verdicts, told):
-    """`verdicts` on these rows and `good`, in place of those of the run, which tell all apart."""
+def test_the_lead_says_from_which_rows_the_best_one_differs_significantly(run, pooled, tmp_path, verdicts, words):
+    """`verdicts` on these rows and `good`, in place of those of the run, where all differ."""
     folder = shutil.copytree(run, tmp_path / "run")
     summary = json.loads((folder / "summary.json").read_text())
     for family in summary["pairs"]:
@@ -203,23 +194,22 @@ def test_the_lead_says_which_rows_the_best_one_is_told_apart_from(run, pooled, t
     (folder / "summary.json").write_text(json.dumps(summary))
     at = pooled.columns.index(pooled.decisive)
     best, floor = (pooled.rows_in(group)[0].cells[at].text for group in ("ranked", "floor"))
-    told = told.replace("FLOOR", f"the floor, persistence at {floor}").replace("F1", floor)
-    expected = f"good has the highest F1 on in-motion cells 1 s ahead, {best}; {told}"
+    words = words.replace("FLOOR", f"the floor, persistence at {floor}").replace("F1", floor)
+    expected = f"good has the highest F1 on in-motion cells 1 s ahead, {best}; {words}"
     runs = read_runs([folder])
     assert answer_of(runs[0]).leads == (expected,)
     assert escaped(expected) in pull_request_markdown(runs, exported_tables(runs)[:1])
 
 
-def test_the_floor_that_no_tracker_beats_is_told_apart_or_not(run, tmp_path):
+def test_the_floor_that_no_tracker_beats_differs_significantly_or_not(run, tmp_path):
     folder = shutil.copytree(run, tmp_path / "run")
     summary = json.loads((folder / "summary.json").read_text())
     summary["trackers"] = {label: summary["trackers"][label] for label in ("persistence", "<b>even")}
-    in_motion = summary["trackers"]["persistence"]["pooled"]["strata"]["in-motion"]
-    in_motion["f1"] = [0.9] * len(in_motion["f1"])
+    put(summary["trackers"]["persistence"]["pooled"], "in-motion", "f1.f1", 0.9, steps=5)
     (folder / "summary.json").write_text(json.dumps(summary))
     (lead,) = answer_of(read_runs([folder])[0]).leads
     assert lead.startswith("No tracker beats the floor on in-motion cells")
-    assert lead.endswith("; these are not told apart.")
+    assert lead.endswith("; they do not differ significantly.")
 
 
 def test_what_failed_stands_first_and_texts_of_several_recordings_are_one_notice(run, tmp_path):
@@ -270,3 +260,62 @@ def test_a_difference_names_a_row_with_general_weights_as_the_table_does(run, tm
     told = pull_request_markdown([found], exported_tables([found]))
     assert "| good (general), F1 |" in told
     assert "less those of persistence (general)" in told
+
+
+def family(labels, different):
+    pairs = tuple(
+        PairTest(
+            tracker=one,
+            other=other,
+            difference=NO_ESTIMATE,
+            verdict="better" if (one, other) in different else "no difference shown",
+        )
+        for one, other in combinations(labels, 2)
+    )
+    return PairFamily(
+        recordings="r", score="f1", output="f1", stratum="in-motion", horizon_s=1.0, step=8, units=20, pairs=pairs
+    )
+
+
+def test_a_chain_makes_two_groups_that_overlap():
+    assert groups_of(family("abc", {("a", "c")})) == (("a", "b"), ("b", "c"))
+
+
+def test_a_row_that_differs_from_all_is_in_no_group():
+    assert groups_of(family("abc", {("a", "b"), ("a", "c")})) == (("b", "c"),)
+
+
+@given(st.sets(st.sampled_from(list(combinations("abcdef", 2)))))
+def test_two_rows_share_a_group_exactly_where_they_do_not_differ(different):
+    groups = groups_of(family("abcdef", different))
+    for pair in combinations("abcdef", 2):
+        assert any(set(pair) <= set(group) for group in groups) == (pair not in different)
+
+
+def test_the_data_has_the_summarys_scores_and_intervals(twenty, page):
+    summary = read_summary(twenty)
+    expected = summary.trackers["good"].pooled.estimate("in-motion", "f1", "f1")
+    (pooled,) = [one for one in data_of(page)["recordings"] if one["name"] == "all recordings"]
+    (row,) = [one for one in pooled["rows"] if one["label"] == "good"]
+    shown = row["strata"]["in-motion"]["f1"]["f1"]
+    assert shown["value"] == pytest.approx(expected.value, rel=1e-4)
+    assert shown["low"] == pytest.approx(expected.low, rel=1e-4)
+    assert pooled["horizons_s"] == list(summary.pooled_horizons_s)
+
+
+def test_the_groups_have_rows_that_do_not_differ_significantly(twenty, page):
+    groups = data_of(page)["recordings"][0]["groups"]["f1.f1/in-motion/2"]
+    assert groups == {"pairs": 3, "units": 20, "groups": [["persistence", "<b>even"]]}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "<dt>Compared on</dt><dd>20 recordings: 80 forecasts scored, of 800 frames, the longest forecast 2.5 s ahead",
+        "<dt>Weights</dt><dd>none: persistence, good, &lt;b&gt;even, unlucky</dd>",
+        "<dt>Keeps up with the sensor</dt><dd>not measured: gridtrack compare --latency measures it</dd>",
+        "<dt>Not ranked</dt><dd>unlucky: crashed on 1 of 20 recordings</dd>",
+    ],
+)
+def test_the_answer_is_a_line_each(page, line):
+    assert line in page

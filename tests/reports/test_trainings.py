@@ -5,16 +5,17 @@ import shutil
 
 import pytest
 
+from gridtrack.reports.differences import trainings_across, trainings_table
 from gridtrack.reports.page import render_report
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_tables
-from gridtrack.reports.trainings import trainings_across, trainings_table
 
+from scenes.edited_run import put, trial_of
 from scenes.report_page import opened
 
 
 def score(**values):
-    return {"stratum": "in-motion", "horizon_s": 1.0, "step": 8, "f1": [0.5, 0.6], **values}
+    return {"stratum": "in-motion", "horizon_s": 1.0, "step": 8, "values": [0.5, 0.6], **values}
 
 
 def test_trainings_have_mean_spread_and_judged_difference(make_run, tmp_path):
@@ -22,21 +23,21 @@ def test_trainings_have_mean_spread_and_judged_difference(make_run, tmp_path):
     assert trainings_table(read_runs([run])[0], "crossing") is None
     summary = json.loads((run / "summary.json").read_text())
     common = {"recordings": "crossing", "reference": "persistence", "units": 20}
-    judged = {"difference": 0.25, "difference_low": 0.125, "difference_high": 0.375, "p_holm": 0.01}
+    judged = {"difference": {"value": 0.25, "low": 0.125, "high": 0.375}, "p_holm": 0.01}
     summary["trainings"] = [
-        {**common, "tracker": "persistence", "labels": ["persistence"], "scores": [score(f1=[0.3], f1_mean=0.3)]},
+        {**common, "tracker": "persistence", "labels": ["persistence"], "scores": [score(values=[0.3], mean=0.3)]},
         {
             **common,
             "tracker": "net",
             "labels": ["good", "<b>good</b> 2"],
-            "scores": [score(f1_mean=0.55, f1_spread=0.0707, verdict="better", **judged)],
+            "scores": [score(mean=0.55, spread=0.0707, verdict="better", **judged)],
         },
         {
             **common,
             "tracker": "other",
             "labels": ["other"],
             "interval": "one training: the spread between trainings is not known",
-            "scores": [score(f1=[0.4], f1_mean=0.4, difference=0.1, verdict="not tested")],
+            "scores": [score(values=[0.4], mean=0.4, difference={"value": 0.1}, verdict="not tested")],
         },
     ]
     (run / "summary.json").write_text(json.dumps(summary))
@@ -46,9 +47,9 @@ def test_trainings_have_mean_spread_and_judged_difference(make_run, tmp_path):
     assert (net.name, net.keys, net.count) == ("good", ("good", "<b>good</b> 2"), 2)
     (cell,) = net.cells
     assert (cell.mean, cell.spread) == ("0.550", "± 0.071")
-    assert (cell.difference, cell.p, cell.verdict) == ("+0.250 [+0.125, +0.375]", "p = 0.010", "better")
-    assert (floor.cells[0].mean, floor.cells[0].spread, floor.cells[0].difference) == ("0.300", "", "")
-    assert (other.cells[0].difference, other.cells[0].verdict) == ("+0.100", "")
+    assert (cell.below, cell.p, cell.verdict) == ("+0.250 [+0.125, +0.375]", "p = 0.010", "better")
+    assert (floor.cells[0].mean, floor.cells[0].spread, floor.cells[0].below) == ("0.300", "", "")
+    assert (other.cells[0].below, other.cells[0].verdict) == ("+0.100", "")
     page = render_report([run]).read_text("utf-8")
     assert "Several trainings" in page
     assert "one training: the spread between trainings is not known" in page
@@ -65,8 +66,8 @@ def training(run_folder, tmp_path):
         record["weights"] = {"good@crossing": {"name": "good/crossing.toml", "sha256": sha256}}
         (run / "run.json").write_text(json.dumps(record))
         summary = json.loads((run / "summary.json").read_text())
-        for scores in summary["trackers"]["good"]["recordings"]["crossing"]["strata"].values():
-            scores["f1"] = [f1] * len(scores["f1"])
+        for stratum in trial_of(summary, "good")["strata"]:
+            put(trial_of(summary, "good"), stratum, "f1.f1", f1)
         (run / "summary.json").write_text(json.dumps(summary))
         return run
 
@@ -81,12 +82,10 @@ def test_runs_with_other_weights_of_one_tracker_show_its_spread(training):
     (good,) = table.rows
     assert (good.name, good.count, table.reference) == ("good", 2, "")
     assert table.columns[:3] == (("in-motion", 0.5), ("in-motion", 1.0), ("in-motion", 2.5))
-    assert {(cell.mean, cell.spread, cell.difference) for cell in good.cells} == {
-        ("0.450", "± 0.071", "0.400 to 0.500")
-    }
+    assert {(cell.mean, cell.spread, cell.below) for cell in good.cells} == {("0.450", "± 0.071", "0.400 to 0.500")}
     page = render_report([*paths, again]).read_text("utf-8")
     assert "Several trainings" in page
-    assert "below, the least and the most." in page
+    assert "below, the lowest and the highest." in page
 
 
 def test_runs_with_the_same_weights_are_no_trainings(training):

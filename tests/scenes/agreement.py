@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 
-import polars as pl
+from pyarrow import parquet
 
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 
 def counted(run):
@@ -14,7 +14,7 @@ def counted(run):
     trials = {}
     for folder in sorted(path.parent for path in run.glob("*/outcome.json")):
         record = read_trial_record(folder)
-        tables = {path.name: pl.read_parquet(path) for path in sorted(folder.glob("*.parquet"))}
+        tables = {path.name: parquet.read_table(path) for path in sorted(folder.glob("*.parquet"))}
         fields = record.model_dump(exclude={"times", "peak_rss_mb", "files"})
         trials[folder.name] = fields, tables, sorted(path.name for path in folder.iterdir())
     return trials

@@ -10,10 +10,10 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.scoring.referee import ScoredForecast
-from gridtrack.evaluation.scoring.samples import SampleWriter
-from gridtrack.evaluation.scoring.strata import region_maps_of
-from gridtrack.evaluation.scoring.target import Target
+from gridtrack.evaluation.referee.referee import ScoredForecast
+from gridtrack.evaluation.referee.samples import SampleWriter
+from gridtrack.evaluation.referee.strata import region_maps_of
+from gridtrack.evaluation.referee.targets import Target
 from gridtrack.trackers.contract import Forecast, TrackedObject
 
 GRID = GridSpec(3, 0.5, (-1.0, 2.0))

@@ -1,9 +1,9 @@
-"""Bags of a robot with two scanners that drives in a room past a person: what ROS records of it."""
+"""ROS bags of a robot with two scanners that drives in a room past a person."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,10 @@ ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.LATEST)
 ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
 START_NS, MS = 1_700_000_000 * 10**9, 10**6
 HALF_X_M, HALF_Y_M, PERSON_RADIUS_M = 6.0, 4.0, 0.3
+DURATION_MS, SCANS = 2500, 25
+"""A short drive: its duration, and the number of its scans at 10 Hz."""
+STAMPS_MS = range(-40, DURATION_MS + 100, 40)
+"""Stamps of its poses."""
 
 Message = tuple[str, str, int, Any]
 """(topic, type, time of reception, message)."""
@@ -33,7 +37,7 @@ Message = tuple[str, str, int, Any]
 
 @dataclass(frozen=True)
 class Laser:
-    """A scanner on the robot: `base_T_laser`, upside down where `mirrored`."""
+    """A scanner on the robot: `base_T_laser`, upside down if `mirrored`."""
 
     name: str
     base_T_laser: SE2
@@ -73,10 +77,10 @@ class Ros:
     """Messages of one version of ROS, stamped at milliseconds since the start."""
 
     def __init__(self, version: int) -> None:
-        self.version, self._store = version, ROS1 if version == 1 else ROS2
+        self.version, self.store = version, ROS1 if version == 1 else ROS2
 
     def make(self, kind: str, **fields: Any) -> Any:
-        return self._store.types[kind](**fields)
+        return self.store.types[kind](**fields)
 
     def header(self, at_ms: float, frame: str) -> Any:
         stamp_ns = START_NS + round(at_ms * MS)
@@ -155,15 +159,31 @@ class Ros:
         message = self.make(POSE, header=self.header(at_ms, frame), pose=self._pose(pose))
         return (topic, POSE, START_NS + round(at_ms * MS), message)
 
-    def write(self, path: Path, messages: Iterable[Message], storage: StoragePlugin = StoragePlugin.SQLITE3) -> Path:
-        """A bag of the messages in the order of their reception; a folder for ROS 2."""
-        opened = Writer1(path) if self.version == 1 else Writer2(path, version=9, storage_plugin=storage)
-        encode: Callable[..., Any] = ROS1.serialize_ros1 if self.version == 1 else ROS2.serialize_cdr
+    def write(
+        self,
+        path: Path,
+        messages: Iterable[Message],
+        storage: StoragePlugin = StoragePlugin.SQLITE3,
+        compression: Writer1.CompressionFormat | None = None,
+        chunk_bytes: int = 1 << 20,
+    ) -> Path:
+        """A bag of the messages in the order of their reception: a file for ROS 1, a folder for ROS 2.
+
+        `storage` is for ROS 2; `compression` and `chunk_bytes` are for ROS 1.
+        """
+        opened: Any
+        if self.version == 1:
+            opened, encode = Writer1(path), ROS1.serialize_ros1
+            opened.chunk_threshold = chunk_bytes
+            if compression is not None:
+                opened.set_compression(compression)
+        else:
+            opened, encode = Writer2(path, version=9, storage_plugin=storage), ROS2.serialize_cdr
         with opened as writer:
             connections: dict[str, Any] = {}
             for topic, kind, received_ns, message in sorted(messages, key=lambda m: m[2]):
                 if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, kind, typestore=self._store)
+                    connections[topic] = writer.add_connection(topic, kind, typestore=self.store)
                 writer.write(connections[topic], received_ns, encode(message, kind))
         return path
 
@@ -188,7 +208,7 @@ def mounts(*lasers: Laser) -> list[tuple[str, str, SE3]]:
 
 
 def scans_of(ros: Ros, duration_ms: int, *lasers: Laser) -> Iterator[Message]:
-    """The scans of a drive, at 10 Hz, past a person who walks along a wall."""
+    """The scans of a drive at 10 Hz past a person who walks along a wall."""
     for at_ms in range(0, duration_ms, 100):
         for laser in lasers:
             stamp_ms = at_ms + laser.offset_ms
@@ -203,13 +223,13 @@ def odometry_transforms(ros: Ros, duration_ms: int) -> Iterator[Message]:
 
 
 def localisation_transforms(ros: Ros, duration_ms: int) -> Iterator[Message]:
-    """map -> odom at 1 Hz, which jumps by half a metre from one second to the next."""
+    """map -> odom at 1 Hz; it jumps by half a metre every second."""
     for k in range(duration_ms // 1000 + 1):
         yield ros.transforms(k * 1000, ("map", "odom", SE3.in_plane(SE2(0.5 * (k % 2), 0.0, 0.0))))
 
 
 def two_scanner_drive(ros: Ros, duration_ms: int = 6000, static_at_ms: int = 0) -> list[Message]:
-    """A drive as a navigation stack records it: /tf, /tf_static and two scanners, of which the rear one is mirrored."""
+    """A drive as a navigation stack records it: /tf, /tf_static and two scanners, the rear one mirrored."""
     static = [("base_footprint", "base_link", SE3((0.0, 0.0, 0.1))), *mounts(FRONT, REAR)]
     return [
         ros.transforms(static_at_ms, *static, topic="/tf_static"),
@@ -219,8 +239,41 @@ def two_scanner_drive(ros: Ros, duration_ms: int = 6000, static_at_ms: int = 0) 
     ]
 
 
+def moving(
+    ros: Ros, parent: str, child: str, *, topic: str = "/tf", ahead_ms: int = 0, backwards: bool = False
+) -> list[Message]:
+    """The transforms of a short drive. `ahead_ms`: of a robot that is ahead; `backwards`: the robot is the parent."""
+    places = {at: robot_at(at + ahead_ms) for at in STAMPS_MS}
+    return [
+        ros.transforms(at, (parent, child, SE3.in_plane(pose.inverse() if backwards else pose)), topic=topic)
+        for at, pose in places.items()
+    ]
+
+
+def odometry(ros: Ros, **names: str) -> list[Message]:
+    """The odometry of a short drive."""
+    return [ros.odometry(at, robot_at(at), **names) for at in STAMPS_MS]
+
+
+def poses(ros: Ros, *topics: str) -> list[Message]:
+    """The poses of a short drive on each topic, without a child frame."""
+    return [ros.pose(at, robot_at(at), topic) for at in STAMPS_MS for topic in topics]
+
+
+def at_rest(ros: Ros, *link: str, topic: str = "/tf") -> list[Message]:
+    """Identity transforms from a parent to a child during a short drive."""
+    parent, child = link
+    return [ros.transforms(at, (parent, child, SE3()), topic=topic) for at in STAMPS_MS]
+
+
+def walls_stay(scans: Iterable[Scan], count: int = SCANS) -> bool:
+    """Whether there are `count` scans, and all their returns lie on the walls of the room."""
+    off = [distance_to_walls(scan).max() for scan in scans]
+    return len(off) == count and max(off) < 0.02
+
+
 def distance_to_walls(scan: Scan) -> NDArray[np.float64]:
-    """How far each return of a scan is from the walls of the room, metres; the beams on the person left out."""
+    """The distance of each return from the walls of the room, metres, without the beams on the person."""
     angles = scan.angle_min + scan.angle_increment * np.arange(scan.ranges.size)
     points = np.stack([np.cos(angles), np.sin(angles)], axis=1) * scan.ranges[:, None]
     points = scan.world_T_sensor.apply(points)

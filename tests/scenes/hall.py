@@ -8,8 +8,8 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
-from gridtrack.trackers.calibration import IDENTITY
-from gridtrack.trackers.card import Card
+from gridtrack.trackers.training.calibration import IDENTITY
+from gridtrack.trackers.training.card import Card
 
 GRID = GridSpec(60, 0.1, (0.0, -3.0))
 PERIOD_S = 0.1
@@ -50,6 +50,7 @@ def card(**settings) -> Card:
         site="hall",
         grid=str(GRID),
         period_s=PERIOD_S,
+        world_T_grid=(0.0, 0.0),
         seed=0,
         command="",
         train=(),

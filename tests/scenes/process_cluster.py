@@ -10,9 +10,9 @@ from pathlib import Path
 
 import psutil
 
-from gridtrack.evaluation.engines.cluster import TaskEnd
+from gridtrack.evaluation.engines.remote import TaskEnd
 
-CARRY_OUT = "import sys; from gridtrack.evaluation.runs.worker import carry_out; carry_out(sys.argv[1])"
+EXECUTE = "import sys; from gridtrack.evaluation.runs.jobs import execute; execute(sys.argv[1])"
 
 
 class ProcessCluster:
@@ -26,7 +26,7 @@ class ProcessCluster:
         self.folders: list[Path] = []
 
     def start(self, folders: Sequence[Path]) -> list[subprocess.Popen[bytes]]:
-        tasks = [subprocess.Popen([sys.executable, "-c", CARRY_OUT, str(folder)]) for folder in folders]
+        tasks = [subprocess.Popen([sys.executable, "-c", EXECUTE, str(folder)]) for folder in folders]
         self.started += tasks
         self.folders += folders
         return tasks

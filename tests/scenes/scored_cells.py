@@ -6,8 +6,12 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, PARTS, STRATA, region_maps_of
-from gridtrack.evaluation.scoring.target import NOT_SCORED
+from gridtrack.evaluation.referee.referee import ScoredForecast
+from gridtrack.evaluation.referee.strata import CELL_KINDS, PARTS, STRATA, region_maps_of
+from gridtrack.evaluation.referee.targets import NOT_SCORED
+from gridtrack.evaluation.scores.definition import Sums, TrialFacts, value_of
+from gridtrack.evaluation.scores.thresholds import half
+from gridtrack.trackers.contract import Forecast
 
 STATIC_CELL, DYNAMIC_CELL = (CELL_KINDS.index(name) for name in ("static", "dynamic"))
 
@@ -53,3 +57,27 @@ def members_of(cell_kinds, state, motion, ages):
         "occluded 2-4 s": hidden & (ages == 3),
         "occluded over 4 s": hidden & (ages == 4),
     }
+
+
+def scored(occupancy, targets, maps, ages=None, **parts):
+    """A forecast with its targets; `parts` are its optional parts: semantics, velocity, futures."""
+    ages = np.zeros(maps.visible.shape, np.uint8) if ages is None else ages
+    return ScoredForecast(Forecast(occupancy, **parts), tuple(targets), maps, ages)
+
+
+def facts_of(forecast, **known):
+    """The facts of a trial with this forecast; thresholds of 0.5."""
+    steps, strata = len(forecast.targets) - 1, forecast.region_maps.strata
+    defaults = {"cell_m": 1.0, "thresholds": half(steps, strata)}
+    return TrialFacts(steps=steps, strata=strata, **{**defaults, **known})
+
+
+def counted(score, forecast, **known):
+    """The strata of a score, and its sums (S, K, P) of one forecast."""
+    facts = facts_of(forecast, **known)
+    return score.strata(facts), Sums(score.count(forecast, facts, score.new_memory(facts)), score.parts(facts))
+
+
+def values(score, sums):
+    """The value (...) of each output of sums."""
+    return {name: value_of(found) for name, found in score.value(sums).items()}

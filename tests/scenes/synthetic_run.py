@@ -2,25 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from gridtrack.evaluation.results.columns import BEAM_ERROR_BINS, PROBABILITY_BINS, SCALES
-from gridtrack.evaluation.results.recording import RecordingDescription, RecordingIdentity
-from gridtrack.evaluation.results.run_record import RunConfiguration, RunRecord
-from gridtrack.evaluation.results.trial_record import TrialRecord
-from gridtrack.evaluation.scoring.beam_errors import BEAM_STRATA, BeamErrors
-from gridtrack.evaluation.scoring.counting import Tally, for_calibration
-from gridtrack.evaluation.scoring.neighbourhoods import NeighbourhoodSums, neighbourhood_strata
-from gridtrack.evaluation.scoring.score_store import ScoreWriter
-from gridtrack.evaluation.scoring.spatial_store import SpatialWriter
-from gridtrack.evaluation.scoring.strata import STRATA
-from gridtrack.evaluation.scoring.thresholds import half
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
+from gridtrack.evaluation.referee.referee import ScoredForecast
+from gridtrack.evaluation.referee.strata import STRATA
+from gridtrack.evaluation.referee.targets import Target
+from gridtrack.evaluation.runs.finished import FinishedTrial
+from gridtrack.evaluation.runs.run_record import RecordingDescription, RecordingIdentity, RunConfiguration, RunRecord
+from gridtrack.evaluation.runs.scorekeeper import Counter
+from gridtrack.evaluation.runs.summarise import summarise
+from gridtrack.evaluation.runs.sums import Layout, SumsWriter, TrialSums
+from gridtrack.evaluation.runs.trial_record import TRIAL_SCHEMA, ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.scores.beam_error import BEAM_ERROR, BINS
+from gridtrack.evaluation.scores.brier import BRIER
+from gridtrack.evaluation.scores.calibration import CALIBRATION
+from gridtrack.evaluation.scores.cells import PROBABILITY_BINS, Tally, cells_of, for_calibration
+from gridtrack.evaluation.scores.class_log_loss import CLASS_LOG_LOSS
+from gridtrack.evaluation.scores.definition import TrialFacts
+from gridtrack.evaluation.scores.f1 import F1
+from gridtrack.evaluation.scores.fss import FSS
+from gridtrack.evaluation.scores.log_loss import LOG_LOSS
+from gridtrack.evaluation.scores.neighbourhoods import (
+    SCALES,
+    NeighbourhoodSums,
+    neighbourhood_strata,
+    neighbourhoods_of,
+)
+from gridtrack.evaluation.scores.pr_auc import PR_AUC
+from gridtrack.evaluation.scores.soft_iou import SOFT_IOU
+from gridtrack.evaluation.scores.thresholds import half
+from gridtrack.trackers.contract import Forecast
+
+from scenes.scored_cells import frame, region_maps
 
 STEPS, PERIOD_S = 20, 0.125
+RECORDINGS = [f"seed-{i:02}" for i in range(20)]
 DESCRIBED = {
     "persistence": {"role": "floor", "reference_for": ("occupancy",)},
     "static-map": {"role": "floor"},
@@ -28,6 +47,8 @@ DESCRIBED = {
     "one-shot": {"reference_for": ("classes",)},
 }
 """What these trackers describe themselves as, by their names."""
+SCORES = (F1, PR_AUC, LOG_LOSS, BRIER, CALIBRATION, FSS, SOFT_IOU)
+"""The scores that are counted; beam errors are drawn."""
 
 
 def description(
@@ -82,19 +103,54 @@ def tally(rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRA
     return counted
 
 
-def spatial_sums(
+def neighbourhood_sums(
     rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRATA, steps: int = STEPS
-) -> tuple[NeighbourhoodSums, BeamErrors]:
-    """Sums of one frame over neighbourhoods and along beams: the better, the more skill and the larger the scale."""
+) -> NeighbourhoodSums:
+    """Sums of one frame over neighbourhoods: the better, the more skill and the larger the scale."""
     own = neighbourhood_strata(strata)
     squares = rng.gamma(20.0, 1.0, (steps + 1, len(own), len(SCALES)))
     agreement = squares * skill ** (1 / np.array(SCALES)) * rng.uniform(0.9, 1.0, squares.shape)
-    sums = NeighbourhoodSums(agreement, squares, squares[..., 0], own)
-    shape = steps + 1, len(BEAM_STRATA)
-    counts = np.zeros((*shape, BEAM_ERROR_BINS), np.int64)
-    counts[..., 40:60] = rng.poisson(5.0, (*shape, 20))
-    counts[..., 70] = rng.poisson(80.0 * (1.0 - skill), shape)
-    return sums, BeamErrors(*(rng.gamma(10.0, 2.0 - skill, (2, *shape))), counts)
+    return NeighbourhoodSums(agreement, squares, squares[..., 0], own)
+
+
+def beam_sums(rng: np.random.Generator, skill: float, steps: int = STEPS) -> np.ndarray:
+    """Sums of one frame along beams (S, K, P): the more skill, the fewer large errors."""
+    sums = np.zeros((steps + 1, len(STRATA), 2 + BINS))
+    sums[..., :2] = rng.gamma(10.0, 2.0 - skill, sums[..., :2].shape)
+    sums[..., 42:62] = rng.poisson(5.0, sums[..., 42:62].shape)
+    sums[..., 72] = rng.poisson(80.0 * (1.0 - skill), sums.shape[:-1])
+    return sums
+
+
+def counted_forecast(stamp_ns: int, last_ns: int, tally: Tally, neighbourhoods: NeighbourhoodSums) -> ScoredForecast:
+    """A forecast made at `stamp_ns`, with a last frame at `last_ns`, whose cells have been counted."""
+    targets = tuple(Target.of_frame(frame([[1]], [[0]], stamp)) for stamp in (stamp_ns, last_ns))
+    maps, ages = region_maps([[2]]), np.zeros((1, 1), np.uint8)
+    made = ScoredForecast(Forecast(np.zeros((2, 1, 1), np.float32)), targets, maps, ages)
+    made.once(cells_of), made.once(neighbourhoods_of)
+    made._counted.update({cells_of: tally, neighbourhoods_of: neighbourhoods})
+    return made
+
+
+def write_confusion(
+    folder: Path, classes: Sequence[str], counts: Mapping[int, Sequence[Sequence[int]]], steps: int = STEPS
+) -> None:
+    """Add to the sums of a trial those of one forecast with these confusion matrices of visible cells, by step."""
+    facts = TrialFacts(0.2, steps, ("visible",), half(steps, ("visible",)), tuple(classes), tuple(classes))
+    layout = Layout(CLASS_LOG_LOSS.strata(facts), CLASS_LOG_LOSS.parts(facts))
+    found = np.zeros((steps + 1, 1, len(layout.parts)))
+    for step, matrix in counts.items():
+        found[step, 0, -np.size(matrix) :] = np.ravel(matrix)
+    kept = TrialSums(folder)
+    counted = {
+        name: kept.by_frame(name, range(steps + 1), own.strata, own.parts).values for name, own in kept.layouts.items()
+    }
+    frames = list(zip(kept.frames.stamps_ns.tolist(), kept.frames.delivered.tolist(), strict=True))
+    with SumsWriter(folder, kept.layouts | {CLASS_LOG_LOSS.name: layout}, steps) as sums:
+        for i, (stamp_ns, digest) in enumerate(frames):
+            for name, own in counted.items():
+                sums.add(stamp_ns, digest, name, own[i])
+        sums.add(*frames[0], CLASS_LOG_LOSS.name, found)
 
 
 def write_trial(
@@ -119,25 +175,67 @@ def write_trial(
     """
     folder = run / f"{label}@{recording}"
     folder.mkdir(parents=True)
-    rng = np.random.default_rng(seed)
+    rng, drawn = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     done = frames if scored is None else scored
     thresholds = half(steps, strata)
-    drawn = np.random.default_rng([seed, 1])
-    with ScoreWriter(folder, steps, thresholds) as scores, SpatialWriter(folder, steps, strata) as spatial:
-        for frame in range(done):
-            stamp_ns, digest = (frame * every_s + start_s) * 1_000_000_000, (delivered + f"{frame:x}").rjust(32, "0")
-            scores.add(stamp_ns, digest, tally(rng, skill, strata, steps), stamp_ns + round(steps * PERIOD_S * 1e9))
-            spatial.add(stamp_ns, *spatial_sums(drawn, skill, strata, steps))
+    counter = Counter((*SCORES, BEAM_ERROR), TrialFacts(0.2, steps, strata, thresholds))
+    cells = Counter(SCORES, TrialFacts(0.2, steps, strata, thresholds))
+    with SumsWriter(folder, counter.layouts, steps) as writer:
+        for number in range(done):
+            stamp_ns = (number * every_s + start_s) * 1_000_000_000
+            digest, last_ns = (delivered + f"{number:x}").rjust(32, "0"), stamp_ns + round(steps * PERIOD_S * 1e9)
+            counts = tally(rng, skill, strata, steps), neighbourhood_sums(drawn, skill, strata, steps)
+            sums = cells.count(counted_forecast(stamp_ns, last_ns, *counts))
+            for score, own in {**sums, BEAM_ERROR.name: beam_sums(drawn, skill, steps)}.items():
+                writer.add(stamp_ns, digest, score, own)
     record = TrialRecord(
-        schema=2,
+        schema=TRIAL_SCHEMA,
         label=label,
         recording=recording,
         outcome="ok" if done == frames else "crashed",
         frames_scored=done,
         frames_expected=frames,
         steps=steps,
-        thresholds=thresholds.used(),
+        thresholds=ThresholdsUsed.of(thresholds),
         **DESCRIBED.get(tracker or label, {}),
     )
     record.write(folder)
     return FinishedTrial(record, folder, tracker or label, {}, "centres")
+
+
+def summary_of(trials, recordings=RECORDINGS, reference=None, **described):
+    """The summary of trials on recordings that are all described alike."""
+    return summarise({n: description(**described) for n in recordings}, trials, [], False, reference)
+
+
+def write_rows(folder, skills, recordings=RECORDINGS, frames=8, apart_s=0, every_s=1, **broken):
+    """Every label at its skill; seeds differ by recording and not by label, so frames are paired."""
+    return [
+        write_trial(
+            folder,
+            label,
+            name,
+            skill,
+            seed=i,
+            frames=frames,
+            scored=broken.get(label) if i == 0 else None,
+            start_s=10 + i * apart_s,
+            every_s=every_s,
+        )
+        for i, name in enumerate(recordings)
+        for label, skill in skills.items()
+    ]
+
+
+def write_unlike(folder, periods_s, label="persistence", skill=0.6, seconds=2.5):
+    """One recording of each period, described, and a trial on it."""
+    steps = [round(seconds / period_s) for period_s in periods_s]
+    names = [f"at-{period_s * 1000:.0f}-ms" for period_s in periods_s]
+    trials = [
+        write_trial(folder, label, name, skill, seed=i, frames=3, steps=n)
+        for i, (name, n) in enumerate(zip(names, steps, strict=True))
+    ]
+    described = {
+        name: description(period_s=period_s, steps=n) for name, period_s, n in zip(names, periods_s, steps, strict=True)
+    }
+    return described, trials

@@ -1,4 +1,4 @@
-"""Lasers on a road user: what they measure lies where the true scene has it, in every frame and at every speed."""
+"""Lasers on a road user: their returns lie on the true scene in every frame and at every speed."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from gridtrack.common.scan import Scan
 from gridtrack.recordings import RecordingInfo, open_recording
 from gridtrack.recordings.truth import OUTLINE, truth_grid
 from gridtrack.simulation.laser import Laser
-from gridtrack.simulation.odometry import WheelOdometry
+from gridtrack.simulation.motion import WheelOdometry
 from gridtrack.simulation.tracks import Carrier, Tracks, TracksInfo
-from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks
+from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks, write_recording
 from gridtrack.simulation.traffic import check_traffic
-from gridtrack.simulation.writing import write_recording
 
+pytestmark = pytest.mark.usefixtures("own_cache")
 CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
 NORTH_WALL = ((-50.0, 6.0), (50.0, 6.0), (50.0, 7.0), (-50.0, 7.0))
 EAST_WALL = ((30.0, -50.0), (31.0, -50.0), (31.0, 5.0), (30.0, 5.0))
@@ -30,13 +30,8 @@ LASER = Laser(angle_min=-np.pi, angle_increment=np.radians(1.0), beams=360)
 SPEED_M_S = 14.0
 
 
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-
-
 def drive(odometry: WheelOdometry | None = None, frames: int = 24, **lasers: Laser) -> Tracks:
-    """A car (track 7) that drives east at 14 m/s and then turns left, a pedestrian (track 3) who stands at (0, 3)."""
+    """A car (track 7) that drives east at 14 m/s and then turns left, and a pedestrian (track 3) standing at (0, 3)."""
     info = TracksInfo(
         recording=RecordingInfo(site="yard", classes=CLASSES, grid="100x0.2", rate_hz=8.0),
         lasers=lasers or {"scan": LASER},
@@ -75,7 +70,7 @@ def returns(scan: Scan, world_T_sensor: SE2) -> np.ndarray:
 
 
 def off_the_scene(points: np.ndarray) -> np.ndarray:
-    """Distance of points to the nearest of the two walls' sides and of the pedestrian, metres."""
+    """The distance of points to the walls and the pedestrian, metres."""
     outlines = [np.array(NORTH_WALL), np.array(EAST_WALL)]
     distance = [abs(np.hypot(points[:, 0], points[:, 1] - 3.0) - 0.2)]
     for outline in outlines:
@@ -85,7 +80,7 @@ def off_the_scene(points: np.ndarray) -> np.ndarray:
     return np.min(distance, axis=0)
 
 
-def test_walls_stay_where_they_are_while_the_laser_drives_and_turns() -> None:
+def test_walls_stay_in_place_while_the_laser_drives_and_turns() -> None:
     tracks = drive()
     scans = list(tracks.scans())
     assert len(scans) == 24
@@ -99,7 +94,7 @@ def test_walls_stay_where_they_are_while_the_laser_drives_and_turns() -> None:
     assert all(scan.reference_T_sensor is None for scan in scans)
 
 
-def test_the_carrier_is_neither_seen_nor_part_of_the_true_scene() -> None:
+def test_the_carrier_is_neither_in_the_scans_nor_in_the_true_scene() -> None:
     scans = list(drive().scans())
     assert min(scan.ranges.min() for scan in scans) > 2.0
     assert {track.track for scan in scans for track in scan.scene.objects} == {3}
@@ -107,7 +102,7 @@ def test_the_carrier_is_neither_seen_nor_part_of_the_true_scene() -> None:
     assert any((scan.labels == CLASSES.index("pedestrian")).any() for scan in scans)
 
 
-def test_true_cells_lie_under_the_returns_in_the_window_of_every_frame() -> None:
+def test_returns_are_on_true_cells_in_the_window_of_every_frame() -> None:
     grid = GridSpec()
     for scan in drive().scans():
         window = window_about(scan.world_T_sensor, grid.cell_m)
@@ -118,7 +113,7 @@ def test_true_cells_lie_under_the_returns_in_the_window_of_every_frame() -> None
         assert near[tuple(cells[inside].T)].mean() > 0.97
 
 
-def test_a_laser_is_where_it_is_mounted() -> None:
+def test_a_laser_has_the_pose_of_its_mount() -> None:
     mounted = Laser(x=1.5, y=-0.5, theta=np.pi / 2, angle_min=0.0, beams=1)
     first = next(drive(ahead=mounted).scans())
     body = drive().pose[1]
@@ -163,7 +158,7 @@ def test_the_scans_of_a_laser_do_not_depend_on_the_lasers_after_it(tmp_path: Pat
         np.testing.assert_array_equal(one.ranges, other.ranges)
 
 
-def test_a_file_with_one_standing_laser_has_the_schema_that_older_versions_read(tmp_path: Path) -> None:
+def test_a_file_with_one_standing_laser_has_schema_1(tmp_path: Path) -> None:
     def metadata(tracks: Tracks) -> dict[str, object]:
         write_recording(tmp_path / "a.tracks", tracks)
         found: dict[str, object] = json.loads(pq.read_schema(tmp_path / "a.tracks").metadata[METADATA_KEY])
@@ -196,20 +191,13 @@ def test_a_file_with_one_standing_laser_has_the_schema_that_older_versions_read(
         ),
     ],
 )
-def test_a_file_without_a_valid_carrier_or_lasers_is_one_error_line(
-    tmp_path: Path, about: dict[str, object], message: str
-) -> None:
-    path = tmp_path / "odd.tracks"
-    write_recording(path, drive())
-    table = pq.read_table(path)
-    values = json.loads(table.schema.metadata[METADATA_KEY]) | about
-    pq.write_table(table.replace_schema_metadata({METADATA_KEY: json.dumps(values)}), path)
+def test_a_file_without_a_valid_carrier_or_lasers_is_one_line_of_error(altered, about, message: str) -> None:
     with pytest.raises(GridtrackError, match=message) as error:
-        list(open_recording(path).scans())
+        list(open_recording(altered(drive(), lambda values: values | about)).scans())
     assert "\n" not in str(error.value)
 
 
-def test_the_check_follows_the_laser_and_leaves_its_carrier_out() -> None:
+def test_the_check_follows_the_laser_and_excludes_its_carrier() -> None:
     traffic = check_traffic(drive())
     near = np.abs(drive().sensor_poses("scan")[:, 0]) < 10.0
     pedestrian, _, car, _ = traffic.classes

@@ -1,4 +1,4 @@
-"""The probabilities of a scan to expect, against many scans that are drawn, cast and counted."""
+"""The expected scan, against the frequencies in many drawn scans."""
 
 from dataclasses import replace
 
@@ -9,8 +9,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
-from gridtrack.simulation.expected_scan import ExpectedScan
-from gridtrack.simulation.range_errors import MIN_ERRORS, RangeErrors, measure_range_errors, true_ranges
+from gridtrack.simulation.expected_scan import MIN_ERRORS, ExpectedScan, RangeErrors, measure_range_errors, true_ranges
 
 from scenes import truth_scene
 
@@ -44,19 +43,19 @@ def expected(scan, scene, errors, grid, pose):
     return found
 
 
-def test_the_probabilities_are_the_frequencies_in_many_scans_with_such_errors():
+def test_the_probabilities_are_the_frequencies_in_many_scans():
     scan, scene, random = truth_scene.scan(13), truth_scene.scene(13), np.random.default_rng(1)
     scan = replace(scan, range_max=6.9)
     true = true_ranges(scan, scene)
     assert np.isinf(true).any(), "some beams have no surface within reach"
-    draws = [replace(scan, ranges=noisy(true, random)) for _ in range(3000)]
+    draws = [replace(scan, ranges=noisy(true, random)) for _ in range(1500)]
     errors = measure_range_errors((draw, scene) for draw in draws)[scan.sensor]
     cast_draws = [cast(draw, GRID, POSE) for draw in draws]
     visible, occupied = (np.mean([one[i] for one in cast_draws], axis=0) for i in range(2))
     found = expected(scan, scene, errors, GRID, POSE)
     for frequency, probability in ((visible, 1.0 - found.unseen), (occupied, 1.0 - found.unoccupied)):
         spread = np.sqrt(probability * (1.0 - probability) / len(draws))
-        # a band of ranges shares its errors, and not all of its beams have had all of them
+        # a band shares its errors, and not every beam of it has had all of them
         assert (np.abs(frequency - probability) < 5.0 * spread + 0.002).all()
     seen = visible > 0.02
     given = found.occupied_where_visible()
@@ -95,7 +94,7 @@ def test_scans_of_several_sensors_are_one_frame():
     assert np.array_equal(together.unoccupied == 0.0, occupied)
 
 
-def test_a_band_of_ranges_has_its_own_errors_and_a_rare_one_those_of_all():
+def test_a_band_of_ranges_has_its_own_errors_and_a_rare_one_the_errors_of_all():
     scene, random = truth_scene.scene(0), np.random.default_rng(2)
     scan = truth_scene.scan(0)
     true = true_ranges(scan, scene)

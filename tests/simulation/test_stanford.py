@@ -1,4 +1,4 @@
-"""Annotated videos become tracks in metres, y up, with headings along the motion; on a synthetic annotation file."""
+"""Annotations become tracks in metres, y up, with headings along the motion."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from gridtrack.common.errors import RecordingError
 from gridtrack.recordings import open_recording
 from gridtrack.simulation.stanford import Video, read_stanford
-from gridtrack.simulation.writing import write_recording
+from gridtrack.simulation.tracks_file import write_recording
 
 VIDEO = Video(scale=0.05, site="quad", laser_at=(10.0, -20.0))
 
@@ -36,7 +36,7 @@ def annotations(tmp_path: Path) -> Path:
     return written(tmp_path / "annotations.txt", lines)
 
 
-def test_paths_are_in_metres_with_y_up_at_the_recording_s_rate(annotations: Path) -> None:
+def test_paths_are_in_metres_with_y_up_at_the_rate_of_the_recording(annotations: Path) -> None:
     tracks = read_stanford(annotations, VIDEO)
     assert tracks.info.frames == 40
     walker = tracks.pose[tracks.label == 0]

@@ -1,9 +1,8 @@
-"""Files of tracks: they round-trip, hostile files are one error line, and a recording is rendered from them."""
+"""Files of tracks: they round-trip, hostile files are one line of error, and a recording is rendered from them."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
 from io import BytesIO
 from pathlib import Path
 
@@ -16,12 +15,12 @@ from gridtrack.common.errors import GridtrackError, RecordingError
 from gridtrack.recordings import RecordingInfo, open_recording, packaged_recording
 from gridtrack.simulation.bodies import body_outline
 from gridtrack.simulation.laser import Laser
-from gridtrack.simulation.rendered import rendering_folder
+from gridtrack.simulation.recording_format import rendering_folder
 from gridtrack.simulation.tracks import ONLY_LASER, Tracks, TracksInfo
-from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks, write_tracks
+from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks, write_recording, write_tracks
 from gridtrack.simulation.traffic import GRIDLOCK_S, check_traffic
-from gridtrack.simulation.writing import write_recording
 
+pytestmark = pytest.mark.usefixtures("own_cache")
 CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
 WALL = ((5.0, -5.0), (6.0, -5.0), (6.0, 5.0), (5.0, 5.0))
 
@@ -44,12 +43,6 @@ def walk(frames: int = 16, **changes: object) -> Tracks:
     size = np.tile([[0.3, 0.5], [4.5, 1.82]], (frames, 1))
     tracks = Tracks(info, frame, track, label, np.column_stack([x, y, heading]), size)
     return dataclasses.replace(tracks, **changes).rounded()
-
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache"
 
 
 def test_tracks_round_trip_to_the_centimetre_and_the_milliradian(tmp_path: Path) -> None:
@@ -84,25 +77,25 @@ def test_tracks_open_as_a_recording_with_scans_of_them(tmp_path: Path) -> None:
     assert ahead.labels is not None
     assert ahead.scene is not None
     assert ahead.labels[[180, 210, 0]].tolist() == [0, 4, 2]
-    # A body 0.3 m deep that stands crosswise, 0.5 m wide towards the laser, 3 m ahead; and the car's near end.
+    # the body, 0.5 m wide towards the laser, is 3 m ahead
     assert ahead.ranges[180] == pytest.approx(3.0 - 0.25, abs=0.12)
     assert ahead.scene.objects[0].world_T_object.y == pytest.approx(0.0)
     assert np.array_equal(ahead.scene.static[0], np.array(WALL, np.float32))
 
 
-def test_the_rendering_is_cached_and_repeated_where_it_is_damaged(tmp_path: Path, own_cache: Path) -> None:
+def test_the_rendering_is_cached_and_repeated_if_it_is_damaged(tmp_path: Path, own_cache: Path) -> None:
     path = tmp_path / "yard.tracks"
     write_recording(path, walk())
     expected = [scan.ranges for scan in open_recording(path).scans()]
-    (kept,) = rendering_folder().glob("*.mcap")
-    assert own_cache in kept.parents
-    made = kept.stat().st_mtime_ns
+    (rendering,) = rendering_folder().glob("*.mcap")
+    assert own_cache in rendering.parents
+    made = rendering.stat().st_mtime_ns
     np.testing.assert_array_equal([scan.ranges for scan in open_recording(path).scans()], expected)
-    assert kept.stat().st_mtime_ns == made
-    content = kept.read_bytes()
-    kept.write_bytes(content[:-100] + bytes(100))
+    assert rendering.stat().st_mtime_ns == made
+    content = rendering.read_bytes()
+    rendering.write_bytes(content[:-100] + bytes(100))
     np.testing.assert_array_equal([scan.ranges for scan in open_recording(path).scans()], expected)
-    assert kept.read_bytes() == content
+    assert rendering.read_bytes() == content
     assert sorted(p.suffix for p in rendering_folder().iterdir()) == [".mcap", ".sha256"]
 
 
@@ -117,8 +110,8 @@ def test_a_recording_of_scans_equals_the_rendering_of_its_tracks(tmp_path: Path)
     write_recording(tmp_path / "yard.tracks", walk())
     write_recording(tmp_path / "yard.mcap", walk())
     list(open_recording(tmp_path / "yard.tracks").scans())
-    (kept,) = rendering_folder().glob("*.mcap")
-    assert kept.read_bytes() == (tmp_path / "yard.mcap").read_bytes()
+    (rendering,) = rendering_folder().glob("*.mcap")
+    assert rendering.read_bytes() == (tmp_path / "yard.mcap").read_bytes()
 
 
 def test_the_error_for_a_cache_that_cannot_be_written_names_the_remedy(tmp_path: Path, own_cache: Path) -> None:
@@ -128,64 +121,64 @@ def test_the_error_for_a_cache_that_cannot_be_written_names_the_remedy(tmp_path:
         list(open_recording(tmp_path / "yard.tracks").scans())
 
 
-def parquet(path: Path, change: dict[str, list[object]] | None = None, about: object = None) -> Path:
-    """The file of `walk()` with other columns or other metadata."""
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        ("frame", 99, "a frame outside 0 to 15"),
+        ("frame", -1, "a frame outside 0 to 15"),
+        ("frame", 1, "a track twice in one frame"),
+        ("track", -4, "a track below 0"),
+        ("class", 5, "a class above 4"),
+        ("length_cm", 0, "a body of size 0"),
+        ("x_cm", None, "a value is missing"),
+    ],
+)
+def test_a_file_with_an_invalid_row_is_one_line_of_error(tmp_path: Path, column: str, value, message: str) -> None:
+    path = tmp_path / "odd.tracks"
     write_recording(path, walk())
     table = pq.read_table(path)
-    for name, values in (change or {}).items():
-        column = pa.array(values + table[name].to_pylist()[len(values) :], table.schema.field(name).type)
-        table = table.set_column(table.schema.names.index(name), name, column)
-    values = json.loads(table.schema.metadata[METADATA_KEY]) | about if isinstance(about, dict) else about
-    if about is not None:
-        table = table.replace_schema_metadata({METADATA_KEY: json.dumps(values)})
-    pq.write_table(table, path)
-    return path
+    changed = pa.array([value, *table[column].to_pylist()[1:]], table.schema.field(column).type)
+    pq.write_table(table.set_column(table.schema.names.index(column), column, changed), path)
+    with pytest.raises(RecordingError, match=message) as error:
+        list(open_recording(path).scans())
+    assert str(error.value).count("odd.tracks") == 1
+    assert "\n" not in str(error.value)
+
+
+BROAD = {"beams": 100_000, "angle_increment": 1e-5}
 
 
 @pytest.mark.parametrize(
-    ("change", "about", "message"),
+    ("about", "message"),
     [
-        ({"frame": [99]}, None, "a frame outside 0 to 15"),
-        ({"frame": [-1]}, None, "a frame outside 0 to 15"),
-        ({"frame": [1]}, None, "a track twice in one frame"),
-        ({"track": [-4]}, None, "a track below 0"),
-        ({"class": [5]}, None, "a class beyond the 5"),
-        ({"length_cm": [0]}, None, "without extent"),
-        ({"x_cm": [None]}, None, "a value is missing"),
-        (None, {"schema": 4}, "schema 4; this gridtrack reads 1 to 3"),
-        (None, [], "schema None"),
-        (None, {"colour": "red"}, "there is no option 'colour'"),
-        (None, {"static": [[[0, 0], [1, 1]]]}, "3 to 1000 corners"),
-        (None, {"static_class": "wall"}, "not one of its classes"),
-        (None, {"frames": 10**12}, "less than or equal to 5000000"),
-        (None, {"frames": 5_000_000}, "beams to render; at most 1000000000"),
-        (None, {"laser": {"beams": 10**9}}, "less than or equal to 100000"),
-        (None, {"laser": {"angle_increment": 1e308}}, "less than or equal to 12"),
-        (None, {"laser": {"angle_increment": 0.1, "beams": 1000}}, "the beams cover more than two turns"),
-        (None, {"laser": {"angle_min": -1e308}}, "greater than or equal to -12"),
-        (None, {"laser": {"x": 1e300}}, "less than or equal to 1000000"),
-        (None, {"rate_hz": 1e-300}, "greater than or equal to 0.001"),
-        (None, {"noise_seed": 2**63}, "less than 9223372036854775808"),
-        (None, {"noise_seed": 10**30}, r"not JSON that can be read \(an integer of 31 digits; at most 64 bits"),
-        (None, {"static": [[[0, 0], [1, 1], [1e300, 0]]]}, "further than 1e\\+06 m"),
-        (
-            None,
-            {"laser": {"beams": 100_000, "angle_increment": 1e-5}, "frames": 9, "static": [[[0, 0]] * 1000] * 11},
-            "1100000000 pairs of a beam and a static corner",
-        ),
+        ({"schema": 4}, "schema 4; this gridtrack reads 1 to 3"),
+        ([], "schema None"),
+        ({"colour": "red"}, "there is no option 'colour'"),
+        ({"static": [[[0, 0], [1, 1]]]}, "3 to 1000 corners"),
+        ({"static_class": "wall"}, "not one of its classes"),
+        ({"frames": 10**12}, "less than or equal to 5000000"),
+        ({"frames": 5_000_000}, "beams to render; at most 1000000000"),
+        ({"laser": {"beams": 10**9}}, "less than or equal to 100000"),
+        ({"laser": {"angle_increment": 1e308}}, "less than or equal to 12"),
+        ({"laser": {"angle_increment": 0.1, "beams": 1000}}, "the beams cover more than two turns"),
+        ({"laser": {"angle_min": -1e308}}, "greater than or equal to -12"),
+        ({"laser": {"x": 1e300}}, "less than or equal to 1000000"),
+        ({"rate_hz": 1e-300}, "greater than or equal to 0.001"),
+        ({"noise_seed": 2**63}, "less than 9223372036854775808"),
+        ({"noise_seed": 10**30}, r"not valid JSON \(an integer of 31 digits; at most 64 bits"),
+        ({"static": [[[0, 0], [1, 1], [1e300, 0]]]}, "further than 1e\\+06 m"),
+        ({"laser": BROAD, "frames": 9, "static": [[[0, 0]] * 1000] * 11}, "1100000000 pairs of a beam and a static"),
     ],
 )
-def test_a_file_without_valid_scenes_is_one_error_line(
-    tmp_path: Path, change: dict[str, list[object]] | None, about: object, message: str
-) -> None:
-    path = parquet(tmp_path / "odd.tracks", change, about)
+def test_a_file_with_invalid_metadata_is_one_line_of_error(altered, about, message: str) -> None:
+    path = altered(walk(), lambda values: values | about if isinstance(about, dict) else about)
     with pytest.raises(GridtrackError, match=message) as error:
         list(open_recording(path).scans())
     assert str(error.value).count("odd.tracks") == 1
     assert "\n" not in str(error.value)
 
 
-def test_damaged_and_foreign_files_are_one_error_line(tmp_path: Path) -> None:
+def test_damaged_and_foreign_files_are_one_line_of_error(tmp_path: Path) -> None:
     path = tmp_path / "odd.tracks"
     write_recording(path, walk())
     content = path.read_bytes()

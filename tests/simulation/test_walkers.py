@@ -1,14 +1,13 @@
-"""Walkers: two legs with stance and swing, and what a plane at another height cuts of a person."""
+"""Walkers: two legs with stance and swing, and the cross-section of a person at any height."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gridtrack.simulation.gait import feet, foot_offset, step_length_m
-from gridtrack.simulation.walkers import Walker, outlines_of
+from gridtrack.simulation.bodies import Walker, feet, foot_offset, outlines_of, step_length_m
 
 RATE_HZ = 50.0
 
@@ -20,6 +19,7 @@ def straight(speed: float, seconds: float = 6.0) -> tuple[np.ndarray, np.ndarray
     return np.outer(s, [np.cos(direction), np.sin(direction)]), np.full(len(s), direction)
 
 
+@settings(max_examples=40, deadline=None)
 @given(st.floats(0.4, 2.0), st.floats(1.0, 2.1))
 def test_a_foot_on_the_ground_does_not_move_and_one_always_is(speed: float, height_m: float) -> None:
     position, heading = straight(speed)
@@ -32,7 +32,7 @@ def test_a_foot_on_the_ground_does_not_move_and_one_always_is(speed: float, heig
     assert abs(left[:, 1]).max() < 1e-6
 
 
-def test_steps_are_as_long_and_as_many_as_those_of_people() -> None:
+def test_steps_have_human_length_and_frequency() -> None:
     length_m = float(step_length_m(np.array([1.35]), 1.75)[0])
     assert length_m == pytest.approx(0.7, abs=0.01)
     slow, fast = step_length_m(np.array([0.6, 1.9]), 1.75)
@@ -48,7 +48,7 @@ def test_the_gait_is_continuous_and_repeats() -> None:
     assert abs(offset).max() < 0.32
 
 
-def test_who_stands_has_the_feet_side_by_side() -> None:
+def test_the_feet_of_a_standing_person_are_side_by_side() -> None:
     left, right = feet(np.zeros((40, 2)), np.zeros(40), RATE_HZ, 1.7, 0.2)
     assert abs(left).max() == abs(right).max() == 0.0
 
@@ -58,7 +58,7 @@ def outlines(walker: Walker, plane_m: float, speed: float = 1.2) -> list[tuple[n
     return list(outlines_of(walker, plane_m, (0.25, 0.45), position, heading, RATE_HZ))
 
 
-def test_a_plane_cuts_two_legs_below_the_hip_and_a_torso_above() -> None:
+def test_the_cross_section_is_two_legs_below_the_hip_and_a_torso_above() -> None:
     shins = outlines(Walker(), 0.25)
     assert {len(parts) for parts in shins} == {2}
     across = np.ptp(shins[0][0][:, 1])
@@ -75,6 +75,6 @@ def test_a_plane_cuts_two_legs_below_the_hip_and_a_torso_above() -> None:
     ("companion", "plane_m", "parts"),
     [("bag", 0.4, 3), ("trolley", 0.3, 3), ("stroller", 0.2, 6), ("stroller", 0.5, 3), ("wheelchair", 0.3, 4)],
 )
-def test_what_a_person_has_along_is_seen_beside_the_legs(companion: str, plane_m: float, parts: int) -> None:
+def test_the_companion_of_a_person_is_beside_the_legs(companion: str, plane_m: float, parts: int) -> None:
     walker = Walker.model_validate({"companion": companion})
     assert {len(found) for found in outlines(walker, plane_m)} == {parts}

@@ -1,30 +1,23 @@
-"""Tracks of a world: they round-trip, people are two legs in scans and in truth, and old files keep their bytes."""
+"""Tracks of a world: they round-trip, and people are two legs in scans and in truth."""
 
 from __future__ import annotations
 
-import json
+import dataclasses
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from gridtrack.common.errors import GridtrackError, RecordingError
 from gridtrack.recordings import RecordingInfo, open_recording
-from gridtrack.simulation.laser import Laser
-from gridtrack.simulation.laser_errors import LaserErrors
+from gridtrack.simulation.bodies import Walker
+from gridtrack.simulation.laser import Laser, LaserErrors
 from gridtrack.simulation.tracks import ONLY_LASER, Tracks, TracksInfo, World
-from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks
-from gridtrack.simulation.walkers import Walker
-from gridtrack.simulation.writing import write_recording
+from gridtrack.simulation.tracks_file import read_tracks, write_recording
 
+pytestmark = pytest.mark.usefixtures("own_cache")
 FRAMES, RATE_HZ = 30, 10.0
 WALL = ((5.0, -5.0), (6.0, -5.0), (6.0, 5.0), (5.0, 5.0))
-
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
 def world(plane_m: float = 0.3, dark: bool = False, glass: frozenset[int] = frozenset()) -> Tracks:
@@ -69,14 +62,14 @@ def test_a_person_is_two_legs_in_the_scan_and_in_the_truth(tmp_path: Path) -> No
     assert apart > FRAMES / 2
 
 
-def test_at_the_chest_a_person_is_one_torso(tmp_path: Path) -> None:
+def test_a_person_is_one_torso_at_chest_height(tmp_path: Path) -> None:
     write_recording(tmp_path / "world.tracks", world(plane_m=1.3))
     for scan in open_recording(tmp_path / "world.tracks").scans():
         assert scan.scene is not None
         assert len(scan.scene.objects) == 1
 
 
-def test_dark_clothes_and_a_pane_are_not_seen(tmp_path: Path) -> None:
+def test_dark_clothes_and_glass_give_no_returns(tmp_path: Path) -> None:
     write_recording(tmp_path / "dark.tracks", world(dark=True, glass=frozenset({0})))
     scans = list(open_recording(tmp_path / "dark.tracks").scans())
     aside = [scan.ranges[:200] for scan in scans]
@@ -86,35 +79,23 @@ def test_dark_clothes_and_a_pane_are_not_seen(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"glass": [1]}, "glass or a dark surface that is no static outline"),
-        ({"dark": [-1]}, "glass or a dark surface that is no static outline"),
+        ({"glass": [1]}, "a glass or dark surface without a static outline"),
+        ({"dark": [-1]}, "a glass or dark surface without a static outline"),
         ({"plane_m": 50.0}, "'world.plane_m' = 50.0"),
         ({"walkers": {"4": {"height_m": 9.0}}}, "height_m' = 9.0"),
         ({"walkers": {"4": {"companion": "elephant"}}}, "companion"),
     ],
 )
-def test_a_world_that_is_none_is_one_error_line(tmp_path: Path, change: dict[str, object], message: str) -> None:
-    path = tmp_path / "odd.tracks"
-    write_recording(path, world())
-    table = pq.read_table(path)
-    values = json.loads(table.schema.metadata[METADATA_KEY])
-    values["world"] |= change
-    pq.write_table(table.replace_schema_metadata({METADATA_KEY: json.dumps(values)}), path)
+def test_an_invalid_world_is_one_line_of_error(altered, change: dict[str, object], message: str) -> None:
+    path = altered(world(), lambda values: values | {"world": values["world"] | change})
     with pytest.raises(GridtrackError, match=message) as error:
         read_tracks(path)
-    assert str(error.value).count("\n") == 0
+    assert "\n" not in str(error.value)
 
 
-def test_errors_of_a_laser_are_not_lost_silently(tmp_path: Path) -> None:
+def test_errors_of_a_laser_without_a_world_are_refused(tmp_path: Path) -> None:
     tracks = world()
-    without = Tracks(
-        tracks.info.model_copy(update={"world": None}),
-        tracks.frame,
-        tracks.track,
-        tracks.label,
-        tracks.pose,
-        tracks.size,
-    )
+    without = dataclasses.replace(tracks, info=tracks.info.model_copy(update={"world": None}))
     with pytest.raises(RecordingError, match="needs a world"):
         write_recording(tmp_path / "lost.tracks", without)
     assert not (tmp_path / "lost.tracks").exists()

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.results.recording import RecordingDescription
-from gridtrack.evaluation.scoring.strata import STRATA_WITH_TRUTH
-from gridtrack.evaluation.statistics.finished_trial import FinishedTrial
-from gridtrack.evaluation.statistics.summary import summarise
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
+from gridtrack.evaluation.runs.finished import FinishedTrial
+from gridtrack.evaluation.runs.run_record import RecordingDescription
+from gridtrack.evaluation.runs.summarise import summarise
 
 from docs.test_commands import problem_of
 from scenes import drive, truth_scene

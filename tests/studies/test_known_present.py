@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from gridtrack.evaluation.referee.splits import Sampling, plan_split
 from gridtrack.evaluation.runs.oracle import Oracle
-from gridtrack.evaluation.scoring.metrics import f1_score
-from gridtrack.evaluation.scoring.splits import Sampling, plan_split
+from gridtrack.evaluation.scores.f1 import f1_of
 
 from scenes import drive
 from studies.known_present import FORECASTERS, MOVES_ON, STANDS, confusion_of
@@ -21,7 +21,7 @@ def f1(tmp_path_factory):
     path = drive.write_recording(tmp_path_factory.mktemp("drive") / "d.mcap", 12)
     split = plan_split(str(path), None, Sampling(max(HORIZONS_S), every_s=1.0))
     forecasters = FORECASTERS | {"oracle": lambda stream, steps: Oracle(stream)}
-    return {name: f1_score(confusion_of(forecaster, split)) for name, forecaster in forecasters.items()}
+    return {name: f1_of(confusion_of(forecaster, split)) for name, forecaster in forecasters.items()}
 
 
 def test_with_the_velocities_of_bodies_forecasts_are_near_the_oracle_except_where_bodies_reverse(f1):

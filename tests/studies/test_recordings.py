@@ -11,7 +11,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.runs.recipe import read_recipe
 from gridtrack.recordings import Recording, open_recording
-from gridtrack.recordings.formats.native_writer import write_native
+from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.simulation.junction import JUNCTION_SET
 from gridtrack.simulation.junction.drives import DRIVE_SEEDS

@@ -9,8 +9,11 @@ from typing import Any
 
 import pytest
 
+from gridtrack.evaluation.runs.summarise import summarise
+
 from benchmarks.follow import SAMPLED, table_of
 from benchmarks.scale import COLUMNS, Cost, estimate, kept_costs, write_costs
+from scenes import synthetic_run as synthetic
 from studies.cards import labelled_scans, shipped_table
 from studies.kept_summary import RunScores, kept, main
 from studies.label_curve import append_row
@@ -20,8 +23,8 @@ from studies.support.results_file import read_sections
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "results"
-SCORES = {"strata": {"dynamic": {"f1": [0.1, 0.2], "f1_low": None, "f1_high": None}}}
-OTHER = {"strata": {"dynamic": {"f1": [0.3, 0.4], "f1_low": [0.2, 0.3], "f1_high": [0.4, 0.5]}}}
+SCORES = {"strata": {"dynamic": {"f1": {"f1": {"value": [0.1, 0.2], "low": None, "high": None}}}}}
+OTHER = {"strata": {"dynamic": {"f1": {"f1": {"value": [0.3, 0.4], "low": [0.2, 0.3], "high": [0.4, 0.5]}}}}}
 
 
 def summary(**rows: Any) -> dict[str, Any]:
@@ -51,11 +54,17 @@ def test_a_kept_summary_has_one_training_of_each_tracker_and_no_single_recording
     assert found["pairs"] == []
 
 
-def test_the_summary_of_a_run_is_kept_in_the_folder_of_its_place(tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "summary.json").write_text(json.dumps(summary(kalman=(OTHER, {}))))
-    main([str(tmp_path / "run"), "junction", "--results", str(tmp_path)])
+def test_the_summary_of_a_run_is_kept_in_the_folder_of_its_place_with_its_confusions(tmp_path: Path) -> None:
+    run, names = tmp_path / "run", ("one", "two")
+    trials = [synthetic.write_trial(run, "kalman", name, 0.6, seed=0, frames=2) for name in names]
+    for trial in trials:
+        synthetic.write_confusion(trial.folder, ("car", "bus"), {0: [[3, 1, 0], [2, 2, 0]]})
+    described = {name: synthetic.description(classes=("car", "bus")) for name in names}
+    summarise(described, trials, (), False).write(run)
+    main([str(run), "junction", "--results", str(tmp_path)])
     assert json.loads((tmp_path / "junction" / "summary.json").read_text())["pairs"] == []
+    scores = RunScores(tmp_path / "junction" / "summary.json")
+    assert scores.value("kalman", "visible bus as car") == "50 %"
 
 
 def test_the_committed_table_is_that_of_the_cards() -> None:

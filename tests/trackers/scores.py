@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gridtrack.trackers.contract import StretchScore
-from gridtrack.trackers.excerpts import SELECTION_STRATA
+from gridtrack.trackers.training.excerpts import SELECTION_STRATA
 
 
 def of_every_stratum(f1, log_loss, steps):

@@ -13,10 +13,10 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import open_stream
-from gridtrack.trackers.calibration import IDENTITY, Calibration, fit_calibration
 from gridtrack.trackers.contract import StreamSpec, stream_of
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import PipelineSettings
+from gridtrack.trackers.training.calibration import IDENTITY, Calibration, fit_calibration
 
 GRID, STEPS, PERIOD_S = GridSpec(40, 0.2), 3, 0.125
 PARAMETERS = np.array([[0.7, 3.0, -2.0], [0.9, 1.2, -0.5]], np.float32)

@@ -1,8 +1,7 @@
-"""Classes learned from few labels: from the shape in one scan, and from the motion in a latent state."""
+"""Classes of cells learned from few labels: the classifier, its training and search, and the tracker `one-shot`."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -11,157 +10,31 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
-from gridtrack.common.config import validated  # noqa: E402
-from gridtrack.common.errors import WeightsError  # noqa: E402
-from gridtrack.common.geometry import SE2  # noqa: E402
-from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame  # noqa: E402
-from gridtrack.trackers import cell_training  # noqa: E402
-from gridtrack.trackers.cell_classifier import CellClassifier  # noqa: E402
-from gridtrack.trackers.cell_training import CellCollector, LabelledCells, candidate_settings, train_classifier  # noqa: E402
-from gridtrack.trackers.contract import FitOutput, stream_of  # noqa: E402
-from gridtrack.trackers.label_settings import ClassifierSettings  # noqa: E402
-from gridtrack.trackers.labelled_scans import class_indices, inverse_frequency  # noqa: E402
-from gridtrack.trackers.one_shot.tracker import OneShotTracker  # noqa: E402
-from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.transfer import latent_cells  # noqa: E402
-from gridtrack.trackers.weights import load_weights, read_card, save_weights  # noqa: E402
-from tests.trackers.scores import of_every_stratum  # noqa: E402
+from gridtrack.common.grid import LabelledFrame  # noqa: E402
+from gridtrack.trackers.contract import stream_of  # noqa: E402
+from gridtrack.trackers.one_shot import OneShotTracker  # noqa: E402
+from gridtrack.trackers.training import cell_training  # noqa: E402
+from gridtrack.trackers.training.cell_classifier import CellClassifier  # noqa: E402
+from gridtrack.trackers.training.cell_training import CellCollector, LabelledCells, candidate_settings, train_classifier  # noqa: E402
+from gridtrack.trackers.training.labelled_scans import (  # noqa: E402
+    ClassifierSettings,
+    class_indices,
+    inverse_frequency,
+)
+from tests.trackers.labelled_scenes import SIZE, Scene, accuracy, fit, lies, towers  # noqa: E402
 
-SIZE, ROUND = 16, 12
-
-
-class Scene:
-    """Every 12 frames two new objects at random positions: one of class 0, one of class 1."""
-
-    sha256, site, classes = "0" * 64, "toy", ("stander", "walker", "horse")
-    grid, period_s = GridSpec(SIZE, 0.5), 0.25
-
-    def __init__(self, things, frames=240, seed=0, unlabelled=0):
-        self.things, self.frames, self.seed, self.unlabelled = things, frames, seed, unlabelled
-        self.name = f"toy-{seed}"
-
-    def __len__(self):
-        return self.frames
-
-    def __iter__(self):
-        return (item.frame for item in self.labelled())
-
-    def labelled(self):
-        draw = np.random.default_rng(self.seed)
-        for t in range(self.frames):
-            if t % ROUND == 0:
-                rows, columns = 3 * draw.permutation(5)[:2] + 1, draw.integers(1, 4, 2)
-            label_at = np.full((SIZE, SIZE), 255, np.uint8)
-            for label, thing in enumerate(self.things):
-                for row, column in thing(t % ROUND):
-                    label_at[rows[label] + row, columns[label] + column] = label
-            occupied = label_at < 255
-            cells = np.flatnonzero(occupied)[: 0 if t < self.unlabelled else None]
-            points = self.grid.cell_centres(occupied)
-            frame = GridFrame(
-                t * 250_000_000, np.ones((SIZE, SIZE), bool), occupied, SE2(), np.zeros((1, 2), np.float32),
-                points, np.zeros(len(points), np.uint8),
-            )  # fmt: skip
-            yield LabelledFrame(frame, cells, label_at.ravel()[cells])
-
-
-def stands(t):
-    return [(0, 4)]
-
-
-def walks(t):
-    return [(0, t)]
-
-
-def lies(t):
-    return [(0, t), (0, t + 1)]
-
-
-def towers(t):
-    return [(0, t), (1, t)]
-
-
-def no_score(tracker, source, steps):
-    return of_every_stratum(0.0, 0.0, steps)
-
-
-def fit(tracker, folder, things, seed=3, train=None, **options):
-    settings = validated(tracker.Options, {"labelled_scans": 150, **options}, "test")
-    out = FitOutput(folder / "toy.toml", f"gridtrack train {options}", seed, folder / "log", lambda line: None)
-    tracker.fit([train or Scene(things)], [Scene(things, 72, seed=1)], no_score, out, settings)
-    return out.path
-
-
-NETWORK = {"channels": 8, "layers": 2, "updates": 1, "warm_up": 0, "validate_every": 1, "precision": "32-true"}
-DECODER = {"class_layers": 2, "class_channels": 16}
 CLASSIFIER = {"channels": 16, "learning_rate": 0.01, "weight_decay": 0.001, "updates": 200}
 
 
 @pytest.fixture(scope="module", autouse=True)
 def one_short_trial():
-    """The search of the class decoder has one iteration instead of ten: the scene needs no search."""
+    """The search has one iteration instead of ten: the scenes need no search."""
     with pytest.MonkeyPatch.context() as patch:
         short = {"learning_rate": 0.01, "updates": 300, "batch": 64}
         patch.setattr(
             cell_training, "candidate_settings", lambda given, seed: [ClassifierSettings(**(short | dict(given)))]
         )
         yield
-
-
-def accuracy(tracker, weights, things, from_frame=4):
-    """Accuracy of the classes of occupied cells in a new scene, `from_frame` frames after each new pair of objects."""
-    source = Scene(things, 96, seed=2)
-    made = tracker(stream_of(source, weights), tracker.Options())
-    made.reset(0)
-    right = []
-    for t, (frame, cells, labels) in enumerate(source.labelled()):
-        made.update(frame)
-        if t % ROUND >= from_frame:
-            semantics = made.predict(1).semantics[0].reshape(len(made.classes), -1)
-            most_probable = semantics[:, cells].argmax(axis=0)
-            right += [made.classes[k] == source.classes[label] for k, label in zip(most_probable, labels, strict=True)]
-    return np.mean(right)
-
-
-@pytest.fixture(scope="module")
-def latent(tmp_path_factory):
-    """Weights of a ConvGRU after one update, with a class decoder trained after it."""
-    return fit(DilatedConvGRUTracker, tmp_path_factory.mktemp("latent"), (stands, walks), **NETWORK, **DECODER)
-
-
-def test_classes_that_differ_in_motion_are_separated_by_a_latent_state_and_not_by_one_scan(latent, tmp_path):
-    assert accuracy(DilatedConvGRUTracker, latent, (stands, walks)) > 0.95
-    one_shot = fit(OneShotTracker, tmp_path, (stands, walks), **CLASSIFIER)
-    assert accuracy(OneShotTracker, one_shot, (stands, walks)) < 0.75
-
-
-def test_labels_are_learned_for_the_scan_and_for_forecasts_of_it_from_earlier_frames(latent):
-    source = Scene((stands, walks), 40, unlabelled=20)
-    tracker = DilatedConvGRUTracker(stream_of(source, latent), DilatedConvGRUTracker.Options())
-    found = latent_cells(lambda _: tracker, [(source, source.labelled())], ("stander", "walker"), "last", every=5)
-    now, ahead, scan = found.now.cells(), found.ahead.cells(), found.scan.cells()
-    assert now.planes.shape == (4, SIZE, SIZE, NETWORK["channels"])
-    assert scan.planes.shape == (4, SIZE, SIZE, 2)
-    assert torch.equal(scan.planes.flatten(1, 2)[now.at, now.cells, 1], torch.ones(len(now.cells), dtype=torch.uint8))
-    assert ahead.targets.tolist() == [label for at in range(4) for label in now.targets[now.at == at].tolist() * 2]
-    frames = list(source)
-    tracker.reset(0)
-    for frame in frames[:17]:
-        tracker.update(frame)
-    blind = tracker.state
-    for _ in range(4):
-        blind = tracker.network.step(None, blind)
-    torch.testing.assert_close(ahead.planes[0], blind[-1][0].permute(1, 2, 0).half(), msg="frame 20 from frame 16")
-
-
-def test_all_layers_of_the_state_can_be_decoded(tmp_path):
-    path = fit(DilatedConvGRUTracker, tmp_path, (stands, walks), decoded_layers="all", **NETWORK, **DECODER)
-    weights = load_weights(stream_of(Scene(()), path), "dilated-convgru")
-    assert weights.arrays["decode_semantics.layers.0.weight"].shape[1] == NETWORK["layers"] * NETWORK["channels"]
-    assert accuracy(DilatedConvGRUTracker, path, (stands, walks)) > 0.95
-    other = DilatedConvGRUTracker.Options(decoded_layers="last")
-    with pytest.raises(WeightsError, match="trained with decoded_layers=all, not last"):
-        DilatedConvGRUTracker(stream_of(Scene(()), path), other)
 
 
 def test_one_scan_separates_two_shapes(tmp_path):
@@ -182,70 +55,10 @@ def test_one_shot_forecasts_the_observed_frame_for_every_step(tmp_path):
     assert (forecast.semantics == forecast.semantics[0]).all()
 
 
-def test_adding_classes_does_not_change_the_occupancy_weights(latent, tmp_path):
-    path = fit(DilatedConvGRUTracker, tmp_path, (stands, walks), stage="occupancy", **NETWORK)
-    before = load_weights(stream_of(Scene(()), path), "dilated-convgru")
-    assert before.card.classes == ()
-    fit(DilatedConvGRUTracker, tmp_path, (stands, walks), stage="classes", **DECODER)
-    after = load_weights(stream_of(Scene(()), path), "dilated-convgru")
-    assert {name.partition(".")[0] for name in after.arrays.keys() - before.arrays.keys()} == {
-        "decode_semantics",
-        "seen_cells",
-    }
-    assert all(after.arrays[name].tobytes() == array.tobytes() for name, array in before.arrays.items())
-    assert after.card.command == before.card.command
-    assert after.card.results["classes"]["command"] == f"gridtrack train { ({'stage': 'classes'} | DECODER) }"
-    at_once = load_weights(stream_of(Scene(()), latent), "dilated-convgru")
-    assert {k: v.tobytes() for k, v in at_once.arrays.items()} == {k: v.tobytes() for k, v in after.arrays.items()}
-
-
-def test_the_card_names_only_the_classes_with_labelled_cells(latent):
-    card = read_card(latent)
-    assert card.classes == ("stander", "walker")
-    assert card.settings["labelled_scans"] == 150
-    other = replace(stream_of(Scene(()), latent), classes=("cow", "walker", "stander"))
-    assert DilatedConvGRUTracker(other, DilatedConvGRUTracker.Options()).classes == ("stander", "walker")
-
-
-@pytest.mark.parametrize(
-    ("classes", "message"),
-    [
-        ((), "arrays that do not belong to the network on its card: .*decode_semantics"),
-        (("stander", "stander"), "a class is named twice"),
-        (("stander", "walker", "horse"), r"layers.1.weight' is \(2, 16, 3, 3\), expected \(3, 16, 3, 3\)"),
-    ],
-)
-def test_a_card_with_other_classes_than_the_decoder_is_refused(latent, tmp_path, classes, message):
-    weights = load_weights(stream_of(Scene(()), latent), "dilated-convgru")
-    path = tmp_path / "toy.toml"
-    save_weights(path, weights.card.model_copy(update={"classes": classes}), weights.arrays)
-    with pytest.raises(WeightsError, match=message):
-        DilatedConvGRUTracker(stream_of(Scene(()), path), DilatedConvGRUTracker.Options())
-
-
-def test_classes_cannot_be_added_without_weights_or_to_a_network_of_other_shape(latent, tmp_path):
-    with pytest.raises(WeightsError, match=r"toy\.toml: no weights to add classes to"):
-        fit(DilatedConvGRUTracker, tmp_path, (stands, walks), stage="classes")
-    with pytest.raises(WeightsError, match="trained with channels=8, not 4"):
-        fit(DilatedConvGRUTracker, latent.parent, (stands, walks), stage="classes", channels=4)
-
-
 def test_classes_are_matched_by_name_and_weighted_by_inverse_frequency():
     labels = np.array([0, 1, 2, 255], np.uint8)
     assert class_indices(labels, ("a", "b", "c"), ("c", "a")).tolist() == [1, -1, 0, -1]
     assert inverse_frequency(np.array([0, 0, 0, 1]), 2).tolist() == pytest.approx([4 / 6, 2.0])
-
-
-def test_a_decoder_of_one_layer_replaces_another_decoder(latent, tmp_path):
-    before = load_weights(stream_of(Scene(()), latent), "dilated-convgru")
-    path = tmp_path / "toy.toml"
-    save_weights(path, before.card, before.arrays)
-    fit(DilatedConvGRUTracker, tmp_path, (stands, walks), stage="classes", class_layers=1, class_channels=8)
-    after = load_weights(stream_of(Scene(()), path), "dilated-convgru")
-    decoder = {name: array.shape for name, array in after.arrays.items() if name.startswith("decode_semantics")}
-    assert decoder == {"decode_semantics.layers.0.weight": (2, 8, 3, 3), "decode_semantics.layers.0.bias": (2,)}
-    assert after.card.settings["class_layers"] == 1
-    assert accuracy(DilatedConvGRUTracker, path, (stands, walks)) > 0.9
 
 
 @pytest.mark.parametrize("hidden", [(), (4,), (4, 5)])

@@ -8,8 +8,14 @@ import pytest
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
-from gridtrack.trackers.label_settings import ENOUGH_SCANS, LabelSettings
-from gridtrack.trackers.labelled_scans import LEAD_IN, draw_labelled, possible_starts, run_bounds
+from gridtrack.trackers.training.labelled_scans import (
+    ENOUGH_SCANS,
+    LEAD_IN,
+    LabelSettings,
+    draw_labelled,
+    possible_starts,
+    run_bounds,
+)
 
 NONE = np.zeros(0, np.int64)
 

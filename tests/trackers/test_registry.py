@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,8 @@ import pytest
 from gridtrack.common.errors import PluginError
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Tracker
+from gridtrack.trackers.registry import code_sha256
+from gridtrack.trackers.selection import Launch
 
 Install = Callable[..., Path]
 
@@ -29,7 +32,18 @@ class OtherNames(Fine):
     def predict(self, n, /, *rest): return super().predict(n)
 
 class OtherApi(Fine):
-    api = 2
+    api = 3
+
+class WithoutFit(Fine):
+    api = 1
+
+class OldFit(Fine):
+    learns = True
+    @classmethod
+    def fit(cls, train, validation, score, out, options): pass
+
+class OldFitOfItsApi(OldFit):
+    api = 1
 
 class LooseOptions(Fine):
     Options = dict
@@ -75,7 +89,7 @@ def one(install: Install) -> Callable[[str], str]:
     return one
 
 
-@pytest.mark.parametrize("attribute", ["Fine", "OtherNames"])
+@pytest.mark.parametrize("attribute", ["Fine", "OtherNames", "WithoutFit"])
 def test_a_tracker_that_keeps_the_contract_loads(one: Callable[..., str], attribute: str) -> None:
     assert issubclass(registry.load(one(f"mine_{attribute}:{attribute}")), Tracker)
 
@@ -83,7 +97,12 @@ def test_a_tracker_that_keeps_the_contract_loads(one: Callable[..., str], attrib
 @pytest.mark.parametrize(
     ("attribute", "message"),
     [
-        ("OtherApi", "made for contract 2; this gridtrack has contract 1"),
+        ("OtherApi", "made for contract 3; this gridtrack has contract 2"),
+        (
+            "OldFit",
+            r"fit\(train, validation, .*\) cannot be called as fit\(task\): .* contract 2 on it takes one FitTask",
+        ),
+        ("OldFitOfItsApi", r"contract 1, and fit has changed: write fit\(cls, task: FitTask\) and set api = 2"),
         ("LooseOptions", "Options is not a subclass of gridtrack.common.config.Settings"),
         ("NoUpdate", "it lacks update"),
         ("ShortSignature", r"update\(self\) cannot be called as update\(frame\)"),
@@ -157,6 +176,17 @@ def test_a_name_registered_twice_is_refused_naming_both(install: Install) -> Non
     assert registry.find("blank").problem == ""
 
 
+def test_a_class_knows_its_registered_name_and_so_does_one_that_inherits_from_it() -> None:
+    static_map = registry.load("static-map")
+    assert (
+        registry.registered_name(static_map)
+        == registry.registered_name(type("Variant", (static_map,), {}))
+        == "static-map"
+    )
+    with pytest.raises(PluginError, match=r"contract\.Tracker is not registered as a tracker"):
+        registry.registered_name(Tracker)
+
+
 def test_an_unknown_name_gets_a_suggestion() -> None:
     with pytest.raises(PluginError, match="there is no tracker 'persistance'; did you mean 'persistence'"):
         registry.load("persistance")
@@ -171,10 +201,9 @@ def test_listing_imports_no_tracker(install: Install) -> None:
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
 
 
-@pytest.mark.parametrize("package", ["recurrent", "one_shot"])
-def test_the_settings_of_a_learned_tracker_need_neither_torch_nor_numba(package: str) -> None:
+def test_the_settings_of_the_recurrent_trackers_need_neither_torch_nor_numba() -> None:
     code = (
-        f"import sys, gridtrack.trackers.{package}.settings;"
+        "import sys, gridtrack.trackers.recurrent.settings;"
         "print(sorted({'torch', 'lightning', 'numba'} & set(sys.modules)))"
     )
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
@@ -182,7 +211,7 @@ def test_the_settings_of_a_learned_tracker_need_neither_torch_nor_numba(package:
 
 def test_a_tracker_s_process_imports_only_what_it_needs() -> None:
     code = (
-        "import sys, gridtrack.trackers.serve, gridtrack.trackers.baselines.blank;"
+        "import sys, gridtrack.trackers.serve, gridtrack.trackers.baselines;"
         "print(sorted({'torch', 'gtsam', 'numba', 'polars', 'typer', 'rich', 'plotly', 'mcap'} & set(sys.modules)))"
     )
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
@@ -205,3 +234,40 @@ def test_the_one_shot_classifier_is_the_reference_for_classes() -> None:
     pytest.importorskip("torch")
     tracker = registry.load("one-shot")
     assert (tracker.role, tracker.reference_for) == ("tracker", {"classes"})
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A tracker's module with a helper beside it, and a library installed below."""
+    library = tmp_path / "env" / "site-packages"
+    library.mkdir(parents=True)
+    (tmp_path / "own_tracker.py").write_text("import own_helper, own_library\nclass Own: pass\n")
+    (tmp_path / "own_helper.py").write_text("GATE = 1\n")
+    (library / "own_library.py").write_text("VERSION = 1\n")
+    for folder in (tmp_path, library):
+        monkeypatch.syspath_prepend(str(folder))
+    yield tmp_path
+    for name in ("own_tracker", "own_helper", "own_library"):
+        sys.modules.pop(name, None)
+
+
+def test_an_edit_of_the_tracker_or_of_what_lies_beside_it_changes_the_hash(own: Path) -> None:
+    kind = importlib.import_module("own_tracker").Own
+    first = code_sha256(kind)
+    assert len(first) == 64
+    assert code_sha256(kind) == first
+    (own / "env" / "site-packages" / "own_library.py").write_text("VERSION = 2\n")
+    assert code_sha256(kind) == first
+    (own / "own_helper.py").write_text("GATE = 2\n")
+    second = code_sha256(kind)
+    (own / "own_tracker.py").write_text("class Own: gate = 2\n")
+    assert len({first, second, code_sha256(kind)}) == 3
+
+
+def test_a_program_is_hashed_by_the_files_that_its_command_names(tmp_path: Path) -> None:
+    (tmp_path / "tracker").write_text("one")
+    first = Launch("own", ("./tracker", "--fast"), tmp_path).code_sha256()
+    assert first == Launch("own", ("./tracker", "--slow"), tmp_path).code_sha256()
+    (tmp_path / "tracker").write_text("two")
+    assert first != Launch("own", ("./tracker", "--fast"), tmp_path).code_sha256()
+    assert Launch("own", ("nowhere",), tmp_path).code_sha256() == ""

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from gridtrack.common.grid import GridFrame, GridSpec, Mask, Shift, rolled, shift_between
+from gridtrack.trackers.cell_records import HiddenTime, OpenSpace
 from gridtrack.trackers.dogma.masses import Mass, Masses, combined, measured_masses, newborn_mass, predicted_free
 from gridtrack.trackers.dogma.particles import (
     Birth,
@@ -20,8 +21,6 @@ from gridtrack.trackers.dogma.particles import (
 )
 from gridtrack.trackers.dogma.random_numbers import random_stream
 from gridtrack.trackers.dogma.settings import DogmaSettings
-from gridtrack.trackers.hidden_time import HiddenTime
-from gridtrack.trackers.open_space import OpenSpace
 
 MAX_PREDICTED_MASS = np.float32(0.98)
 """Upper bound of predicted occupied mass: Dempster's rule never revises a mass of 1."""

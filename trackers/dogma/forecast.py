@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 
 from gridtrack.trackers.dogma.filter import MAX_PREDICTED_MASS, ParticleGrid
 from gridtrack.trackers.dogma.masses import Mass, predicted_free
-from gridtrack.trackers.dogma.moments import MIN_PARTICLES, velocities
 from gridtrack.trackers.dogma.particles import predict_particle
 from gridtrack.trackers.dogma.random_numbers import next_counter, random_stream
+
+MIN_PARTICLES = 3
+"""Fewest persistent particles of a cell with a velocity."""
 
 
 def forecast(state: ParticleGrid, occupancy_rate: Mass, steps: int) -> NDArray[np.float32]:
@@ -18,7 +20,7 @@ def forecast(state: ParticleGrid, occupancy_rate: Mass, steps: int) -> NDArray[n
 
     `occupancy_rate` (M, M) is P(occupied | visible), counted at the site. A cell's unknown mass counts as occupied with
     that probability; free mass decays to unknown mass; occupied mass moves with the particles. `state` does not change:
-    the noise is drawn from a random random_stream of the forecast.
+    the noise is drawn from a random stream of the forecast.
     """
     no_sums = np.zeros((0, *state.grid.shape, 3), np.float32)
     return _occupancy(state, occupancy_rate, _counts(state, steps, no_sums))
@@ -41,8 +43,10 @@ def forecast_with_flow(
 
 def flow_now(state: ParticleGrid) -> NDArray[np.float32]:
     """The mean velocity (2, M, M), m/s, of each cell at step 0; NaN in cells with too few persistent particles."""
-    mean, _, known = velocities(state)
-    return np.where(known, mean, np.float32(np.nan))
+    size, to_mps = state.grid.size, np.float32(state.grid.cell_m / state.period_s)
+    mean = np.full((2, size * size), np.nan, np.float32)
+    mean_velocities_now(state.particles, state.persisted, MIN_PARTICLES, to_mps, mean)
+    return mean.reshape(2, size, size)
 
 
 def _counts(state: ParticleGrid, steps: int, sums: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -95,7 +99,7 @@ def count_particles(particles, count, persisted, motion, counter, counts, sums):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def mean_velocities(sums, min_particles, to_mps, mean):  # type: ignore[no-untyped-def]
-    """Write the means of `sums`, as of `count_particles`, to `mean` (S, 2, M, M) where there are `min_particles`."""
+    """Write the means of `sums`, as of `count_particles`, to `mean` (S, 2, M, M) if there are `min_particles`."""
     for step in range(sums.shape[0]):
         for row in range(sums.shape[1]):
             for column in range(sums.shape[2]):
@@ -103,3 +107,18 @@ def mean_velocities(sums, min_particles, to_mps, mean):  # type: ignore[no-untyp
                     scale = to_mps / sums[step, row, column, 2]
                     mean[step, 0, row, column] = sums[step, row, column, 0] * scale
                     mean[step, 1, row, column] = sums[step, row, column, 1] * scale
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def mean_velocities_now(particles, persisted, min_particles, to_mps, mean):  # type: ignore[no-untyped-def]
+    """Write the mean velocity of the persistent particles of each cell to `mean` (2, M * M), if it has enough."""
+    for cell in range(persisted.shape[0]):
+        first, last = persisted[cell]
+        if last - first < min_particles:
+            continue
+        x = y = np.float32(0.0)
+        for i in range(first, last):
+            x += particles.vx[i]
+            y += particles.vy[i]
+        count = np.float32(last - first)
+        mean[0, cell], mean[1, cell] = x / count * to_mps, y / count * to_mps

@@ -54,7 +54,7 @@ class Motion(NamedTuple):
 
 
 class Returns(NamedTuple):
-    """One return of each cell: `points` (M * M, 2), cells, NaN where there is none.
+    """One return of each cell: `points` (M * M, 2), cells, NaN if there is none.
 
     It has the standard deviation `deviation` about the surface, and is informative with probability `association`.
     """
@@ -67,7 +67,7 @@ class Returns(NamedTuple):
 class Birth(NamedTuple):
     """Newborn particles, float32.
 
-    `resting` (M * M,): the share of those of each cell at rest; `speed`: standard deviation of the other velocities.
+    `resting` (M * M,): the share at rest in each cell; `speed`: standard deviation of the other velocities.
     """
 
     resting: Component
@@ -119,7 +119,7 @@ def predict_particles(particles, count, size, motion, counter, cells, starts):  
 def sort_by_cell(particles, count, cells, starts, out):  # type: ignore[no-untyped-def]
     """Write the first `count` particles, ordered by cell, to `out`: a counting sort.
 
-    `cells` and `starts` are those of `predict_particles`.
+    `cells` and `starts`: from `predict_particles`.
     """
     position = starts.copy()
     for i in range(count):
@@ -133,7 +133,7 @@ def weight_particles(particles, starts, persistent, returns, weights):  # type: 
     """Distribute the mass `persistent` (M * M,) of each cell to its particles, into `weights` (N,) float32.
 
     The share 1 - p_A is distributed uniformly, the rest by the likelihood g(z|x) of the return of the cell; without a
-    return all of it uniformly. `particles` are sorted, `starts` are those of `predict_particles`.
+    return all of it uniformly. `particles` are sorted, `starts` is from `predict_particles`.
     """
     weights[starts[persistent.size] : starts[persistent.size + 1]] = 0.0  # outside the grid
     for cell in range(persistent.size):

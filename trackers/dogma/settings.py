@@ -6,9 +6,6 @@ from pydantic import Field
 
 from gridtrack.common.config import Settings
 
-NAME = "dogma"
-"""Name of the tracker."""
-
 
 class DogmaSettings(Settings):
     """Settings of the particle grid; the defaults are for the traffic of a junction."""

@@ -1,9 +1,9 @@
-"""The `dogma` tracker: the particle grid behind the plugin contract."""
+"""The `dogma` tracker: the particle grid behind the plugin contract, and its training."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,34 @@ from numpy.typing import NDArray
 from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.calibration import CalibratedTracker, Calibration
-from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec
+from gridtrack.trackers.contract import FitTask, Forecast, FrameSource, StreamSpec
 from gridtrack.trackers.dogma.filter import ParticleGrid
 from gridtrack.trackers.dogma.forecast import flow_now, forecast, forecast_with_flow
-from gridtrack.trackers.dogma.settings import NAME, DogmaSettings
-from gridtrack.trackers.site_map import SiteMap, mean_of_cells
-from gridtrack.trackers.weights import array, cell_probabilities, load_weights, tuned_settings
+from gridtrack.trackers.dogma.masses import Mass
+from gridtrack.trackers.dogma.settings import DogmaSettings
+from gridtrack.trackers.registry import registered_name
+from gridtrack.trackers.site_map import NO_MAP, SiteMap, count_anywhere, count_frames, mean_of_cells, posterior_rate
+from gridtrack.trackers.training.calibration import CalibratedTracker, Calibration
+from gridtrack.trackers.training.searched_fit import SettingsSearch, fit_searched
+from gridtrack.trackers.training.weights import array, cell_probabilities, load_weights, tuned_settings
+
+PARTICLE_DIVISOR = 4
+"""Divisor of the number of particles during the search, for speed; the calibration and the result have all of them."""
+DOGMA_RANGES = {
+    "occupied_mass": (0.8, 0.98),
+    "free_mass": (0.7, 0.98),
+    "birth_probability": (1e-4, 0.1),
+    "free_decay_s": (0.5, 20.0),
+    "birth_speed": (0.5, 15.0),
+    "acceleration": (0.05, 3.0),
+    "position_noise_m": (0.002, 0.1),
+    "start_stop_speed": (0.1, 3.0),
+    "time_to_start_s": (2.0, 200.0),
+    "time_to_stop_s": (0.3, 30.0),
+}
+"""Ranges of the tuned settings, searched log-uniformly."""
+DOGMA_OF_PLACE = frozenset({"free_decay_s"})
+"""The setting that weighs the map of the place against the stream: unknown mass counts with the rate of the map."""
 
 
 class DogmaTracker(CalibratedTracker):
@@ -31,7 +52,7 @@ class DogmaTracker(CalibratedTracker):
     def __init__(self, stream: StreamSpec, options: DogmaSettings) -> None:
         """Raises WeightsError without weights for the stream's site, grid and period."""
         super().__init__(stream, options)
-        weights = load_weights(stream, NAME)
+        weights = load_weights(stream, registered_name(type(self)))
         self._settings = tuned_settings(DogmaSettings, weights, options)
         self._occupancy_rate = cell_probabilities(weights, "occupancy_rate", stream.grid)
         self._world_T_map = weights.card.map_pose
@@ -59,7 +80,7 @@ class DogmaTracker(CalibratedTracker):
     def predict(self, steps: int) -> Forecast:
         """Forecast steps 0..steps, and the mean velocity of each cell that has enough persistent particles.
 
-        Velocities are of every step where they are scored, else of step 0 alone, which takes less time.
+        Velocities are of every step if they are scored, else of step 0 alone, which takes less time.
         """
         velocity: NDArray[np.floating]
         if self.stream.velocity_scored:
@@ -71,22 +92,24 @@ class DogmaTracker(CalibratedTracker):
 
     @classmethod
     def starts_from_general(cls, options: DogmaSettings) -> bool:
-        """Its settings are those of general weights."""
+        """The search starts from the settings of the general weights."""
         return True
 
     @classmethod
-    def fit(
-        cls,
-        train: Sequence[FrameSource],
-        validation: Sequence[FrameSource],
-        score: Score,
-        out: FitOutput,
-        options: Any,
-    ) -> None:
-        """Count the occupancy rate and tune the settings on `train`, and report the score on `validation`."""
-        from gridtrack.trackers.dogma.tuning import fit_dogma
+    def fit(cls, task: FitTask) -> None:
+        """Count the occupancy rate and search the settings on `task.train`.
 
-        fit_dogma(cls, train, validation, score, out, options)
+        Raises WeightsError if the recordings differ in grid, period or site.
+        """
+        if task.general:
+            visible, occupied = count_anywhere(task.train, lambda frame: (frame.visible, frame.occupied))
+            rate = posterior_rate(occupied, visible)
+        else:
+            rate, moves = count_occupancy_rate(task.train)
+            if moves:
+                task.report(NO_MAP)
+        search = SettingsSearch(cls, DogmaSettings, DOGMA_RANGES, DOGMA_OF_PLACE, with_fewer_particles)
+        fit_searched(search, {"occupancy_rate": rate}, task, task.options.model_dump(exclude_unset=True), {})
 
 
 def compile_filter(period_s: float) -> None:
@@ -102,3 +125,19 @@ def compile_filter(period_s: float) -> None:
         stamp_ns = round(frame * period_s * 1e9)
         state.update(GridFrame(stamp_ns, visible, occupied, SE2(), sensor, points, np.zeros(len(points), np.uint8)))
     forecast_with_flow(state, np.zeros(grid.shape, np.float32), steps=1)
+
+
+def with_fewer_particles(settings: DogmaSettings) -> DogmaSettings:
+    """The settings of a search, which runs faster with fewer particles."""
+    return settings.model_copy(update={"particles": max(100, settings.particles // PARTICLE_DIVISOR)})
+
+
+def count_occupancy_rate(train: Sequence[FrameSource]) -> tuple[Mass, bool]:
+    """P(occupied | visible) of each cell (M, M) float32, and whether a sensor moves (`count_frames`).
+
+    The posterior mean over all frames of `train`.
+    """
+    (visible, occupied), moves = count_frames(
+        train, train[0].grid.cell_m, lambda frame: (frame.visible, frame.occupied)
+    )
+    return posterior_rate(occupied, visible), moves

@@ -14,8 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2
 
-from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.ragged import bounds_of, split
+from gridtrack.trackers.model_free.arrays import Array, bounds_of, split
 from gridtrack.trackers.model_free.segmentation import Cluster, joined
 from gridtrack.trackers.model_free.settings import AssociationMethod
 
@@ -41,7 +40,7 @@ def assign(
 
 @cache
 def gate_limits(probability: float, pairs: int) -> Array:
-    """The gate of the joint squared distance of so many `pairs`, by its degrees of freedom from 0 on."""
+    """The gate of the joint squared distance of `pairs` pairs, for 0, 1, 2, ... degrees of freedom."""
     return np.concatenate([[0.0], chi2.ppf(probability, np.arange(1, MOST_FREEDOM * pairs + 1))])
 
 
@@ -134,7 +133,7 @@ def assign_returns(
 ) -> tuple[dict[int, Cluster], list[Cluster]]:
     """Assign each return to a track: track -> its returns, and the clusters without a track.
 
-    `distances` (K, T) are those of each return, in the order of the clusters, from the boundary of each track. The
+    `distances` (K, T): of each return, in the order of the clusters, from the boundary of each track. The
     candidates of a cluster are its track in `pairs` (track -> cluster) and its possible `members` (T, C): an unpaired
     cluster may belong to a paired track, an unpaired track may share a paired cluster. Each return is assigned to the
     nearest boundary of its candidates. Thus a separate leg joins its person, the second part of a vehicle the first,
@@ -160,7 +159,7 @@ def assign_returns(
 
 
 def _part(cluster: Cluster, kept: NDArray[np.bool_]) -> Cluster:
-    """The kept returns of a cluster; the cluster itself where all are kept."""
+    """The kept returns of a cluster; the cluster itself if all are kept."""
     return cluster if kept.all() else Cluster(cluster.points[kept], cluster.cut[kept])
 
 

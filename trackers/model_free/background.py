@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, Mask, Shift, rolled, with_neighbours
-from gridtrack.trackers.fading_record import FadingRecord
-from gridtrack.trackers.hidden_time import HiddenTime
+from gridtrack.trackers.cell_records import FadingRecord, HiddenTime, OpenSpace
 from gridtrack.trackers.model_free.settings import PipelineSettings
-from gridtrack.trackers.open_space import OpenSpace
-from gridtrack.trackers.site_rate import count_anywhere, count_frames, posterior_rate
+from gridtrack.trackers.site_map import count_anywhere, count_frames, posterior_rate
 
 OUTSIDE_MAP = 1.0
 """The neighbourhood rate of a cell outside the map; a counted one is lower."""
@@ -109,7 +107,7 @@ class Background:
 
     @property
     def explained(self) -> Mask:
-        """The cells (M, M) whose returns belong to the background."""
+        """The cells (M, M) in which returns belong to the background."""
         walls = self._walls
         if self._outside.any():
             closed = self._open_space.closed(1.0 - self.settings.explained_above)

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.ragged import bounds_of
-from gridtrack.trackers.model_free.tracks import Track
-from gridtrack.trackers.model_free.window import Window
+from gridtrack.trackers.model_free.arrays import Array, bounds_of
+from gridtrack.trackers.model_free.tracks import Track, Window
 from gridtrack.trackers.site_map import SiteMap, mean_of_cells
-from gridtrack.trackers.weights import Weights, array
+from gridtrack.trackers.training.weights import Weights, array
 
 FEATURES = ("length", "along", "across", "speed", "range")
 """Each as a logarithm, see `features_of`."""
@@ -128,7 +126,7 @@ class ClassFilter:
     """Classes of tracks, from the mean log density over all frames in which a track was seen, and its cell prior.
 
     Consecutive frames are strongly correlated, so they do not count as independent; frames before an occlusion count.
-    `cell_prior` (K, M, M) float32 is that of the present window; it was counted in a grid that lay at `world_T_map`.
+    `cell_prior` (K, M, M) float32: of the present window; it was counted in a grid at `world_T_map`.
     """
 
     def __init__(self, model: ClassModel, grid: GridSpec, world_T_map: SE2 | None = None) -> None:
@@ -138,7 +136,7 @@ class ClassFilter:
         self._evidence: dict[int, Evidence] = {}
 
     def observe(self, tracks: Sequence[Track], frame: GridFrame, window: Window) -> None:
-        """Update the evidence of the `tracks`, after their update with `frame`; that of deleted tracks is removed."""
+        """Update the evidence of the `tracks` after their update with `frame`, and remove that of deleted tracks."""
         self.cell_prior = self._site.at(frame.world_T_grid)
         kept = {one.identity: self._evidence[one.identity] for one in tracks if one.identity in self._evidence}
         seen = [track for track in tracks if not track.unseen]

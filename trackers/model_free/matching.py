@@ -12,26 +12,29 @@ problem). The points themselves are cell centres, so that a side that slides alo
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from gridtrack.common.grid import Mask
-from gridtrack.trackers.model_free.outlines import Matches, Outlines, Pairs
+from gridtrack.trackers.model_free.arrays import Array, bounds_of
 
 WIDEST = 4.0
 """The widest kernel, in surface widths; each further kernel has half the width."""
 NEWTON_STEPS = 3
 """Newton steps with each kernel."""
 CONTINUES = 3.0
-"""An outline that continues for so many surface widths both ways is uninformative about a motion along itself."""
+"""An outline that continues for this many surface widths both ways says nothing about a motion along itself."""
 CUT, CUT_REACH = 0.02, 2.0
 """Information along an outline at a cut-off end, relative to a real end; and the distance over which it is reduced, in
-multiples of that of CONTINUES."""
+multiples of CONTINUES."""
 BACK = 2.0
-"""Weight of a boundary point without a return, relative to that of a return without a boundary point."""
+"""Weight of a boundary point without a return, relative to a return without a boundary point."""
 OUTLIER = math.exp(-4.5)
-"""Likelihood of an outlier: that of a point three kernel widths from a point of weight 1."""
+"""Likelihood of an outlier: the same as three kernel widths from a point of weight 1."""
 MIN_EXPONENT = np.float32(-10.0)
 """Exponent below which the kernel is 0."""
 MIN_LIKELIHOOD = np.float32(1e-30)
@@ -40,9 +43,71 @@ ZERO, ONE, SIXTEENTH = np.float32(0.0), np.float32(1.0), np.float32(1.0 / 16.0)
 SERIES = tuple(np.float32(1.0 / math.factorial(n)) for n in (2, 3, 4, 5))
 """Single precision: the sums over all pairs of points take a third of the time."""
 NO_POINT = 1e12
-"""Squared distance where there is no point, m^2."""
+"""Squared distance if there is no point, m^2."""
 UNKNOWN = (1e4, 1e4, 1e3)
 """Variance of an unobserved direction: x and y (m^2) and heading (rad^2)."""
+
+
+class Outlines(NamedTuple):
+    """G concatenated outlines: points (N, 2), metres, their weights (N,), and where each outline is cut off (N,).
+
+    The points of outline g are those from `bounds` (G+1,) [g] to [g+1]; a weight is the probability of a return there.
+    """
+
+    points: Array
+    weights: Array
+    cut: Mask
+    bounds: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, points: Sequence[Array], weights: Sequence[Array] | None, cut: Sequence[Mask]) -> Outlines:
+        """The outlines, at least one, from points (N, 2), weights (N,), by default 1, and cut-off ends (N,) of each."""
+        bounds = bounds_of(points)
+        all_weights = np.ones(bounds[-1]) if weights is None else np.concatenate(weights)
+        return cls(np.concatenate(points), all_weights, np.concatenate(cut), bounds)
+
+
+class Match(NamedTuple):
+    """A measured pose (3,): x, y, heading; its covariance (3, 3); and the `residual` of the returns.
+
+    The residual is -2 times the mean log likelihood of the returns under the mixture, comparable to a squared distance
+    in kernel widths: 0 if all lie on the boundary, 9 if none does.
+    """
+
+    pose: Array
+    covariance: Array
+    residual: float
+
+
+class Matches(NamedTuple):
+    """The matches of P pairs: `poses` (P, 3), `covariances` (P, 3, 3) and `residuals` (P,).
+
+    `freedom` (P,): degrees of freedom, 3, or 2 if the heading is not observable: the heading of the start is kept.
+    """
+
+    poses: Array
+    covariances: Array
+    residuals: Array
+    freedom: NDArray[np.int64]
+
+    def of(self, pair: int) -> Match:
+        """The match of one pair."""
+        return Match(self.poses[pair], self.covariances[pair], float(self.residuals[pair]))
+
+
+class Pairs(NamedTuple):
+    """P pairs to match: `numbers` (P, 2) of the boundary and of the outline of returns, and `starts` (P, S, 3).
+
+    A start is x, y and heading, ignored if not finite; `start_error_m` (P,) is its standard deviation in metres.
+    Cut-off ends are considered only in pairs that are `extended` (P,): the hidden continuation of a small body is
+    short. The heading is observable in pairs that are `oriented` (P,).
+    """
+
+    numbers: NDArray[np.int64]
+    starts: Array
+    start_error_m: Array
+    extended: Mask
+    oriented: Mask
 
 
 def match(boundaries: Outlines, seen: Mask, returns: Outlines, pairs: Pairs, surface_noise_m: float) -> Matches:
@@ -163,7 +228,7 @@ def _information(points, weights, cut, reach):  # type: ignore[no-untyped-def]
 
 @numba.njit(error_model="numpy")
 def _squared_distance(x, y, points):  # type: ignore[no-untyped-def]
-    """From x, y to the nearest of `points` (2, N); NO_POINT where there are none."""
+    """From x, y to the nearest of `points` (2, N); NO_POINT if there are none."""
     nearest = NO_POINT
     for j in range(points.shape[1]):
         dx, dy = points[0, j] - x, points[1, j] - y
@@ -261,11 +326,12 @@ def _sum_terms(points, expected, on_boundary, pose):  # type: ignore[no-untyped-
 
 @numba.njit(error_model="numpy")
 def _covariance(information):  # type: ignore[no-untyped-def]
-    """Inverse (3, 3) of the result of `_derivatives`: positive definite, about UNKNOWN where nothing was observed.
+    """Inverse (3, 3) of the result of `_derivatives`: positive definite, about UNKNOWN for directions that were not
+    observed.
 
-    In exact arithmetic `information` is at least the prior. Where a long body meets the returns in one place only, a
-    turn about that place is the small difference of large sums, whose rounding in single precision exceeds the prior:
-    what is then missing to the prior is added, in the directions in which it is missing.
+    In exact arithmetic `information` is at least the prior. If a long body meets the returns in one place only, a
+    turn about that place is the small difference of large sums; its rounding error in single precision exceeds the
+    prior: the difference to the prior is then added, in the directions that lack it.
     """
     if not _is_below_prior(information):
         return _inverse(information)

@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import wrap_angle
 from gridtrack.common.grid import Mask
-from gridtrack.trackers.model_free.arrays import Array
+from gridtrack.trackers.model_free.arrays import Array, bounds_of, means_of, spans_of
 from gridtrack.trackers.model_free.association import distances_to, gaps
-from gridtrack.trackers.model_free.matching import match
-from gridtrack.trackers.model_free.outlines import Match, Matches, Outlines, Pairs
-from gridtrack.trackers.model_free.ragged import bounds_of, means_of, spans_of
+from gridtrack.trackers.model_free.matching import Match, Matches, Outlines, Pairs, match
 from gridtrack.trackers.model_free.segmentation import Cluster
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track, boundaries_of, poses_of
@@ -23,12 +21,12 @@ from gridtrack.trackers.model_free.tracks import Track, boundaries_of, poses_of
 HEADING_FROM_M = 1.0
 """Length of boundary and returns from which the heading is observable: of vehicles, not of pedestrians."""
 UNCERTAIN = 2.0
-"""Where the predicted position is more uncertain than this many surface widths, the cluster's centre is a start too."""
+"""If the predicted position is more uncertain than this many surface widths, the cluster's centre is a start too."""
 REACH_SIGMAS = 3.0
 """A cluster is a candidate up to this many standard deviations of the position beyond a track's reach."""
 
 ON_BOUNDARY, ON_BOUNDARY_SHARE = 2.0, 0.8
-"""A cluster lies on a boundary if this share of its returns is within so many surface widths of it."""
+"""A cluster lies on a boundary if this share of its returns is within this many surface widths of it."""
 
 
 def match_pairs(
@@ -76,7 +74,7 @@ def _starts(
 
 @lru_cache(maxsize=64)
 def pose_noise(settings: PipelineSettings) -> Array:
-    """Covariance (3, 3) that is added to that of a match."""
+    """Covariance (3, 3) that is added to a match."""
     return np.diag([settings.position_noise_m, settings.position_noise_m, settings.heading_noise]) ** 2
 
 
@@ -121,7 +119,7 @@ def membership(
 ) -> NDArray[np.bool_]:
     """Which clusters may belong to which tracks (T, C), in addition to the assigned `pairs` (track -> cluster).
 
-    A cluster within reach of the assigned one (the other leg), or of the boundary where none is assigned; and a cluster
+    A cluster within reach of the assigned one (the other leg), or of the boundary if none is assigned; and a cluster
     on the established boundary: the far part of a vehicle, but not a person who leaves a group.
     """
     points = np.concatenate([cluster.points for cluster in clusters])
@@ -141,7 +139,7 @@ def measured_poses(
     views: Sequence[Mask],
     settings: PipelineSettings,
 ) -> dict[int, Match]:
-    """Track -> the pose measured from its returns; matches of whole clusters are those of `pairing`."""
+    """Track -> the pose measured from its returns; matches of whole clusters are taken from `pairing`."""
     numbers = {id(cluster): number for number, cluster in enumerate(clusters)}
     found = {t: pairing.matches.get((t, numbers.get(id(share), -1))) for t, share in shares.items()}
     poses = {t: old for t, old in found.items() if old}

@@ -9,38 +9,35 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask, Shift, rolled, shift_between
-from gridtrack.trackers.model_free.arrays import Array
+from gridtrack.trackers.model_free.arrays import Array, bounds_of, owners_of, split
 from gridtrack.trackers.model_free.association import assign, assign_returns, distances_to
 from gridtrack.trackers.model_free.background import Background, BackgroundMap, outside_of
-from gridtrack.trackers.model_free.forecast import add_tracks
-from gridtrack.trackers.model_free.initiation import Estimator, initiate
+from gridtrack.trackers.model_free.estimators import MakeEstimator
+from gridtrack.trackers.model_free.forecast import add_tracks, attribute, normalise, weight_by_cell_prior
+from gridtrack.trackers.model_free.lifecycle import TrackMerger, initiate, is_stopped
+from gridtrack.trackers.model_free.matching import Match
 from gridtrack.trackers.model_free.measurement import measured_poses, membership, pairing_of
-from gridtrack.trackers.model_free.merging import TrackMerger, is_stopped
-from gridtrack.trackers.model_free.occlusion import BACKGROUND, cut_off_returns
-from gridtrack.trackers.model_free.outlines import Match
-from gridtrack.trackers.model_free.ragged import bounds_of, owners_of, split
 from gridtrack.trackers.model_free.residence import NOT_OCCUPIED, next_ages
-from gridtrack.trackers.model_free.segmentation import Cluster, clusters_of, segment
-from gridtrack.trackers.model_free.semantics import attribute, normalise, weight_by_cell_prior
+from gridtrack.trackers.model_free.segmentation import BACKGROUND, Cluster, clusters_of, cut_off_returns, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import Shape, in_view, to_body, to_grid
 from gridtrack.trackers.model_free.tracks import (
     Track,
+    Window,
     boundaries_of,
     existence_when_detected,
     existence_when_missed,
     poses_of,
 )
-from gridtrack.trackers.model_free.window import Window
 from gridtrack.trackers.site_map import SiteMap
 
 
 class Pipeline:
     """Tracks of moving objects against a static background, and their forecast.
 
-    `background` is the map of the site, of a grid that lay at `world_T_map` (without it: where the first frame's lies);
+    `background` is the map of the site, of a grid at `world_T_map` (by default at the grid of the first frame);
     `residence` (A, S) float32 is the life table of returns that stay in place. Positions are in metres in the fixed
-    frame of the `window`, which scrolls with the sensor: what is kept for each cell moves with it by whole cells.
+    frame of the `window`, which scrolls with the sensor: the arrays of cells move with it by whole cells.
     """
 
     def __init__(
@@ -50,10 +47,11 @@ class Pipeline:
         background: BackgroundMap,
         residence: NDArray[np.float32],
         settings: PipelineSettings,
-        estimator: Estimator,
+        make_estimator: MakeEstimator,
         world_T_map: SE2 | None = None,
     ) -> None:
-        self.grid, self.residence, self.settings, self.estimator = grid, residence, settings, estimator
+        self.grid, self.residence, self.settings = grid, residence, settings
+        self.make_estimator = make_estimator
         self.window = self.previous_window = Window(grid)
         self.site = SiteMap(np.stack(background), outside_of(background), grid.cell_m, world_T_map)
         self.background = Background(background, period_s, settings)
@@ -84,13 +82,13 @@ class Pipeline:
         self.frame = frame
 
     def _periods_until(self, frame: GridFrame) -> int:
-        """Number of periods since the previous frame: more than one where frames are missing."""
+        """Number of periods since the previous frame: more than one if frames are missing."""
         if self.frame is None:
             return 1
         return max(1, round((frame.stamp_ns - self.frame.stamp_ns) * 1e-9 / self.period_s))
 
     def _scroll(self, frame: GridFrame) -> None:
-        """Move what is kept for each cell to the window of the frame; tracks end where no cell remains."""
+        """Move the arrays of cells to the window of the frame; if no cell remains, all tracks end."""
         self.previous_window = self.window
         if self.frame is None:
             shift = Shift()
@@ -214,7 +212,7 @@ class Pipeline:
         """Initiate a tentative track from each unassigned cluster."""
         existing = tuple(self.tracks)
         for cluster, ages in zip(clusters, self._ages_of(clusters), strict=True):
-            estimator = initiate(self.estimator, cluster, existing, self.regimes, self.settings)
+            estimator = initiate(self.make_estimator, cluster, existing, self.regimes, self.settings)
             shape = Shape.of(to_body(cluster.points, estimator.mean[:3]), cluster.cut, self.settings.surface_noise_m)
             existence = self.settings.initiation_probability
             self.tracks.append(Track(self.initiated, estimator, shape, cluster.points, ages, existence))
@@ -230,7 +228,7 @@ class Pipeline:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """`forecast`, and P(class | occupied) (steps+1, K, M, M) float32.
 
-        Tracks have `classes` (T, K), the background has those of `cell_prior` (K, M, M); the classes of a cell are
+        Tracks have `classes` (T, K), the background has the `cell_prior` (K, M, M); the classes of a cell are
         weighted by the occupancy that each contributes.
         """
         occupancy = self.background.probabilities(steps)
@@ -264,7 +262,7 @@ class Pipeline:
 
 
 def compile_pipeline(
-    period_s: float, residence: NDArray[np.float32], settings: PipelineSettings, estimator: Estimator
+    period_s: float, residence: NDArray[np.float32], settings: PipelineSettings, make_estimator: MakeEstimator
 ) -> None:
     """Compile the kernels of all stages, by running them on a scene of three frames.
 
@@ -272,7 +270,7 @@ def compile_pipeline(
     """
     grid = GridSpec(8, 0.1)
     empty = BackgroundMap(*np.zeros((2, *grid.shape), np.float32))
-    pipeline = Pipeline(grid, period_s, empty, residence, settings, estimator)
+    pipeline = Pipeline(grid, period_s, empty, residence, settings, make_estimator)
     occupied, visible = np.zeros(grid.shape, bool), np.ones(grid.shape, bool)
     occupied[4, 4:6] = True
     for cells in (occupied, occupied, ~visible):

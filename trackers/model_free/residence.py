@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, Mask, Shift, rolled, shift_between
+from gridtrack.common.grid import GridFrame, GridSpec, Mask, Shift, rolled, shift_between
+from gridtrack.trackers.cell_records import OpenSpace
 from gridtrack.trackers.contract import FrameSource
-from gridtrack.trackers.model_free.open_cells import OpenCells, OpenSoFar
-from gridtrack.trackers.weights import Weights, probabilities
+from gridtrack.trackers.training.weights import Weights, probabilities
 
 Ages = NDArray[np.int64]
+OpenCells = Callable[[GridFrame], Mask]
+"""The open cells (M, M) of the window of a frame: returns there have moved in. Called for each frame of a stream."""
 
 GENERAL_PERIOD_S = 0.05
 """The period of a life table for streams of any period."""
@@ -41,11 +43,29 @@ def table_shape(period_s: float) -> tuple[int, int]:
 def next_ages(ages: Ages, occupied: Mask, oldest: int, periods: int = 1) -> Ages:
     """For how many periods each occupied cell (M, M), or one of its neighbours, has been occupied: at most `oldest`.
 
-    `ages` (M, M) are those of the previous frame, `periods` earlier; NOT_OCCUPIED elsewhere.
+    `ages` (M, M): of the previous frame, `periods` earlier; NOT_OCCUPIED elsewhere.
     """
     before = _neighbourhood_maximum(ages)
     grown = np.where(before == NOT_OCCUPIED, 0, np.minimum(before + periods, oldest))
     return np.where(occupied, grown, NOT_OCCUPIED)
+
+
+class OpenSoFar:
+    """OpenCells without a map: the cells that were open in more than `share` of the frames before (`OpenSpace`)."""
+
+    def __init__(self, grid: GridSpec, period_s: float, share: float) -> None:
+        self._space, self._share, self._cell_m = OpenSpace(grid.shape, period_s), share, grid.cell_m
+        self._window: SE2 | None = None
+
+    def __call__(self, frame: GridFrame) -> Mask:
+        """The open cells (M, M) of the window of a frame, from the frames before it."""
+        window = self._window or frame.world_T_grid
+        if shift := shift_between(window, frame.world_T_grid, self._cell_m):
+            self._space.scroll(shift)
+        self._window = frame.world_T_grid
+        closed = self._space.closed(self._share)
+        self._space.observe(frame, 1)
+        return ~closed
 
 
 def fit_residence(
@@ -85,7 +105,7 @@ def resampled(table: NDArray[np.floating], from_s: float, to_s: float) -> NDArra
 def count_residence(
     frames: Iterable[GridFrame], opened: OpenCells, shape: tuple[int, int], cell_m: float
 ) -> NDArray[np.float64]:
-    """Counts (2, A, S) of returns in open cells by age, whose cell is visible s steps later: of all, of those in place.
+    """Counts (2, A, S) of returns in open cells by age, if the cell is visible s steps later: all, and those in place.
 
     A return is in place if its cell or one of the eight neighbours is occupied.
     """
@@ -98,7 +118,7 @@ def count_residence(
         window = frame.world_T_grid
         if shift:
             past = deque((rolled(ages, shift, NOT_OCCUPIED) for ages in past), shape[1])
-        occupied = frame.occupied & opened.of(frame)
+        occupied = frame.occupied & opened(frame)
         before = past[0] if past else np.full(occupied.shape, NOT_OCCUPIED)
         past.appendleft(next_ages(before, occupied, oldest))
         near = _neighbourhood_maximum(occupied.astype(np.int64)) > 0

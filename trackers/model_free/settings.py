@@ -7,8 +7,8 @@ from typing import Literal
 from pydantic import Field
 
 from gridtrack.common.config import Settings
-from gridtrack.trackers.label_settings import LabelSettings
-from gridtrack.trackers.model_free.motion.parameters import MotionModel, Regimes
+from gridtrack.trackers.model_free.motion import MotionModel, Regimes
+from gridtrack.trackers.training.labelled_scans import LabelSettings
 
 AssociationMethod = Literal["hungarian", "jcbb"]
 """How clusters are assigned to tracks: by gating each pair, or the whole set of pairs."""
@@ -83,7 +83,7 @@ class PipelineSettings(Settings):
     detection_probability: float = Field(0.85, gt=0, lt=1)
     """Probability that an object in view of the laser yields a cluster."""
     clutter_probability: float = Field(0.15, gt=0, lt=1)
-    """Probability of a cluster inside a track's gate where there is no object."""
+    """Probability of a cluster inside a track's gate if there is no object."""
     mean_lifetime_s: float = Field(15.0, gt=0)
     """Mean time until an object leaves unobserved."""
     confirm_above: float = Field(0.8, gt=0, lt=1)
@@ -93,9 +93,9 @@ class PipelineSettings(Settings):
 
     # Merging
     background_merge_s: float = Field(60.0, gt=0, le=3600)
-    """A track whose velocity has not differed significantly from zero for this long becomes background."""
+    """A track becomes background after its velocity has not differed significantly from zero for this long."""
     track_merge_s: float = Field(2.0, gt=0, le=3600)
-    """Two touching tracks whose velocities have not differed significantly for this long are merged."""
+    """Two touching tracks are merged after their velocities have not differed significantly for this long."""
 
     # Shape and forecast
     shape_memory_s: float = Field(0.8, gt=0, le=60)
@@ -125,4 +125,4 @@ class ModelFreeSettings(LabelSettings, PipelineSettings):
     """Settings of the pipeline, and of its training: motion and background, classes of tracks, or both."""
 
     stage: Literal["both", "occupancy", "classes"] = "both"
-    """What is trained: `classes` adds classes to existing weights; `both` needs recordings with labels."""
+    """The stage to train: `classes` adds classes to existing weights; `both` needs recordings with labels."""

@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridSpec, Mask
-from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.ragged import split
+from gridtrack.trackers.model_free.arrays import Array, split
 
 MAX_POINTS = 256
-"""Maximum number of boundary points; those of the smallest weight are removed first."""
+"""Maximum number of boundary points; the points of smallest weight are removed first."""
 ESTABLISHED_FRAMES = 8
 """Age from which a boundary point belongs to the body, and not to the trail of an object that leaves it."""
 HIDDEN_DECAY = 0.1
-"""Decay rate of the weight of a hidden boundary point, relative to that of a point in view without a return."""
+"""Decay rate of the weight of a hidden boundary point, relative to a point in view without a return."""
 REVEALED_WEIGHT = 0.5
 """Initial weight of a boundary point at a position that was hidden before: it may have existed all the time."""
 REMOVE_BELOW = 0.6
@@ -53,7 +52,7 @@ class Shape:
         """Update with the points `found` (K, 2) in one frame, body frame, of which some are cut off (K,).
 
         A boundary point within `apart_m` of a found point is matched: its weight approaches 1 by the share `gain`; that
-        of an unmatched point approaches 0, slowly where it is not `in_view` (N,). A found point without a match is a
+        of an unmatched point approaches 0, slowly if it is not `in_view` (N,). A found point without a match is a
         new boundary point, of weight 0 before this frame unless its position is `revealed` (K,). The first frames of a
         shape have equal weight.
         """

@@ -4,35 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.calibration import CalibratedTracker, Calibration
-from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, TrackedObject
+from gridtrack.trackers.contract import FitTask, Forecast, StreamSpec, TrackedObject
 from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.background import BackgroundMap, without_map
 from gridtrack.trackers.model_free.classes import ClassFilter, ClassModel, compile_densities
-from gridtrack.trackers.model_free.flow import compile_flow, flow_of
-from gridtrack.trackers.model_free.forecast import objects
-from gridtrack.trackers.model_free.motion.estimator import MotionEstimator
-from gridtrack.trackers.model_free.motion.parameters import MotionModel
+from gridtrack.trackers.model_free.estimators import MotionEstimator
+from gridtrack.trackers.model_free.forecast import compile_flow, flow_of, objects
+from gridtrack.trackers.model_free.motion import MotionModel
 from gridtrack.trackers.model_free.pipeline import Pipeline, compile_pipeline
 from gridtrack.trackers.model_free.residence import residence_of
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
-from gridtrack.trackers.model_free.tracks import Track
-from gridtrack.trackers.model_free.window import Window
-from gridtrack.trackers.weights import array, cell_probabilities, load_weights, tuned_settings
+from gridtrack.trackers.model_free.tracks import Track, Window
+from gridtrack.trackers.registry import registered_name
+from gridtrack.trackers.training.calibration import CalibratedTracker, Calibration
+from gridtrack.trackers.training.weights import array, cell_probabilities, load_weights, tuned_settings
 
 
 class ModelFreeTracker(CalibratedTracker):
     """Tracks of clusters against a fitted background, with one motion estimator each.
 
     The weights are the background map, the life table of returns, the calibration of the probabilities, the tuned
-    settings (a given option has precedence) and, where they have classes, a model of the features of each class. The
+    settings (a given option has precedence) and, if they have classes, a model of the features of each class. The
     `objects` of a forecast are the confirmed tracks.
     """
 
@@ -40,8 +39,6 @@ class ModelFreeTracker(CalibratedTracker):
     learns: ClassVar[bool] = True
     learns_general: ClassVar[bool] = True
     moving_sensor: ClassVar[bool] = True
-    name: ClassVar[str]
-    """Its registered name."""
     estimator: ClassVar[staticmethod[[Array, Array, MotionModel], MotionEstimator]]
     """Makes the motion estimator of a track: the only difference between the subclasses."""
     pipeline: ClassVar[type[Pipeline]] = Pipeline
@@ -50,7 +47,7 @@ class ModelFreeTracker(CalibratedTracker):
     def __init__(self, stream: StreamSpec, options: PipelineSettings) -> None:
         """Raises WeightsError without a fitted background for the stream's site, grid and period."""
         super().__init__(stream, options)
-        weights = load_weights(stream, self.name)
+        weights = load_weights(stream, registered_name(type(self)))
         self._settings = tuned_settings(ModelFreeSettings, weights, options)
         self._background = BackgroundMap(
             *(cell_probabilities(weights, name, stream.grid) for name in BackgroundMap._fields)
@@ -137,27 +134,19 @@ class ModelFreeTracker(CalibratedTracker):
 
     @classmethod
     def starts_from_general(cls, options: ModelFreeSettings) -> bool:
-        """Its settings are those of general weights; classes are added to weights of the site."""
+        """The search starts from the settings of the general weights; classes are added to weights of the site."""
         return options.stage != "classes"
 
     @classmethod
-    def fit(
-        cls,
-        train: Sequence[FrameSource],
-        validation: Sequence[FrameSource],
-        score: Score,
-        out: FitOutput,
-        options: Any,
-    ) -> None:
-        """Fit the background map and tune the settings on `train`, and report the score on `validation`.
+    def fit(cls, task: FitTask) -> None:
+        """Fit the background map and tune the settings on `task.train`.
 
-        Where `train` has classes, then fit the features of the tracks of each class to a few labelled scans.
+        If it has classes, then fit the features of the tracks of each class to a few labelled scans.
         """
-        from gridtrack.trackers.model_free.class_training import draw_scans, fit_classes
-        from gridtrack.trackers.model_free.tuning import fit_pipeline
+        from gridtrack.trackers.model_free.training import draw_scans, fit_classes, fit_pipeline
 
-        labelled = draw_scans(train, out, options)
-        if options.stage != "classes":
-            fit_pipeline(cls, train, validation, score, out, options)
+        labelled = draw_scans(task)
+        if task.options.stage != "classes":
+            fit_pipeline(cls, task)
         if labelled is not None:
-            fit_classes(cls, labelled, train, validation, out, options)
+            fit_classes(cls, labelled, task)

@@ -9,13 +9,34 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.motion.regimes import SwitchingEstimator
-from gridtrack.trackers.model_free.ragged import bounds_of, owners_of, split
+from gridtrack.common.grid import GridSpec, Shift
+from gridtrack.trackers.model_free.arrays import Array, bounds_of, owners_of, split
+from gridtrack.trackers.model_free.estimators import SwitchingEstimator
 from gridtrack.trackers.model_free.shape import Shape, to_grid
 
 NOT_PLACED = np.empty(0), np.empty(0), np.empty((0, 2))
-"""The cached boundary of a track whose boundary has not been computed."""
+"""The cached boundary before it is computed."""
+
+
+class Window:
+    """The pose of the grid in the fixed frame, which is the grid frame of the first update and does not move.
+
+    The axes of the fixed frame are the world's; its origin is near the sensor, so that coordinates stay small wherever
+    the origin of the world is. `shift` is how far the window has moved since then, in whole cells; `fixed_grid` is the
+    grid with its corner in the fixed frame; `offset_m` (2,) leads from the grid frame to the fixed frame.
+    """
+
+    __slots__ = ("fixed_grid", "grid", "offset_m", "shift")
+
+    def __init__(self, grid: GridSpec, shift: Shift = Shift()) -> None:  # noqa: B008 (immutable)
+        self.grid, self.shift = grid, shift
+        self.offset_m: Array = np.array([shift.columns, shift.rows]) * grid.cell_m
+        x, y = (np.array(grid.origin) + self.offset_m).tolist()
+        self.fixed_grid = GridSpec(grid.size, grid.cell_m, (x, y)) if shift else grid
+
+    def moved(self, by: Shift) -> Window:
+        """The window after it moved on."""
+        return Window(self.grid, Shift(self.shift.rows + by.rows, self.shift.columns + by.columns))
 
 
 class Status(Enum):
@@ -95,6 +116,6 @@ def existence_when_detected(existence: float, detection_probability: float, clut
 def existence_when_missed(existence: float, detection_probability: float) -> float:
     """Bayes' rule for the existence probability after a missed detection.
 
-    `detection_probability` is that of an existing object: 0 where it would be hidden, and a miss is uninformative.
+    `detection_probability`: of an existing object; 0 if it would be hidden, so that a miss says nothing.
     """
     return existence * (1.0 - detection_probability) / (1.0 - existence * detection_probability)

@@ -1,33 +1,30 @@
-"""The tracker `dilated-convgru`: occupancy, and classes where the site's weights have a class decoder."""
+"""The tracker `dilated-convgru`: occupancy, and classes if its weights have a class decoder."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
-from torch import nn
 
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score
-from gridtrack.trackers.recurrent.accelerated_convgru import AcceleratedConvGRU
+from gridtrack.trackers.contract import FitTask, Forecast
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU
-from gridtrack.trackers.recurrent.inference import InferenceConvGRU, InferencePlainConvGRU
-from gridtrack.trackers.recurrent.network import InferenceNetwork, start_from_rate
+from gridtrack.trackers.recurrent.inference import InferenceNetwork, StreamNetwork
+from gridtrack.trackers.recurrent.kernels.convgru import INFERENCE, TRAINING
+from gridtrack.trackers.recurrent.network import Recurrence
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells, seen_cells_of
 from gridtrack.trackers.recurrent.settings import GATES, DilatedConvGRUOptions
-from gridtrack.trackers.recurrent.training_convgru import TrainingConvGRU
-from gridtrack.trackers.weights import Weights, read_card
+from gridtrack.trackers.training.weights import Weights, read_card
 
 
 class DilatedConvGRUTracker(RecurrentTracker):
     """The dilated ConvGRU with static memory (Ondruska et al., 2016)."""
 
-    name = "dilated-convgru"
     Options: ClassVar[type[DilatedConvGRUOptions]] = DilatedConvGRUOptions
+    map_options = frozenset({"static_gates"})
 
     _seen: SeenCells | None = None
     _frame: GridFrame | None = None
@@ -43,14 +40,14 @@ class DilatedConvGRUTracker(RecurrentTracker):
         self._frame = frame
 
     def predict(self, steps: int) -> Forecast:
-        """Decode the state and those after it; classes of the cells that are seen now by the option `evidence`."""
+        """Decode the state and those after it; the option `evidence` is for the classes of cells occupied now."""
         forecast = super().predict(steps)
         if self._seen is not None and self._frame is not None and forecast.semantics is not None:
             with torch.inference_mode():
                 self._seen.apply_to(forecast.semantics[0], self._frame, self.options.evidence)
         return forecast
 
-    def _restored(self, weights: Weights) -> InferenceNetwork:
+    def _restored(self, weights: Weights) -> StreamNetwork:
         of_network = {name: value for name, value in weights.arrays.items() if not name.startswith(PREFIX)}
         network = super()._restored(replace(weights, arrays=of_network))
         self._seen = seen_cells_of(weights, self.stream.grid)
@@ -61,15 +58,15 @@ class DilatedConvGRUTracker(RecurrentTracker):
         return network
 
     @classmethod
-    def build(cls, size: int, options: Any, classes: int) -> nn.Module:
+    def build(cls, size: int, options: Any, classes: int) -> DilatedConvGRU:
         """The untrained network."""
         return DilatedConvGRU(size, options, classes, options.class_hidden, options.decoded_layers)
 
     @classmethod
-    def without_map(cls, options: Any, why: str, out: FitOutput) -> Any:
+    def without_map(cls, options: Any, why: str, task: FitTask) -> Any:
         """The options without static memory, which has the cells of one window.
 
-        Raises ConfigurationError where it was asked for.
+        Raises ConfigurationError if the user set it.
         """
         if not options.static_gates:
             return options
@@ -77,50 +74,44 @@ class DilatedConvGRUTracker(RecurrentTracker):
             raise ConfigurationError(
                 f"{why}, and static memory has the cells of one window: train with static_gates=[]"
             )
-        out.report(f"{why}: trained without static memory (static_gates=[])")
+        task.report(f"{why}: trained without static memory (static_gates=[])")
         return options.model_copy(update={"static_gates": ()})
 
     @classmethod
-    def prepare_training(cls, network: Any, rate: float, device: str) -> Any:
-        """Set the output bias to the occupied rate; the gates and their gradient are one pass over memory."""
-        start_from_rate(network.decode_occupancy, rate)
-        faster = {"cpu": TrainingConvGRU, "cuda": AcceleratedConvGRU}.get(device)
-        return faster(network) if faster and network.layers[0].gates == GATES else network
+    def prepare_training(cls, network: Any, device: str) -> Recurrence:
+        """A variant of `kernels`, for a network with gates."""
+        has_gates = network.layers[0].gates == GATES
+        trained: Recurrence = TRAINING[device](network) if has_gates and device in TRAINING else network
+        return trained
 
     @classmethod
     def prepare_inference(cls, network: Any, options: Any) -> InferenceNetwork:
-        """Convolutions and gates in bands of rows; a network without gates computes as it was trained.
+        """A variant of `kernels`; a network without gates computes as it was trained.
 
         Raises ConfigurationError for a network without gates in bfloat16.
         """
         if network.layers[0].gates == GATES:
-            return InferenceConvGRU(network, bfloat16=options.inference == "bfloat16")
+            return INFERENCE[options.inference](network)
         if options.inference != "float32":
             raise ConfigurationError(f"inference={options.inference} needs cell=gru; this network has cell=plain")
-        return InferencePlainConvGRU(network)
+        return super().prepare_inference(network, options)
 
     @classmethod
     def starts_from_general(cls, options: Any) -> bool:
-        """The network does; a class decoder for existing weights (`stage=classes`) does not."""
+        """Only the network starts from general weights, not a class decoder for existing weights (`stage=classes`)."""
         return bool(options.stage != "classes")
 
     @classmethod
-    def fit(
-        cls,
-        train: Sequence[FrameSource],
-        validation: Sequence[FrameSource],
-        score: Score,
-        out: FitOutput,
-        options: Any,
-    ) -> None:
+    def fit(cls, task: FitTask) -> None:
         """Train the network on visible cells and then, if the recording has classes, its class decoder on labels."""
         from gridtrack.trackers.recurrent.transfer import fit_class_decoder
 
-        if options.stage != "classes":
-            super().fit(train, validation, score, out, options)
-        if options.stage == "classes" or (options.stage == "both" and any(source.classes for source in train)):
-            fit_class_decoder(cls, train, validation, out, options)
-        elif out.start is not None and read_card(out.start).classes:
-            out.report(
+        stage = task.options.stage
+        if stage != "classes":
+            super().fit(task)
+        if stage == "classes" or (stage == "both" and any(source.classes for source in task.train)):
+            fit_class_decoder(cls, task)
+        elif task.start is not None and read_card(task.start).classes:
+            task.report(
                 "without classes: the class decoder of the general weights is left out, it reads their network only"
             )

@@ -1,4 +1,4 @@
-"""The original Deep Tracking RNN (Ondruska and Posner, AAAI 2016).
+"""The tracker `deep-tracking-rnn`: the original Deep Tracking RNN (Ondruska and Posner, AAAI 2016).
 
     e = sigmoid(We*x)       encoder
     h' = sigmoid(Wh*[e, h]) recurrence
@@ -10,30 +10,38 @@ throughout and 78,449 parameters (the default); the paper's own 1.0 has 11,193 (
 
 from __future__ import annotations
 
+from typing import Any, ClassVar
+
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import conv2d
 
-from gridtrack.trackers.recurrent.network import LatentState
-from gridtrack.trackers.recurrent.resolution_input import ResolutionShift
-from gridtrack.trackers.recurrent.settings import DeepTrackingRNNSettings
+from gridtrack.trackers.recurrent.inference import InferenceNetwork
+from gridtrack.trackers.recurrent.kernels.rnn import InferenceRNN, TrainingRNN
+from gridtrack.trackers.recurrent.network import Recurrence, RecurrentNetwork, ResolutionShift
+from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
+from gridtrack.trackers.recurrent.settings import DeepTrackingRNNOptions, DeepTrackingRNNSettings
 
 ENCODER = {"code": (16, 7), "paper": (8, 7)}
 RECURRENCE = {"code": (32, 7), "paper": (16, 5)}
 STEEPNESS = 8.0
-"""Of an untrained unit in what it answers to: 0.02 or 0.98."""
+"""Weight of an untrained unit for its input; its values are then 0.02 and 0.98."""
 HOLD = 5.0
-"""Weight of an untrained unit that holds its value for itself. Above 4 there are two values that stay, here 0.14 and
-0.86; the larger it is, the less of a gradient passes through them from step to step."""
+"""Weight of an untrained latch for its own value. Above 4 it has two stable values, here 0.14 and 0.86; the larger the
+weight, the smaller the gradient that passes from step to step."""
 
 
-class DeepTrackingRNN(nn.Module):
+OneState = tuple[Tensor]
+"""h (B, C, M, M)."""
+
+
+class DeepTrackingRNN(RecurrentNetwork):
     """The network: x_t (B, 2, M, M) and its one state h (B, C, M, M)."""
 
     def __init__(self, size: int, settings: DeepTrackingRNNSettings) -> None:
-        super().__init__()
+        super().__init__(size)
         (encoded, encoder_kernel), (channels, kernel) = ENCODER[settings.variant], RECURRENCE[settings.variant]
-        self.size, self.channels = size, channels
+        self.channels = channels
         self.encode = nn.Conv2d(2, encoded, encoder_kernel, padding="same")
         self.recur = nn.Conv2d(encoded + channels, channels, kernel, padding="same")
         self.decode = nn.Conv2d(channels, 1, 7, padding="same")
@@ -48,12 +56,12 @@ class DeepTrackingRNN(nn.Module):
 
     @torch.no_grad()
     def _initialise(self) -> None:
-        """Xavier's noise, and paths on which the untrained network is nearly persistence.
+        """Xavier's noise, and paths that make the untrained network nearly persistence.
 
-        Half of the encoder's units answer occupied, half free. A unit in the first half of the state holds what it was
-        until either of them speaks; one in the second half is what is occupied in this frame. With noise alone the
-        sigmoids stay near one half, where gradients are small: for thousands of updates the network forecasts the
-        occupied rate in every cell, and without units that hold, cells that are not seen are forgotten.
+        Half of the encoder's units detect occupied cells, half free ones. Units in the first half of the state are
+        latches, which the two kinds set and reset; units in the second half are the cells occupied in this frame. With
+        noise alone the sigmoids stay near one half, where gradients are small: for thousands of updates the network
+        forecasts the occupied rate in every cell. Without latches it forgets cells that are not visible.
         """
         for convolution, bias in ((self.encode, -STEEPNESS / 2), (self.recur, -STEEPNESS / 2), (self.decode, 0.0)):
             nn.init.xavier_uniform_(convolution.weight)
@@ -73,12 +81,12 @@ class DeepTrackingRNN(nn.Module):
         self.recur.bias[holds] = -HOLD / 2
         decode[0, holds] += 1.5 * STEEPNESS / len(holds)
 
-    def initial(self, batch: int) -> LatentState:
+    def initial(self, batch: int) -> OneState:
         """h_0 = 0."""
         zero = self.decode.weight.new_zeros((batch, self.channels, self.size, self.size))
         return (zero.contiguous(memory_format=torch.channels_last),)
 
-    def step(self, x: Tensor | None, state: LatentState) -> LatentState:
+    def step(self, x: Tensor | None, state: OneState) -> OneState:
         """h_t from x_t and h_{t-1}."""
         (h,) = state
         inputs = torch.cat([self.encoded(x, h.shape[0]), h], dim=1)
@@ -97,7 +105,7 @@ class DeepTrackingRNN(nn.Module):
         return self.shifts[layer](bias) if layer in self.shifts else bias
 
     def empty_input_sums(self) -> Tensor:
-        """What an empty input and the biases add to every sum of the recurrence, (1, C, M, M)."""
+        """The part of the recurrence's sums from an empty input and the biases, (1, C, M, M)."""
         input_weight = self.recur.weight[:, : -self.channels]
         return conv2d(self.encoded(None, 1), input_weight, self._bias("recur"), padding="same")
 
@@ -105,7 +113,7 @@ class DeepTrackingRNN(nn.Module):
         """The part of the recurrence's weight for h, (C, C, 7, 7), or 5 x 5 in the paper's variant."""
         return self.recur.weight[:, -self.channels :].contiguous(memory_format=torch.channels_last)
 
-    def features(self, state: LatentState) -> Tensor:
+    def features(self, state: OneState) -> Tensor:
         """The state itself."""
         return state[0]
 
@@ -114,11 +122,35 @@ class DeepTrackingRNN(nn.Module):
         logits: Tensor = self.decode(features)
         return logits.squeeze(1)
 
-    def semantics(self, state: LatentState) -> None:
-        """This network has no classes."""
+    @property
+    def output_bias(self) -> Tensor:
+        """The bias (1,) of the decoder."""
+        assert self.decode.bias is not None
+        return self.decode.bias
 
 
 def _centre(convolution: nn.Conv2d) -> Tensor:
     """The weights (outputs, inputs) of a cell for itself, a view."""
     rows, columns = convolution.kernel_size
     return convolution.weight[:, :, rows // 2, columns // 2]
+
+
+class DeepTrackingRNNTracker(RecurrentTracker):
+    """The Deep Tracking RNN as a tracker of occupancy."""
+
+    Options: ClassVar[type[DeepTrackingRNNOptions]] = DeepTrackingRNNOptions
+
+    @classmethod
+    def build(cls, size: int, options: Any, classes: int) -> DeepTrackingRNN:
+        """The untrained network; it has no classes."""
+        return DeepTrackingRNN(size, options)
+
+    @classmethod
+    def prepare_training(cls, network: Any, device: str) -> Recurrence:
+        """The variant of `kernels`, the same on all devices."""
+        return TrainingRNN(network)
+
+    @classmethod
+    def prepare_inference(cls, network: Any, options: Any) -> InferenceNetwork:
+        """The variant of `kernels`."""
+        return InferenceRNN(network)

@@ -19,12 +19,11 @@ from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
+from torch.nn.functional import conv2d
 
-from gridtrack.trackers.cell_classifier import CellClassifier
-from gridtrack.trackers.recurrent.network import DecodedLayers, LatentState, class_planes
-from gridtrack.trackers.recurrent.resolution_input import ResolutionShift
+from gridtrack.trackers.recurrent.network import DecodedLayers, RecurrentNetwork, ResolutionShift
 from gridtrack.trackers.recurrent.settings import DilatedConvGRUSettings
+from gridtrack.trackers.training.cell_classifier import CellClassifier
 
 
 def convgru_gates(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], h: Tensor) -> Tensor:
@@ -100,10 +99,14 @@ class DilatedConvGRULayer(nn.Module):
         return tuple(self.shifts[gate](bias) if gate in self.shifts else bias for gate, bias in biases)
 
     def _convolve(self, x: Tensor, weight: Tensor) -> Tensor:
-        return functional.conv2d(x, weight, padding=self.dilation, dilation=self.dilation)
+        return conv2d(x, weight, padding=self.dilation, dilation=self.dilation)
 
 
-class DilatedConvGRU(nn.Module):
+LayerStates = tuple[Tensor, ...]
+"""h (B, C, M, M) of each layer."""
+
+
+class DilatedConvGRU(RecurrentNetwork):
     """The network: layers at full resolution, dilation doubling from layer to layer, no pooling.
 
     Its receptive field is (2^(K+1) - 1)^2 cells a step for K layers.
@@ -121,24 +124,25 @@ class DilatedConvGRU(nn.Module):
 
         `decoded_layers`: the layers whose states it reads.
         """
-        super().__init__()
-        self.size, self.channels = size, settings.channels
+        super().__init__(size)
+        self.channels = settings.channels
         self.layers = nn.ModuleList(
             DilatedConvGRULayer(2 if k == 0 else settings.channels, size, 2**k if settings.dilated else 1, settings)
             for k in range(settings.layers)
         )
         self.decode_occupancy = nn.Conv2d(settings.channels, 1, 3, padding=1)
         nn.init.normal_(self.decode_occupancy.weight, std=0.3)
-        self.decoded_layers: DecodedLayers = decoded_layers
+        self.decoded_layers = decoded_layers
         planes = settings.channels * (settings.layers if decoded_layers == "all" else 1)
-        self.decode_semantics = CellClassifier(planes, class_hidden, classes) if classes else None
+        if classes:
+            self.decode_semantics = CellClassifier(planes, class_hidden, classes)
 
-    def initial(self, batch: int) -> LatentState:
+    def initial(self, batch: int) -> LayerStates:
         """h_0 = 0 in every layer."""
         zero = self.decode_occupancy.weight.new_zeros((batch, self.channels, self.size, self.size))
         return (zero.contiguous(memory_format=torch.channels_last),) * len(self.layers)
 
-    def step(self, x: Tensor | None, state: LatentState) -> LatentState:
+    def step(self, x: Tensor | None, state: LayerStates) -> LayerStates:
         """h_t of all layers: each layer's new state is the next one's input."""
         states = []
         for layer, h in zip(self.layers, state, strict=True):
@@ -146,7 +150,7 @@ class DilatedConvGRU(nn.Module):
             states.append(x)
         return tuple(states)
 
-    def features(self, state: LatentState) -> Tensor:
+    def features(self, state: LayerStates) -> Tensor:
         """The last layer's state."""
         return state[-1]
 
@@ -155,8 +159,12 @@ class DilatedConvGRU(nn.Module):
         logits: Tensor = self.decode_occupancy(features)
         return logits.squeeze(1)
 
-    def semantics(self, state: LatentState) -> Tensor | None:
-        """Logits of the classes, (B, K, M, M)."""
-        return (
-            None if self.decode_semantics is None else self.decode_semantics(class_planes(state, self.decoded_layers))
-        )
+    @property
+    def output_bias(self) -> Tensor:
+        """The bias (1,) of the occupancy decoder."""
+        assert self.decode_occupancy.bias is not None
+        return self.decode_occupancy.bias
+
+    def class_planes(self, state: LayerStates, layers: DecodedLayers) -> Tensor:
+        """The states of the last or of all layers, (B, C, M, M) or (B, layers x C, M, M)."""
+        return state[-1] if layers == "last" else torch.cat(state, dim=1)

@@ -1,240 +1,149 @@
-"""Fast inference on a processor: the same functions as the trained networks, for one stream.
+"""A trained network on one stream, whose window may move.
 
-Dilated ConvGRU: Winograd convolutions (winograd.py) and gates in one pass over memory (fused.py), both for one band of
-rows after the other, so that the sums stay in the cache. Only the new states are allocated. In bfloat16 the
-convolutions are the direct ones of oneDNN: they are faster where the processor has instructions for bfloat16, and
-Winograd's sums would lose too many digits.
+The network is trained in a window that stays. A cell that no beam has reached since the first frame has a state there
+too: that of a network whose input was empty all the time. A cell that comes into the window starts with the same state,
+as if the window had held it from the first frame on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from abc import abstractmethod
+from copy import deepcopy
+from functools import cached_property
+from typing import Any, cast
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor, nn
-from torch.nn.functional import conv2d
+from torch import Tensor
 
 from gridtrack.common.grid import Shift, rolled
-from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN
-from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, DilatedConvGRULayer
-from gridtrack.trackers.recurrent.fused import fused_gates, kernel
-from gridtrack.trackers.recurrent.network import Float32Array, LatentState, as_cells, as_tensor
-from gridtrack.trackers.recurrent.unseen import UnseenStates
-from gridtrack.trackers.recurrent.winograd import WinogradConvolution
+from gridtrack.trackers.recurrent.network import (
+    DecodedLayers,
+    Recurrence,
+    RecurrentNetwork,
+    State,
+    as_cells,
+    as_tensor,
+    map_state,
+    tensors_of,
+)
+
+CONVERGED_AFTER = 200
+"""Number of frames after which the state of an unseen cell counts as final, if it has not converged before."""
+CONVERGED = 1e-6
+"""Largest change of a converged state in one frame."""
 
 
-class InferenceConvGRU:
-    """An InferenceNetwork for batches of one, without gradients: the trained `network`, whose cells must have gates.
+class StreamNetwork(Recurrence):
+    """A Recurrence for one stream, whose window may move; it computes with another `network`."""
 
-    With `bfloat16` the convolutions of input and state are bfloat16; states, gates and decoders are float32.
-    """
+    def __init__(self, network: Any) -> None:
+        self.network = network
 
-    def __init__(self, network: DilatedConvGRU, *, bfloat16: bool = False) -> None:
-        self.size, self.channels = network.size, network.channels
-        layers: list[Any] = list(network.layers)
-        self._has_map = any(is_map(bias) for layer in layers for bias in layer.biases.values())
-        self._map_cells = np.zeros((self.size, self.size), np.int32)
-        self.anchor(Shift())
-        self.unseen = UnseenStates(network)
+    def initial(self, batch: int) -> State:
+        """h_0."""
+        return self.network.initial(batch)
 
-        def inference_layer(layer: DilatedConvGRULayer, *, with_input: bool = True) -> InferenceLayer:
-            return InferenceLayer(layer, self._map_cells, with_input=with_input, bfloat16=bfloat16)
+    def step(self, x: Tensor | None, state: State) -> State:
+        """The state after the next frame, x (1, 2, M, M), or without it; the given `state` is not changed."""
+        return self.network.step(x, state)
 
-        first, *others = layers
-        self._first, self._first_without_input = inference_layer(first), inference_layer(first, with_input=False)
-        self._others = [inference_layer(layer) for layer in others]
-        self._decode_occupancy = OccupancyDecoder(network.decode_occupancy, self.size)
-        self.semantics = network.semantics
-
-    def initial(self, batch: int) -> LatentState:
-        """h_0 = 0 in every layer."""
-        assert batch == 1
-        zero = np.zeros((self.size, self.size, self.channels), np.float32)
-        return (as_tensor(zero),) * (1 + len(self._others))
-
-    def step(self, x: Tensor | None, state: LatentState) -> LatentState:
-        """h_t of all layers: each layer's new state is the next one's input. An empty input is not convolved."""
-        h, *others = (as_cells(each) for each in state)
-        new = [self._first_without_input(h) if x is None else self._first(h, as_cells(x))]
-        for layer, h in zip(self._others, others, strict=True):
-            new.append(layer(h, new[-1]))
-        return tuple(as_tensor(each) for each in new)
-
-    def current(self, state: LatentState) -> LatentState:
-        """The state itself."""
-        return state
-
-    def features(self, state: LatentState) -> Tensor:
-        """The last layer's state."""
-        return state[-1]
+    def features(self, state: State) -> Tensor:
+        """The part of the latent state that the occupancy decoder reads, (1, C, M, M)."""
+        return cast(Tensor, self.network.features(state))
 
     def occupancy(self, features: Tensor) -> Tensor:
         """Logits of P(occupied), (1, M, M)."""
-        return self._decode_occupancy(features)
+        return cast(Tensor, self.network.occupancy(features))
+
+    def class_planes(self, state: State, layers: DecodedLayers) -> Tensor:
+        """The part of the latent state that a class decoder reads, (1, C, M, M)."""
+        return cast(Tensor, self.network.class_planes(state, layers))
+
+    def semantics(self, state: State) -> Tensor | None:
+        """Logits of the K classes, (1, K, M, M); None without a class decoder."""
+        return cast(Tensor | None, self.network.semantics(state))
+
+    @abstractmethod
+    def unseen(self, frames: int) -> State:
+        """The state of a cell that no frame of `frames` has seen, far from every cell that was: arrays (C,)."""
+
+    @abstractmethod
+    def rolled(self, state: State, shift: Shift, frames: int) -> State:
+        """The `state` after `frames` frames, when the window moved by `shift`; cells that come in are `unseen`."""
 
     def anchor(self, shift: Shift) -> None:
-        """Each cell takes the biases of its place; outside the maps these are their means."""
-        if self._has_map:
-            cells = np.arange(self.size**2, dtype=np.int32).reshape(self.size, self.size)
-            self._map_cells[:] = rolled(cells, shift, cells.size)
+        """Keep the maps at their places in the world: the window lies `shift` from where they begin."""
+        self.network.anchor(shift)
 
 
-class InferencePlainConvGRU:
-    """An InferenceNetwork: the trained `network`, whose cells have no gates, with its maps where the window lies."""
+class InferenceNetwork(StreamNetwork):
+    """A trained network for batches of one, without gradients, with a step for each frame.
 
-    def __init__(self, network: DilatedConvGRU) -> None:
-        self.initial, self.step, self.features = network.initial, network.step, network.features
-        self.occupancy, self.semantics = network.occupancy, network.semantics
-        self.unseen = UnseenStates(network)
-        layers: list[Any] = list(network.layers)
-        biases = [bias.detach() for layer in layers for bias in layer.biases.values() if is_map(bias)]
-        self._maps = [(bias, bias.clone().numpy(), bias.mean(dim=(1, 2), keepdim=True).numpy()) for bias in biases]
-
-    def current(self, state: LatentState) -> LatentState:
-        """The state itself."""
-        return state
-
-    def anchor(self, shift: Shift) -> None:
-        """Each cell takes the bias of its place; outside the map this is its mean."""
-        for placed, learned, mean in self._maps:
-            placed.copy_(torch.from_numpy(rolled(learned, shift, mean)))
-
-
-class InferenceRNN:
-    """An InferenceNetwork: the trained `network`, whose convolution of the empty input is computed once."""
-
-    def __init__(self, network: DeepTrackingRNN) -> None:
-        self._network = network
-        self.initial, self.features = network.initial, network.features
-        self.occupancy, self.semantics = OccupancyDecoder(network.decode, network.size), network.semantics
-        self.unseen = UnseenStates(network)
-        with torch.no_grad():
-            self._empty, self._state_weight = network.empty_input_sums(), network.state_weight()
-
-    def step(self, x: Tensor | None, state: LatentState) -> LatentState:
-        """h_t; an empty input is not convolved."""
-        if x is not None:
-            return self._network.step(x, state)
-        return (torch.sigmoid(self._empty + conv2d(state[0], self._state_weight, padding="same")),)
-
-    def current(self, state: LatentState) -> LatentState:
-        """The state itself."""
-        return state
-
-    def anchor(self, shift: Shift) -> None:
-        """The network has no map."""
-
-
-class InferenceLayer:
-    """One recurrent layer: h (M, M, C) and, `with_input`, x (M, M, I) -> h'.
-
-    `map_cells` (M, M) int32: the row of each cell in the biases of the maps.
+    It computes as it was trained; the subclasses in `kernels` are faster.
     """
 
-    def __init__(
-        self, layer: DilatedConvGRULayer, map_cells: NDArray[np.int32], *, with_input: bool, bfloat16: bool
-    ) -> None:
-        channels, inputs = layer.state_weight.shape[1], layer.input_weight.shape[1]
-        weight = weight_of_both(layer) if with_input else layer.state_weight.detach()
-        images = (channels, inputs) if with_input else (channels,)
-        convolution = BFloat16Convolution if bfloat16 else WinogradConvolution
-        self._convolution = convolution(weight, images, len(map_cells), layer.dilation)
-        self._gates = fused_gates(channels, with_input=with_input, bfloat16=bfloat16)
-        biases = [bias.detach() for bias in layer.gate_biases()]
-        self._map_cells, self._biases = map_cells, bias_rows(biases)
+    def __init__(self, network: RecurrentNetwork) -> None:
+        super().__init__(network)
+        self._unseen = states_without_input(network)
 
-    def __call__(self, h: Float32Array, *x: Float32Array) -> Float32Array:
-        """h' (M, M, C)."""
-        new = np.empty_like(h)
-        for rows, sums in self._convolution.bands((h, *x)):
-            self._gates(sums, rows.start, rows.step, self._map_cells, *self._biases, h, new)
-        return new
+    def unseen(self, frames: int) -> State:
+        """The state of an unseen cell: that of a network whose input was empty all the time."""
+        return self._unseen[min(frames, len(self._unseen) - 1)]
 
+    def rolled(self, state: State, shift: Shift, frames: int) -> State:
+        """Each cell keeps its state at its place in the world."""
+        return map_state(
+            lambda h, fill: as_tensor(rolled(as_cells(h), shift, fill, axes=(0, 1))), state, self.unseen(frames)
+        )
 
-class BFloat16Convolution:
-    """The sums of WinogradConvolution, as direct convolutions in bfloat16 and one band."""
+    def anchor(self, shift: Shift) -> None:
+        """Each cell takes the values of its place; outside a map these are its mean."""
+        for bias, learned in self._learned_maps:
+            mean = learned.mean(dim=(1, 2), keepdim=True)
+            bias.copy_(torch.from_numpy(rolled(learned.numpy(), shift, mean.numpy())))
 
-    def __init__(self, weight: Tensor, channels: Sequence[int], size: int, dilation: int) -> None:
-        self._weight = weight.bfloat16().contiguous(memory_format=torch.channels_last)
-        self._dilation = dilation
-        self._image = torch.zeros(1, size, size, sum(channels), dtype=torch.bfloat16).permute(0, 3, 1, 2)
-        self._parts = torch.split(self._image, list(channels), dim=1)
-
-    def bands(self, images: Sequence[Float32Array]) -> Iterator[tuple[range, Float32Array]]:
-        """All rows, and their sums (M, M, N) as bits in uint16."""
-        for part, image in zip(self._parts, images, strict=True):
-            part.copy_(as_tensor(image))
-        sums = conv2d(self._image, self._weight, padding=self._dilation, dilation=self._dilation)
-        cells = as_cells(sums.view(torch.uint16))
-        yield range(len(cells)), cells
-
-
-def weight_of_both(layer: DilatedConvGRULayer) -> Tensor:
-    """Filters (4C, C + I, 3, 3) of h and x: keep gate, reset gate, candidate from h, candidate from x.
-
-    The candidate has two outputs because the reset gate multiplies only that of h.
-    """
-    h, x = layer.state_weight.detach(), layer.input_weight.detach()
-    channels = h.shape[1]
-    h_gates, h_candidate = h[: 2 * channels], h[2 * channels :]
-    x_gates, x_candidate = x[: 2 * channels], x[2 * channels :]
-    rows = (
-        (h_gates, x_gates),
-        (h_candidate, torch.zeros_like(x_candidate)),
-        (torch.zeros_like(h_candidate), x_candidate),
-    )
-    return torch.cat([torch.cat(row, dim=1) for row in rows])
+    @cached_property
+    def _learned_maps(self) -> list[tuple[Tensor, Tensor]]:
+        """Each map of the network, and a copy of its values as they were learned."""
+        maps = (bias.detach() for bias in self.network.maps().values())
+        return [(bias, bias.clone()) for bias in maps if is_map(bias)]
 
 
 def is_map(bias: Tensor) -> bool:
-    """Whether a bias has a value for each cell."""
+    """Whether a bias (C, M, M) has a value for each cell; (C, 1, 1) has not."""
     return bias.shape[1:].numel() > 1
 
 
-def bias_rows(biases: Sequence[Tensor]) -> list[Float32Array]:
-    """Biases (C, M, M) or (C, 1, 1) as rows (R, C): a row for each cell and one for the cells outside, their mean.
+@torch.no_grad()
+def states_without_input(network: RecurrentNetwork) -> list[State]:
+    """The states of an unseen cell, far from all others, after 0, 1, 2, ... frames, as arrays (C,).
 
-    One row for all cells where no bias has a value for each cell.
+    The static memory is its mean, for any place.
     """
-    shape = max((bias.shape for bias in biases), key=lambda each: each.numel())
-    rows = [bias.expand(shape).flatten(1).T for bias in biases]
-    if len(rows[0]) > 1:
-        rows = [torch.cat([each, each.mean(dim=0, keepdim=True)]) for each in rows]
-    return [each.contiguous().numpy() for each in rows]
+    one_cell: Any = of_one_cell(network)
+    state, states = one_cell.initial(1), []
+    for _ in range(CONVERGED_AFTER):
+        states.append(map_state(lambda h: h.flatten().numpy(), state))
+        before, state = state, one_cell.step(None, state)
+        changes = zip(tensors_of(state), tensors_of(before), strict=True)
+        if max(float((h - old).abs().max()) for h, old in changes) < CONVERGED:
+            break
+    return states
 
 
-class OccupancyDecoder:
-    """A convolution with one output: a matrix product for all its taps, then the sum of their shifted maps."""
+@torch.no_grad()
+def of_one_cell(network: RecurrentNetwork) -> RecurrentNetwork:
+    """A copy of `network` for a grid of one cell, which is any cell of a plane in which all cells are equal.
 
-    def __init__(self, convolution: nn.Conv2d, size: int) -> None:
-        (weight,) = convolution.weight.detach()
-        self._taps = weight.flatten(1).T.contiguous()
-        self._bias = float(convolution.bias.detach())  # type: ignore[union-attr]
-        self._maps = torch.zeros(len(self._taps), size * size)
-        self._as_grid = self._maps.view(*weight.shape[1:], size, size).numpy()
-
-    def __call__(self, features: Tensor) -> Tensor:
-        """(1, C, M, M) -> (1, M, M)."""
-        torch.mm(self._taps, features[0].flatten(1), out=self._maps)
-        logits = torch.empty(features.shape[2:])
-        add_shifted(self._as_grid, self._bias, logits.numpy())
-        return logits[None]
-
-
-@kernel("void(float32[:,:,:,::1], float32, float32[:,::1])")
-def add_shifted(maps, bias, out):  # type: ignore[no-untyped-def]
-    """out[r, x] = bias + sum over i, j = 0..2k of maps[i, j, r + i - k, x + j - k], zero outside the grid."""
-    size, side = out.shape[0], maps.shape[0]
-    reach = side // 2
-    for r in range(size):
-        out[r] = bias
-        for i in range(max(0, reach - r), min(side, size + reach - r)):
-            for j in range(side):
-                seen = maps[i, j, r + i - reach]
-                if j < reach:
-                    out[r, reach - j :] += seen[: max(0, size - reach + j)]
-                else:
-                    out[r, : size - j + reach] += seen[j - reach :]
+    There a convolution is a product with the sum of its taps. Maps have one value, their mean.
+    """
+    copied = deepcopy(network)
+    copied.size = 1
+    for parameter in copied.parameters():
+        if parameter.ndim == 4:
+            centre = parameter.shape[2] // 2
+            total = parameter.sum(dim=(2, 3))
+            parameter.zero_()[:, :, centre, centre] = total
+    for bias in copied.maps().values():
+        bias.data = bias.mean(dim=(1, 2), keepdim=True)
+    return copied

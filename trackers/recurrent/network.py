@@ -1,8 +1,9 @@
-"""The interface of a recurrent network that is trained and run as a tracker."""
+"""The interface of a recurrent network: what a training, a tracker and a moving window need of it."""
 
 from __future__ import annotations
 
-import math
+from abc import abstractmethod
+from collections.abc import Callable, Iterator
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -10,60 +11,124 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from gridtrack.common.grid import Shift
+from gridtrack.trackers.training.networks import cell_input, period_input
 
 Float32Array = NDArray[np.float32]
 
-LatentState = tuple[Tensor, ...]
-"""The latent state: one tensor (B, C, M, M) for each recurrent layer."""
-
+State = Any
+"""A latent state: tensors (B, C, M, M) in nested tuples, lists or dicts, whose structure only the network knows."""
 
 DecodedLayers = Literal["last", "all"]
 
 
-class RecurrentNetwork(Protocol):
-    """A network with a latent state that is updated with each frame and decoded into grids."""
+class Recurrence(Protocol):
+    """The steps of a network and its occupancy decoder."""
 
-    def initial(self, batch: int) -> LatentState:
+    mixed_resolutions: bool = False
+    """Whether the windows of one batch may differ in cell size and period."""
+
+    @abstractmethod
+    def initial(self, batch: int) -> State:
         """h_0."""
-        ...
 
-    def step(self, x: Tensor | None, state: LatentState) -> LatentState:
+    @abstractmethod
+    def step(self, x: Tensor | None, state: State) -> State:
         """h_t from x_t (B, 2, M, M), the planes visible and occupied, and h_{t-1}. None is the empty input."""
-        ...
 
-    def features(self, state: LatentState) -> Tensor:
+    @abstractmethod
+    def features(self, state: State) -> Tensor:
         """The part of the latent state that the occupancy decoder reads, (B, C, M, M)."""
-        ...
 
+    @abstractmethod
     def occupancy(self, features: Tensor) -> Tensor:
         """Logits of P(occupied), (B, M, M)."""
-        ...
-
-    def semantics(self, state: LatentState) -> Tensor | None:
-        """Logits of the K classes, (B, K, M, M); None for a network without classes."""
-        ...
 
 
-class InferenceNetwork(RecurrentNetwork, Protocol):
-    """A network for one stream, whose window may move."""
+class RecurrentNetwork(nn.Module, Recurrence):
+    """Base of the networks: a Recurrence with parameters.
 
-    def current(self, state: LatentState) -> LatentState:
-        """The part of the state that knows the last frame: one tensor for each recurrent layer."""
-        ...
+    `size`: cells a side of its grids; a network without maps takes grids of any size, once this is set. A subclass
+    defines the methods of Recurrence and `output_bias`; the rest has defaults, for what only some networks have.
+    """
 
-    def unseen(self, frames: int) -> tuple[Float32Array, ...]:
-        """The state (C,) in each layer of a cell that no frame of `frames` has seen, far from every cell that was."""
-        ...
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.size = size
+        self.decoded_layers: DecodedLayers = "last"
+        self.decode_semantics: nn.Module | None
+        self.register_module("decode_semantics", None)
 
-    def anchor(self, shift: Shift) -> None:
-        """Keep the maps of the network at their places in the world: the window lies `shift` from where they begin."""
-        ...
+    @property
+    @abstractmethod
+    def output_bias(self) -> Tensor:
+        """The bias (1,) of the occupancy decoder's output."""
+
+    def class_planes(self, state: State, layers: DecodedLayers) -> Tensor:
+        """The part of the latent state that the class decoder reads, (B, C, M, M); `features` unless overridden."""
+        return self.features(state)
+
+    def semantics(self, state: State) -> Tensor | None:
+        """Logits of the K classes, (B, K, M, M); None without a class decoder, `decode_semantics`."""
+        if self.decode_semantics is None:
+            return None
+        logits: Tensor = self.decode_semantics(self.class_planes(state, self.decoded_layers))
+        return logits
+
+    def maps(self) -> dict[str, nn.Parameter]:
+        """The static memory, by name: parameters (C, M, M), or (C, 1, 1) in a network for any place."""
+        return {name: parameter for name, parameter in self.named_parameters() if parameter.ndim == 3}
 
 
-def class_planes(state: LatentState, layers: DecodedLayers) -> Tensor:
-    """The part of the latent state that the class decoder reads, (B, C, M, M) or (B, layers x C, M, M)."""
-    return state[-1] if layers == "last" else torch.cat(state, dim=1)
+def map_state(function: Callable[..., Any], state: State, *others: State) -> State:
+    """`function` of each tensor of the `state`, and of those at the same place in the `others`."""
+    if isinstance(state, dict):
+        return {key: map_state(function, state[key], *(other[key] for other in others)) for key in state}
+    if isinstance(state, tuple | list):
+        parts = [map_state(function, *each) for each in zip(state, *others, strict=True)]
+        return type(state)(*parts) if hasattr(state, "_fields") else type(state)(parts)
+    return function(state, *others)
+
+
+def tensors_of(state: State) -> Iterator[Tensor]:
+    """The tensors of a state, in a fixed order."""
+    if isinstance(state, Tensor):
+        yield state
+    else:
+        for part in state.values() if isinstance(state, dict) else state:
+            yield from tensors_of(part)
+
+
+class ResolutionShift(nn.Module):
+    """Cell size and period as inputs of a network for any place: they shift the biases (C,) of a layer.
+
+    The shift is weights (C, 2) times `resolution_of` the grids. They begin with zeros: the network is then the same at
+    every resolution. `resolution` is (2,), or (B, 2) if the windows of a batch differ.
+
+    Two constant planes beside visible and occupied would do the same, except at the edge of the window, where a
+    convolution reads the zeros outside; and they would have to be convolved in frames without input too.
+    """
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.zeros(channels, 2))
+        self.resolution = torch.zeros(2)
+
+    def forward(self, bias: Tensor) -> Tensor:
+        """The `bias` (C,) or (C, M, M) at `resolution`; (B, C, M, M) of (C, M, M) at those of a batch."""
+        shift = self.resolution.to(self.weight.device) @ self.weight.T
+        return bias + shift.view(*shift.shape, *(1,) * (bias.ndim - 1))
+
+
+def resolution_of(cell_m: float, period_s: float) -> Tensor:
+    """The inputs (2,) float32: the logarithms of cell size and period."""
+    return torch.tensor([cell_input(cell_m), period_input(period_s)], dtype=torch.float32)
+
+
+def set_resolution(network: nn.Module, resolution: Tensor) -> None:
+    """Set the resolution (2,) of the grids, or (B, 2) of those of a batch; no effect on a network for one site."""
+    for module in network.modules():
+        if isinstance(module, ResolutionShift):
+            module.resolution = resolution
 
 
 def channels_last(network: nn.Module) -> Any:
@@ -85,13 +150,3 @@ def as_tensor(cells: Float32Array) -> Tensor:
     and convolutions and `cat` then copy it.
     """
     return torch.from_numpy(cells)[None].permute(0, 3, 1, 2)
-
-
-def start_from_rate(decoder: nn.Conv2d, rate: float) -> None:
-    """Set the output bias so that an untrained network answers the occupied `rate` in (0, 1), not one half.
-
-    About 2 % of the visible cells are occupied; the first updates of training need not learn that number.
-    """
-    assert decoder.bias is not None
-    with torch.no_grad():
-        decoder.bias.fill_(math.log(rate / (1.0 - rate)))

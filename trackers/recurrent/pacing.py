@@ -1,8 +1,8 @@
-"""Networks whose step lasts as long at every period of the stream: several steps a frame, or frames taken in turns.
+"""Steps of equal duration at every period of a stream: several steps a frame, or several states that alternate.
 
 What walks moves a third of a cell a frame at 20 scans a second, and four cells at 5. A network for any place has steps
-of about one duration instead. Where the frames of a stream are slow, some of its steps have no input; where they are
-fast, several states share the frames: each takes one of them in its turn, and forecasts are theirs in turn.
+of about one duration instead. If the frames of a stream are slow, some steps have no input. If they are fast, there are
+several states: each takes every n-th frame, and the forecast of a frame comes from the state that would take it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState
+from gridtrack.common.grid import Shift
+from gridtrack.trackers.recurrent.inference import StreamNetwork
+from gridtrack.trackers.recurrent.network import DecodedLayers, State
 
 
 class StepPace(NamedTuple):
@@ -39,7 +41,7 @@ class StepPace(NamedTuple):
         return period_s * self.phases / self.substeps
 
     def frames(self, steps: int) -> int:
-        """Consecutive frames from which `steps` steps of one state are made."""
+        """Number of consecutive frames from which `steps` steps of one state are made."""
         return (steps - 1) * self.phases + 1 if self.phases > 1 else steps // self.substeps
 
     def steps_of(self, planes: NDArray[np.uint8], steps: int) -> NDArray[np.uint8]:
@@ -54,7 +56,7 @@ class StepPace(NamedTuple):
         return spaced
 
     def frame_of(self, step: int) -> int:
-        """The number of the last frame of the series that step number `step` knows; 0 at least."""
+        """The number of the last frame of the series before or at step number `step`; 0 at least."""
         return step * self.phases if self.substeps == 1 else max(0, (step + 1) // self.substeps - 1)
 
 
@@ -64,66 +66,76 @@ def _nearest_number(ratio: float) -> int:
     return below if ratio * ratio <= below * (below + 1) else below + 1
 
 
-def paced(network: InferenceNetwork, pace: StepPace) -> InferenceNetwork:
-    """The `network` as one whose step is a frame of the stream."""
+def paced(network: StreamNetwork, pace: StepPace) -> StreamNetwork:
+    """The `network`, which makes one step a frame, at this pace."""
     if pace.substeps > 1:
         return SubstepNetwork(network, pace.substeps)
     return InterleavedNetwork(network, pace.phases) if pace.phases > 1 else network
 
 
-class SubstepNetwork:
-    """An InferenceNetwork that makes `substeps` steps a frame, the last one with the frame as its input."""
+class SubstepNetwork(StreamNetwork):
+    """Makes `substeps` steps a frame, the last one with the frame as its input."""
 
-    def __init__(self, network: InferenceNetwork, substeps: int) -> None:
-        self._network, self._substeps = network, substeps
-        self.initial, self.current = network.initial, network.current
-        self.features, self.occupancy, self.semantics = network.features, network.occupancy, network.semantics
-        self.anchor = network.anchor
+    def __init__(self, network: StreamNetwork, substeps: int) -> None:
+        super().__init__(network)
+        self._substeps = substeps
 
-    def step(self, x: Tensor | None, state: LatentState) -> LatentState:
+    def step(self, x: Tensor | None, state: State) -> State:
         """The state after the next frame x, or without it."""
         for _ in range(self._substeps - 1):
-            state = self._network.step(None, state)
-        return self._network.step(x, state)
+            state = self.network.step(None, state)
+        return self.network.step(x, state)
 
-    def unseen(self, frames: int) -> tuple[Float32Array, ...]:
-        """The state (C,) in each layer of a cell that no frame of `frames` has seen."""
-        return self._network.unseen(frames * self._substeps)
+    def unseen(self, frames: int) -> State:
+        """The state of a cell that no frame of `frames` has seen."""
+        return self.network.unseen(frames * self._substeps)
+
+    def rolled(self, state: State, shift: Shift, frames: int) -> State:
+        """The `state` after `frames` frames, when the window moved by `shift`."""
+        return self.network.rolled(state, shift, frames * self._substeps)
 
 
-class InterleavedNetwork:
-    """An InferenceNetwork with `phases` states, of which each takes one frame in `phases`, in turns.
+class InterleavedNetwork(StreamNetwork):
+    """Has `phases` states, each of which takes one frame in `phases`.
 
-    Its LatentState is those of all phases, the one of the last frame at the end. A step without input forecasts the
-    frame whose turn it is, from the state that is `phases` frames older.
+    Its State is a tuple of them, that of the last frame at the end. A step without input forecasts the next frame from
+    the state that would take it, which is `phases` frames older.
     """
 
-    def __init__(self, network: InferenceNetwork, phases: int) -> None:
-        self._network, self._phases = network, phases
-        self.occupancy, self.anchor = network.occupancy, network.anchor
+    def __init__(self, network: StreamNetwork, phases: int) -> None:
+        super().__init__(network)
+        self._phases = phases
 
-    def initial(self, batch: int) -> LatentState:
+    def initial(self, batch: int) -> State:
         """h_0 in every phase."""
-        return self._network.initial(batch) * self._phases
+        return (self.network.initial(batch),) * self._phases
 
-    def step(self, x: Tensor | None, state: LatentState) -> LatentState:
+    def step(self, x: Tensor | None, state: State) -> State:
         """The states after the next frame x, or without it: the oldest one takes it."""
-        layers = len(state) // self._phases
-        return (*state[layers:], *self._network.step(x, state[:layers]))
+        oldest, *newer = state
+        return (*newer, self.network.step(x, oldest))
 
-    def current(self, state: LatentState) -> LatentState:
-        """The state of the last frame."""
-        return self._network.current(state[-(len(state) // self._phases) :])
+    def features(self, state: State) -> Tensor:
+        """The part of the last frame's state that the occupancy decoder reads."""
+        return super().features(state[-1])
 
-    def features(self, state: LatentState) -> Tensor:
-        """What the occupancy decoder reads."""
-        return self._network.features(self.current(state))
+    def class_planes(self, state: State, layers: DecodedLayers) -> Tensor:
+        """The part of the last frame's state that a class decoder reads."""
+        return super().class_planes(state[-1], layers)
 
-    def semantics(self, state: LatentState) -> Tensor | None:
-        """Logits of the classes."""
-        return self._network.semantics(self.current(state))
+    def semantics(self, state: State) -> Tensor | None:
+        """Logits of the classes in the last frame's state."""
+        return super().semantics(state[-1])
 
-    def unseen(self, frames: int) -> tuple[Float32Array, ...]:
-        """The state (C,) in each layer, and phase, of a cell that no frame of `frames` has seen."""
-        updates = ((frames + number) // self._phases for number in range(self._phases))
-        return tuple(h for each in updates for h in self._network.unseen(each))
+    def unseen(self, frames: int) -> State:
+        """The state, in each phase, of a cell that no frame of `frames` has seen."""
+        return tuple(self.network.unseen(steps) for steps in self._steps_of_phases(frames))
+
+    def rolled(self, state: State, shift: Shift, frames: int) -> State:
+        """The `state` after `frames` frames, when the window moved by `shift`."""
+        phases = zip(state, self._steps_of_phases(frames), strict=True)
+        return tuple(self.network.rolled(phase, shift, steps) for phase, steps in phases)
+
+    def _steps_of_phases(self, frames: int) -> list[int]:
+        """The number of steps that each phase has made after `frames` frames."""
+        return [(frames + number) // self._phases for number in range(self._phases)]

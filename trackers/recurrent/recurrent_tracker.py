@@ -3,85 +3,80 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
-from copy import deepcopy
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Shift, shift_between
-from gridtrack.common.horizons import nearest_step
-from gridtrack.trackers.card import card_for
-from gridtrack.trackers.contract import FitOutput, Forecast, FrameSource, Score, StreamSpec, Tracker, stream_of
-from gridtrack.trackers.excerpts import SELECTION_HORIZONS_S, VALIDATED_S, excerpts_of_places
-from gridtrack.trackers.recurrent.general_network import begin_from, general_options, settings_from_general
-from gridtrack.trackers.recurrent.network import Float32Array, InferenceNetwork, LatentState, as_cells, channels_last
+from gridtrack.trackers.contract import FitTask, Forecast, StreamSpec, Tracker
+from gridtrack.trackers.recurrent.inference import InferenceNetwork, StreamNetwork
+from gridtrack.trackers.recurrent.network import (
+    Recurrence,
+    RecurrentNetwork,
+    State,
+    channels_last,
+    resolution_of,
+    set_resolution,
+)
 from gridtrack.trackers.recurrent.pacing import StepPace, paced
-from gridtrack.trackers.recurrent.resolution_input import resolution_of, set_resolution
 from gridtrack.trackers.recurrent.settings import InferenceSettings
-from gridtrack.trackers.recurrent.unseen import rolled_state
-from gridtrack.trackers.trained_network import restore, trained_settings
-from gridtrack.trackers.weights import Weights, load_start, load_weights, save_interrupted, save_weights
-
-if TYPE_CHECKING:
-    from gridtrack.trackers.recurrent.sequences import SequenceDataset
+from gridtrack.trackers.registry import registered_name
+from gridtrack.trackers.training.networks import restore, trained_settings
+from gridtrack.trackers.training.weights import Weights, load_weights
 
 MOST_MISSED = 20
-"""Missed frames that are caught up on at a time: with all of them a network whose step takes longer than a period would
-be later at every frame."""
+"""Largest number of missed frames that are made up for at once: a network whose step takes longer than a period would
+otherwise fall further behind with every frame."""
 
 
 class RecurrentTracker(Tracker):
-    """A recurrent network as a tracker; a subclass sets `name` and builds the network."""
+    """A recurrent network as a tracker; a subclass has `Options`, and builds the network."""
 
-    name: ClassVar[str]
     learns: ClassVar[bool] = True
     learns_general: ClassVar[bool] = True
     moving_sensor: ClassVar[bool] = True
+    map_options: ClassVar[frozenset[str]] = frozenset()
+    """The options of the static memory, which general weights do not have."""
 
     def __init__(
-        self, stream: StreamSpec, options: Any, network: InferenceNetwork | None = None, place: SE2 | None = None
+        self, stream: StreamSpec, options: Any, network: StreamNetwork | None = None, place: SE2 | None = None
     ) -> None:
         """Loads the network from the site's weights unless `network` is passed, with the `place` of its maps.
 
-        `place`: their `world_T_grid`; None where it is not known: they then lie in the first window of each stream.
-        Raises WeightsError.
+        `place`: their `world_T_grid`; None: they lie in the first window of each stream. Raises WeightsError.
         """
         super().__init__(stream, options)
         self._place = place
-        self.network: Any = network or self._restored(load_weights(stream, self.name))
-        self._buffers: tuple[Float32Array, ...] | None = None
+        self.network = network or self._restored(load_weights(stream, registered_name(type(self))))
         self.reset(seed=0)
 
     @classmethod
     @abstractmethod
-    def build(cls, size: int, options: Any, classes: int) -> nn.Module:
-        """The untrained network for a grid of `size` cells a side; see RecurrentNetwork."""
+    def build(cls, size: int, options: Any, classes: int) -> RecurrentNetwork:
+        """The untrained network for a grid of `size` cells a side."""
 
     @classmethod
-    @abstractmethod
-    def prepare_training(cls, network: Any, rate: float, device: str) -> Any:
-        """Set the output bias to the occupied `rate`, and return the RecurrentNetwork that is trained on a `device`.
-
-        It is the same function of the same parameters as `network`, computed faster. `device`: "cpu", "cuda", ...
-        """
+    def prepare_training(cls, network: Any, device: str) -> Recurrence:
+        """The Recurrence to train on a kind of `device` ("cpu", "cuda", ...): `network`, or a faster variant of it."""
+        trained: Recurrence = network
+        return trained
 
     @classmethod
-    @abstractmethod
     def prepare_inference(cls, network: Any, options: Any) -> InferenceNetwork:
-        """The InferenceNetwork: the same function as the trained `network`, computed faster."""
+        """The trained `network` for inference, or a faster variant of it."""
+        return InferenceNetwork(network)
 
     @classmethod
-    def without_map(cls, options: Any, why: str, out: FitOutput) -> Any:
-        """The options of a training whose frames do not have one window, and `why`; most networks have no map of it."""
+    def without_map(cls, options: Any, why: str, task: FitTask) -> Any:
+        """The options of a training without one window for all frames, and `why`: without static memory."""
         return options
 
     def reset(self, seed: int) -> None:
         """Set the state to h_0; nothing is random, so the seed is not used."""
-        self.state: LatentState = self.network.initial(1)
+        self.state: State = self.network.initial(1)
         self.network.anchor(Shift())
         self._updates = 0
         self._stamp_ns: int | None = None
@@ -90,7 +85,7 @@ class RecurrentTracker(Tracker):
     def update(self, frame: GridFrame) -> None:
         """Update the state with the planes visible and occupied of x_t, in the window of this frame.
 
-        A frame that a late tracker did not receive is a step without input, so that what moves has moved on since.
+        A frame that a late tracker did not receive is a step without input, in which moving objects move on.
         """
         x = input_planes(frame) if frame.visible.any() else None
         with torch.inference_mode():
@@ -100,7 +95,7 @@ class RecurrentTracker(Tracker):
             self._step(x)
 
     def _missed_before(self, stamp_ns: int) -> int:
-        """The number of frames that were missed since the last one, MOST_MISSED at most; notes the stamp."""
+        """The number of frames that were missed since the last one, MOST_MISSED at most; stores the stamp."""
         last_ns, self._stamp_ns = self._stamp_ns, stamp_ns
         if last_ns is None:
             return 0
@@ -111,19 +106,13 @@ class RecurrentTracker(Tracker):
         self._updates += 1
 
     def _follow(self, world_T_grid: SE2) -> None:
-        """Move the window to `world_T_grid`, before a step: the states and the maps stay at their places in the world.
-
-        The rolled states are in the same memory every time where a step makes all of the state anew: it does not
-        change its input.
-        """
+        """Move the window to `world_T_grid`; the states and the maps stay at their places in the world."""
         if self._world_T_grid is None:
             self._world_T_grid, self._world_T_map = world_T_grid, self._place or world_T_grid
             self.network.anchor(self._shift(self._world_T_map, world_T_grid))
         shift = self._shift(self._world_T_grid, world_T_grid)
         if shift:
-            if self._buffers is None and len(self.network.current(self.state)) == len(self.state):
-                self._buffers = tuple(np.empty_like(as_cells(h)) for h in self.state)
-            self.state = rolled_state(self.state, shift, self.network.unseen(self._updates), self._buffers)
+            self.state = self.network.rolled(self.state, shift, self._updates)
             self.network.anchor(self._shift(self._world_T_map, world_T_grid))
             self._world_T_grid = world_T_grid
 
@@ -143,14 +132,14 @@ class RecurrentTracker(Tracker):
                 torch.cat(semantics).contiguous().numpy() if self.classes else None,
             )
 
-    def _decoded(self, state: LatentState) -> tuple[Tensor, Tensor | None]:
-        """P(occupied) (1, M, M), and P(class) (1, K, M, M) where the tracker has classes."""
-        features = self.network.features(state)
-        occupancy = torch.sigmoid(self.network.occupancy(features))
-        return occupancy, torch.softmax(self.network.semantics(state), dim=1) if self.classes else None
+    def _decoded(self, state: State) -> tuple[Tensor, Tensor | None]:
+        """P(occupied) (1, M, M), and P(class) (1, K, M, M) if the tracker has classes."""
+        occupancy = torch.sigmoid(self.network.occupancy(self.network.features(state)))
+        logits = self.network.semantics(state) if self.classes else None
+        return occupancy, None if logits is None else torch.softmax(logits, dim=1)
 
-    def _restored(self, weights: Weights) -> InferenceNetwork:
-        """The trained network. Raises WeightsError where the weights do not fit it or contradict an option."""
+    def _restored(self, weights: Weights) -> StreamNetwork:
+        """The trained network. Raises WeightsError if the weights do not fit it or contradict an option."""
         self._place = weights.card.map_pose
         options = trained_settings(self.stream, weights, self.options, running=InferenceSettings)
         self.classes = weights.card.classes
@@ -159,10 +148,8 @@ class RecurrentTracker(Tracker):
         return self.inference_for(network, self.stream, options)
 
     @classmethod
-    def inference_for(cls, network: Any, stream: StreamSpec, options: Any) -> InferenceNetwork:
-        """The InferenceNetwork of the trained `network` for the grids of `stream`, whose size a network without maps
-        takes on.
-        """
+    def inference_for(cls, network: RecurrentNetwork, stream: StreamSpec, options: Any) -> StreamNetwork:
+        """The trained `network` for the grids of `stream`, to whose size a network without maps adapts."""
         network.size = stream.grid.size
         pace = StepPace.of(stream.period_s, options.step_s)
         set_resolution(network, resolution_of(stream.grid.cell_m, pace.step_s(stream.period_s)))
@@ -174,62 +161,14 @@ class RecurrentTracker(Tracker):
         return True
 
     @classmethod
-    def fit(
-        cls,
-        train: Sequence[FrameSource],
-        validation: Sequence[FrameSource],
-        score: Score,
-        out: FitOutput,
-        options: Any,
-    ) -> None:
-        """Train the network on `train` and write the weights that score best on `validation`.
+    def fit(cls, task: FitTask) -> None:
+        """Train the network on `task.train` and write the weights that score best on `task.validation`.
 
-        From general weights `out.start` these are among the candidates.
+        If it starts from general weights `task.start`, these are among the candidates.
         """
-        from gridtrack.trackers.recurrent.devices import training_device
-        from gridtrack.trackers.recurrent.precision import training_precision
-        from gridtrack.trackers.recurrent.sequences import SequenceDataset
-        from gridtrack.trackers.recurrent.training import train_network, validation_scores
+        from gridtrack.trackers.recurrent.fit import fit_network
 
-        start = None if out.start is None else load_start(out.start, cls.name)
-        options = options if start is None else settings_from_general(options, start)
-        if out.general:
-            options = general_options(options)
-        dataset = SequenceDataset(train, options, out.seed, step_s=options.step_s, general=out.general)
-        options = cls._for_windows_of(dataset, options, out)
-        options = options.model_copy(update={"precision": training_precision(options, out)})
-        torch.manual_seed(out.seed)
-        network = cls.build(dataset.size, options, classes=0)
-        in_training = cls.prepare_training(network, dataset.occupied_rate, training_device())
-        if start is not None:
-            begin_from(network, start)
-        held_out = excerpts_of_places(validation, VALIDATED_S) if out.general else validation
-
-        def validate(trained: nn.Module) -> dict[str, float]:
-            def score_on(source: FrameSource) -> Any:
-                stream, steps = stream_of(source), nearest_step(max(SELECTION_HORIZONS_S), source.period_s)
-                inference = cls.inference_for(deepcopy(trained).cpu(), stream, options)
-                return score(cls(stream, options, inference, dataset.first_window), source, steps)
-
-            return validation_scores(score_on, held_out, SELECTION_HORIZONS_S)
-
-        trained = train_network(network, in_training, dataset, options, validate, out, start)
-        arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
-        settings = options.model_dump(mode="json", exclude=set(InferenceSettings.model_fields))
-        card = card_for(cls.name, out, train, validation, settings, trained.scores)
-        if trained.reached:
-            save_interrupted(out.path, card, arrays, trained.reached)
-            raise KeyboardInterrupt
-        save_weights(out.path, card, arrays)
-
-    @classmethod
-    def _for_windows_of(cls, dataset: SequenceDataset, options: Any, out: FitOutput) -> Any:
-        """The options for these windows: without maps where they differ, and for general weights."""
-        if out.general:
-            return cls.without_map(options, "general weights know no place", out)
-        if not dataset.has_one_window:
-            return cls.without_map(options, "the windows of the training frames differ", out)
-        return options
+        fit_network(cls, task)
 
 
 def input_planes(frame: GridFrame) -> Tensor:

@@ -1,12 +1,12 @@
-"""Classes of the cells that are seen now: the latent state's, or their product with those of a classifier of the scan.
+"""Classes of the cells that are occupied now, from the latent state alone or together with a classifier of the scan.
 
-What is remembered and what is seen now are different evidence. In the cells that are occupied in the current frame,
+Memory and the current scan are different evidence. In the cells that are occupied in the current frame,
 
     P(class | h_t, x_t)  ~  P(class | h_t)^a  P(class | x_t)^b:
 
 a logarithmic opinion pool (Genest and Zidek, 1986) of two classifiers of the same labelled scans. The powers a and b
-are those with the least log loss on the validation stretch, so they calibrate the product as well. With b = 0 the power
-a is the calibration of the latent state's classes in these cells: they are more certain than those of other cells.
+have the least log loss on the validation stretch, so they calibrate the product as well. With b = 0 the power a
+calibrates the latent state in these cells, whose classes are more certain than those of other cells.
 """
 
 from __future__ import annotations
@@ -22,12 +22,11 @@ from torch.nn import functional
 
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.cell_classifier import CellClassifier
-from gridtrack.trackers.cell_training import LabelledCells, logits_of
-from gridtrack.trackers.label_settings import ClassifierSettings
 from gridtrack.trackers.recurrent.settings import EvidenceOption
-from gridtrack.trackers.scan_classifier import planes_of, scan_classifier
-from gridtrack.trackers.weights import Weights, array
+from gridtrack.trackers.training.cell_classifier import CellClassifier, planes_of, scan_classifier
+from gridtrack.trackers.training.cell_training import LabelledCells, logits_of
+from gridtrack.trackers.training.labelled_scans import ClassifierSettings
+from gridtrack.trackers.training.weights import Weights, array
 
 PREFIX = "seen_cells."
 """Prefix of the names of the arrays in a weights file."""
@@ -38,10 +37,10 @@ SMALLEST = 1e-12
 
 
 class SeenCells(nn.Module):
-    """A classifier of scans, and the powers of state and scan: (2,) for the state alone, and (2,) for both."""
+    """A classifier of scans, and the powers (a, b) of state and scan: for the state alone, and for both."""
 
     def __init__(self, classifier: CellClassifier, cell_m: float | None = None) -> None:
-        """`cell_m` of the grids, for a classifier that reads it."""
+        """`cell_m`: cell size of the grids, for a classifier that reads it."""
         super().__init__()
         self.classifier, self.cell_m = classifier, cell_m
         self.state_alone: Tensor
@@ -82,20 +81,20 @@ class SeenCells(nn.Module):
 
 
 def seen_cells_of(weights: Weights, grid: GridSpec) -> SeenCells | None:
-    """The module in `weights`, for this grid; None where they have none. Raises WeightsError."""
+    """The module in `weights`, for this grid; None if they have none. Raises WeightsError."""
     own = [name for name in weights.arrays if name.startswith(PREFIX)]
     if not own:
         return None
     card = weights.card
     classifier = scan_classifier(ClassifierSettings().channels, len(card.classes), general=card.general)
     found = SeenCells(classifier, grid.cell_m if card.general else None)
-    whose = f"weights of {weights.card.tracker}"
+    weights_of = f"weights of {weights.card.tracker}"
     shapes = {name: tuple(value.shape) for name, value in found.state_dict().items()}
     if unknown := sorted(name for name in own if name.removeprefix(PREFIX) not in shapes):
-        raise WeightsError(f"{whose}: unknown arrays {', '.join(unknown)}: train again")
+        raise WeightsError(f"{weights_of}: unknown arrays {', '.join(unknown)}: train again")
     arrays: dict[str, Any] = {name: array(weights, PREFIX + name, shape) for name, shape in shapes.items()}
     found.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()})
     for name in ("state_alone", "with_scan"):
         if not 0.0 <= arrays[name].min() <= arrays[name].max() <= max(POWERS):
-            raise WeightsError(f"{whose}: array '{PREFIX}{name}' is not from 0 to {max(POWERS):g}: train again")
+            raise WeightsError(f"{weights_of}: array '{PREFIX}{name}' is not from 0 to {max(POWERS):g}: train again")
     return found.eval()

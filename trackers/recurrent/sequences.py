@@ -16,32 +16,30 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import Shift, rolled, shift_between
 from gridtrack.trackers.contract import FrameSource
-from gridtrack.trackers.recurrent.entered_cells import entered_cells
-from gridtrack.trackers.recurrent.moving_shapes import moving_shapes
+from gridtrack.trackers.recurrent.motion import entered_cells, moving_shapes
+from gridtrack.trackers.recurrent.network import resolution_of
 from gridtrack.trackers.recurrent.pacing import StepPace
-from gridtrack.trackers.recurrent.resolution_input import resolution_of
 from gridtrack.trackers.recurrent.settings import TrainingSettings
 
 LARGEST_WINDOW = 64
-"""Cells a side of the windows that general weights are trained on: larger grids are cut, smaller ones padded. Parts of
-100 cells would cost two and a half times as much, and show fewer places in the same time."""
+"""Cells a side of the windows that general weights are trained on: larger grids are cut, smaller ones padded. 100
+cells would take two and a half times as long, so that a training would see fewer places."""
 DRAWS, MOVING_CELLS = 8, 10
-"""Greatest number of draws of a window in which something is to move, and of entered cells that are enough for it."""
+"""With `moving_windows` a window with fewer than MOVING_CELLS entered cells is drawn again, up to DRAWS times."""
 
 
 class Item(NamedTuple):
-    """A window (T, 2, M, M) uint8, visible and occupied, a step of the network each, and its `resolution_of` (2,)."""
+    """A window (T, 2, M, M) uint8, visible and occupied at each step of the network, and its `resolution_of` (2,)."""
 
     window: Tensor
     resolution: Tensor
 
 
 class Frames(NamedTuple):
-    """All frames of a stretch: their planes, visible and occupied, and where their windows lie.
+    """All frames of a stretch: their planes, visible and occupied, and the places of their windows.
 
-    `planes` (T, 2, M, ceil(M / 8)) uint8, eight cells a byte; `windows` (T, 2) int64, how far each window lies from
-    that of a first frame, cells: rows and columns. `size`: M; `resolution` (2,) of `resolution_of` cells and steps,
-    which follow the frames at a `pace`.
+    `planes` (T, 2, M, ceil(M / 8)) uint8, eight cells a byte; `windows` (T, 2) int64, rows and columns from the window
+    of a first frame to each window; `size`: M; `resolution` (2,), see `resolution_of`; `pace` of the network's steps.
     """
 
     planes: NDArray[np.uint8]
@@ -52,7 +50,7 @@ class Frames(NamedTuple):
 
 
 def load_frames(source: FrameSource, first_window: SE2 | None, step_s: float = 0.0) -> Frames:
-    """All frames of a stretch, with their windows' shifts from `first_window`, or from that of its first frame."""
+    """All frames of a stretch; their windows are relative to `first_window`, or to that of its first frame."""
     planes, windows = [], []
     for frame in source:
         first_window = first_window or frame.world_T_grid
@@ -66,7 +64,7 @@ def load_frames(source: FrameSource, first_window: SE2 | None, step_s: float = 0
 def in_one_window(planes: NDArray[np.uint8], windows: NDArray[np.int64], number: int, size: int) -> NDArray[np.uint8]:
     """The `planes` (T, 2, M, ceil(M / 8)) of frames in the window of frame `number`: cells outside theirs are unseen.
 
-    So a sequence has one window, as a forecast has, and nothing in the network moves in training.
+    A sequence then has one window, like a forecast, and nothing in the network moves in training.
     """
     shifts = windows[number] - windows
     if not shifts.any():
@@ -77,9 +75,9 @@ def in_one_window(planes: NDArray[np.uint8], windows: NDArray[np.int64], number:
 
 
 def cut_or_padded(cells: NDArray[np.uint8], size: int, draw: np.random.Generator) -> NDArray[np.uint8]:
-    """A random part of `size` cells a side of `cells` (T, 2, M, M); where M is smaller, all of them at a random place.
+    """A random part of `size` cells a side of `cells` (T, 2, M, M); if M is smaller, all of them at a random place.
 
-    The cells around these were never observed.
+    The cells around these are not visible.
     """
     room = cells.shape[-1] - size
     row, column = draw.integers(0, abs(room) + 1, 2).tolist()
@@ -93,13 +91,10 @@ def cut_or_padded(cells: NDArray[np.uint8], size: int, draw: np.random.Generator
 class SequenceDataset(Dataset[Item]):
     """Windows for training with `settings`; item i is drawn by a generator seeded with (seed, i).
 
-    All frames of an item are in the grid of the last one that is observed. With `time_reversal`, every second item is
-    in reverse order of time; with `superposition`, every second item is the superposition of two; with
-    `moving_windows`, an item in which nothing moves is drawn anew, up to DRAWS times. The first items, of
-    `shape_updates`, are moving shapes, and a `shape_share` of the others has some added. With `general` the sources may
-    differ in place, grid and period: each counts by its duration, and every item has the same number of cells, at most
-    LARGEST_WINDOW a side. Raises ConfigurationError where a stretch is shorter than one item, or the frames of items
-    that are to be superposed are not in one window.
+    All frames of an item are in the grid of its last observed frame; see TrainingSettings for the augmentations. With
+    `general` the sources may differ in place, grid and period: each counts by its duration, and every item has the same
+    number of cells, at most LARGEST_WINDOW a side. Raises ConfigurationError if a stretch is shorter than one item, or
+    if frames of different windows would be superposed.
     """
 
     def __init__(
@@ -112,7 +107,7 @@ class SequenceDataset(Dataset[Item]):
         general: bool = False,
     ) -> None:
         if general and settings.superposition:
-            raise ConfigurationError("frames of unlike places cannot be superposed: train with superposition=false")
+            raise ConfigurationError("frames of different places cannot be superposed: train with superposition=false")
         self.sources = [(source.name, source.sha256) for source in sources]
         self.first_window = None if general else next(iter(sources[0])).world_T_grid
         self.stretches = [load_frames(source, self.first_window, step_s) for source in sources]
@@ -122,7 +117,7 @@ class SequenceDataset(Dataset[Item]):
         for source, frames in zip(sources, self.stretches, strict=True):
             self._check(source, frames)
         shortest_s = min(source.period_s for source in sources)
-        # an item of a stretch has as many tickets as its period is longer than the shortest one
+        # so many tickets has an item, in proportion to the period of its stretch
         self._tickets = [round(source.period_s / shortest_s) for source in sources]
         starts = (len(frames.planes) - self._frames(frames) + 1 for frames in self.stretches)
         self._last = np.cumsum([own * count for own, count in zip(self._tickets, starts, strict=True)])
@@ -134,17 +129,17 @@ class SequenceDataset(Dataset[Item]):
             )
         if self.settings.superposition and np.ptp(frames.windows, axis=0).any():
             raise ConfigurationError(
-                f"{source.name}: the sensor moves: frames from different places cannot be superposed: train with"
+                f"{source.name}: the sensor moves, and frames of different places cannot be superposed: train with"
                 " superposition=false"
             )
 
     def _frames(self, stretch: Frames) -> int:
-        """The frames of the stretch in one item."""
+        """The number of frames of the stretch in one item."""
         return stretch.pace.frames(self.settings.length)
 
     @cached_property
     def occupied_rate(self) -> float:
-        """Occupied cells divided by visible cells, in all stretches; 1 occupied and 2 visible at least."""
+        """Occupied cells divided by visible cells, in all stretches; at least 1 occupied and 2 visible."""
         visible, occupied = (sum(int(np.bitwise_count(s.planes[:, k]).sum()) for s in self.stretches) for k in (0, 1))
         return max(occupied, 1) / max(visible, 2)
 
@@ -154,7 +149,7 @@ class SequenceDataset(Dataset[Item]):
         return self.first_window is not None and not any(frames.windows.any() for frames in self.stretches)
 
     def __getitem__(self, index: int) -> Item:
-        """Window number `index`; the series has no end."""
+        """Window number `index`, any number from 0 on."""
         draw = np.random.default_rng((self.seed, index))
         if index < self.settings.shape_updates * self.settings.batch:
             return Item(torch.from_numpy(self._shapes(draw)), self._place(draw)[0].resolution)
@@ -201,7 +196,7 @@ class SequenceDataset(Dataset[Item]):
 
 
 def superposed(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The frames of a laser if the moving objects of two windows (T, 2, ...) were present together.
+    """The frames of a laser with the moving objects of two windows (T, 2, ...) together.
 
     A beam ends at the nearer of its two returns: a cell is visible if it is visible in both windows, and occupied if it
     is visible and occupied in either.
@@ -211,14 +206,13 @@ def superposed(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> NDArray[np.u
 
 
 class EpochSampler(Sampler[int]):
-    """Item numbers of one epoch after the other: a resumed training continues with the next unused window.
+    """Item numbers of consecutive epochs: a resumed training continues with the next unused window.
 
-    Of `devices` that share each batch, device number `rank` has every `devices`-th item.
+    If several `devices` share each batch, device number `rank` has every `devices`-th item.
     """
 
     def __init__(self, items: int, total: int, used: int = 0, *, rank: int = 0, devices: int = 1) -> None:
-        """`items` of an epoch, of which the last may have fewer, of a `total` of all epochs; the first `used` items of
-        all were drawn by the training that is resumed."""
+        """`items` in an epoch, `total` in all epochs; the training that is resumed has `used` the first ones of all."""
         self.items, self.total, self.used, self.epoch = items, total, used, 0
         self.rank, self.devices = rank, devices
 

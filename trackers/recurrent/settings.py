@@ -7,7 +7,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from gridtrack.common.config import Settings
-from gridtrack.trackers.label_settings import ClassWeights, LabelSettings
+from gridtrack.trackers.training.labelled_scans import ClassWeights, LabelSettings
 
 Gate = Literal["keep", "reset", "candidate"]
 Precision = Literal["32-true", "bf16-mixed"]
@@ -16,20 +16,20 @@ GATES: tuple[Gate, ...] = ("keep", "reset", "candidate")
 
 
 class ResolutionSettings(Settings):
-    """How a network takes grids of any cell size and period."""
+    """Grids of any cell size and period."""
 
     resolution_input: bool = False
-    """Cell size and step are inputs of the network, as they are for general weights; else it learns one of each."""
+    """Whether cell size and step are inputs of the network, as in general weights; else it learns one of each."""
     step_s: float = Field(0.0, ge=0)
-    """Duration of a step of the network, as nearly as whole numbers of steps a frame, or of frames a step, allow. 0:
-    that of a frame."""
+    """Duration of a step of the network, rounded to a whole number of steps a frame or frames a step. 0: that of a
+    frame."""
 
 
 class DilatedConvGRUSettings(ResolutionSettings):
     """The shape of the dilated ConvGRU; the defaults are those of Ondruska et al. (2016).
 
-    `static_gates`: the gates whose bias is a map; the others have one bias a channel. `dilated=false` makes all
-    convolutions dense. `cell=plain` is h' = tanh(Wxh*x + Whh*h + bh), the candidate alone.
+    `static_gates`: the gates with a bias for each cell, the static memory; the others have one bias a channel.
+    `dilated=false` makes all convolutions dense. `cell=plain` is h' = tanh(Wxh*x + Whh*h + bh), the candidate alone.
     """
 
     layers: int = Field(3, ge=1, le=8)
@@ -60,40 +60,40 @@ class TrainingSettings(Settings):
     observed_frames: int = Field(10, ge=1)
     """Consecutive frames that are the network's input."""
     blank_frames: int = Field(10, ge=0)
-    """Consecutive frames after them whose input is empty, and which the network has to predict."""
+    """Consecutive frames after them with empty input, which the network has to predict."""
     repetitions: int = Field(2, ge=1)
-    """How often both follow each other in a sequence."""
+    """Number of such series in a sequence."""
     burn_in: int = Field(0, ge=0)
-    """Observed frames before a sequence, without loss: the initial state is then that of a stream after some time."""
+    """Observed frames before a sequence, without loss: it then starts from the state of a stream after some time."""
     time_reversal: bool = False
-    """Augmentation: every second window is drawn in reverse order of time."""
+    """Augmentation: every second window, at random, is in reverse order of time."""
     moving_windows: bool = False
-    """A window in which nothing enters a cell is drawn anew, a few times."""
+    """A window without motion is drawn again, a few times."""
     motion_weight: float = Field(0.0, ge=0)
     """Additional weight in the loss of visible cells near one that something entered, at the first update; it falls to
-    zero with the last one, so that probabilities are those of all cells alike."""
+    zero until the last one, so that probabilities are calibrated for all cells."""
     shape_updates: int = Field(0, ge=0)
-    """The first updates are on windows of moving shapes alone, from which motion is learned much faster."""
+    """Number of first updates on windows of moving shapes alone, from which a network learns motion much faster."""
     shape_share: float = Field(0.0, ge=0, le=1)
-    """Augmentation: this share of the windows has moving shapes added where cells are visible."""
+    """Augmentation: share of the windows with moving shapes added in their visible cells."""
     superposition: bool = False
-    """Augmentation: every second window is the superposition of two, as if the moving objects of both were present."""
+    """Augmentation: every second window, at random, is the superposition of two, with the moving objects of both."""
     updates: int = Field(4000, ge=1)
     batch: int = Field(2, ge=1)
     devices: int = Field(1, ge=1)
-    """Accelerators of this machine, or processors where it has none, that share each batch equally."""
+    """Number of accelerators of this machine, or processors if it has none, that share each batch equally."""
     learning_rate: float = Field(2e-3, gt=0)
     warm_up: int = Field(100, ge=0)
     """Updates over which the learning rate rises from zero; afterwards it falls to zero along a cosine."""
     unseen_weight: float = Field(0.0, ge=0)
-    """Weight in the loss of a cell that no frame of the sequence sees, whose target is the occupied rate of the
-    recordings: that of a visible cell is 1. With 0 the network may say anything where no beam ever reached."""
+    """Weight in the loss of a cell that no frame of the sequence sees, with the occupied rate of the recordings as its
+    target; that of a visible cell is 1. With 0 forecasts are arbitrary in cells that no beam ever reached."""
     gradient_clip: float = Field(1.0, gt=0)
     weight_decay: float = Field(0.0, ge=0)
     validate_every: int = Field(250, ge=1)
     """Updates from one validation, and checkpoint, to the next."""
     precision: Literal["auto", "32-true", "bf16-mixed"] = "auto"
-    """Precision of the convolutions: `auto` is the faster one on this machine. States and gates are float32."""
+    """Precision of the convolutions: `auto` takes the faster one on this machine. States and gates are float32."""
 
     @property
     def length(self) -> int:
@@ -112,13 +112,13 @@ class TrainingSettings(Settings):
 
 
 class InferenceSettings(Settings):
-    """Settings of inference; they need no other training."""
+    """Settings of inference, which do not depend on training."""
 
     inference: Literal["float32", "bfloat16"] = "float32"
-    """Precision of the convolutions. bfloat16 is faster where the processor has instructions for it, else slower."""
+    """Precision of the convolutions. bfloat16 is faster on a processor with instructions for it, else slower."""
     evidence: EvidenceOption = "state"
-    """What the classes of cells that are seen now come from: the latent state, as in the paper, or `scan`: the product
-    of its classes and those of a classifier of the scan."""
+    """Evidence for the classes of the cells that are occupied now: the latent state, as in the paper, or `scan`: the
+    product of its probabilities and those of a classifier of the scan."""
 
 
 DECODER_SETTINGS = {
@@ -127,14 +127,14 @@ DECODER_SETTINGS = {
     "weight_decay": "class_weight_decay",
     "class_weights": "class_weights",
 }
-"""The names in TransferSettings of settings of a classifier."""
+"""The settings of a classifier, and their names in TransferSettings."""
 
 
 class TransferSettings(LabelSettings):
     """Stages of training: the network on visible cells, its class decoder on labelled scans, or both."""
 
     stage: Literal["both", "occupancy", "classes"] = "both"
-    """`classes` adds a class decoder to existing weights; `both` adds it where the recording has classes."""
+    """`classes` adds a class decoder to existing weights; `both` adds it if the recording has classes."""
     class_layers: int = Field(2, ge=1, le=3)
     """Convolutions of the class decoder, with dilation 1, 2 and 4; one is the paper's linear decoder."""
     class_channels: int = Field(32, ge=1, le=256)
@@ -154,8 +154,8 @@ class TransferSettings(LabelSettings):
 
     @property
     def given_of_decoder(self) -> dict[str, Any]:
-        """The settings of the class decoder that are set, by their names in ClassifierSettings."""
-        return {of: getattr(self, name) for of, name in DECODER_SETTINGS.items() if name in self.model_fields_set}
+        """The settings of the class decoder that the user set, by their names in ClassifierSettings."""
+        return {own: getattr(self, name) for own, name in DECODER_SETTINGS.items() if name in self.model_fields_set}
 
 
 class DilatedConvGRUOptions(DilatedConvGRUSettings, TrainingSettings, TransferSettings, InferenceSettings):

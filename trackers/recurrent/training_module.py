@@ -1,35 +1,81 @@
-"""One network in a training by Lightning: its windows, loss, optimiser and validation."""
+"""One network in a training by Lightning: the loss of its windows, its optimiser and validation.
+
+The loss is that of Ondruska et al. (2016), section III: the binary cross-entropy of every frame on its visible cells,
+observed or predicted.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Self
 
 import lightning
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+from torch.nn import functional
 from torch.utils.data import DataLoader
 
-from gridtrack.trackers.recurrent.accelerated_convgru import AcceleratedConvGRU
-from gridtrack.trackers.recurrent.devices import begin_on_device, drawing_processes
-from gridtrack.trackers.recurrent.network import RecurrentNetwork, channels_last
-from gridtrack.trackers.recurrent.resolution_input import set_resolution
-from gridtrack.trackers.recurrent.sequence_loss import SequenceLoss, sequence_loss
+from gridtrack.trackers.recurrent.devices import Devices
+from gridtrack.trackers.recurrent.motion import near_entered_cells
+from gridtrack.trackers.recurrent.network import Recurrence, RecurrentNetwork, channels_last, set_resolution
 from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset
 from gridtrack.trackers.recurrent.settings import TrainingSettings
 
-Validate = Callable[[nn.Module], dict[str, float]]
-"""Scores the network as a tracker on the validation stretch; the network with the highest `score` is kept."""
+Validate = Callable[[Any], dict[str, float]]
+"""Scores the network as a tracker on the validation stretches; the network with the highest `score` is kept."""
 
 
-def scores_text(scores: dict[str, float]) -> str:
-    """The `scores` by name, for a line of progress."""
-    return "  ".join(f"{name} {value:.4f}" for name, value in scores.items())
+class SequenceLoss(NamedTuple):
+    """The sum of the weighted losses of cells, nats, and the sum of the weights of those that are visible."""
+
+    total: Tensor
+    visible_weight: Tensor
+
+    @property
+    def mean(self) -> Tensor:
+        """The loss of a visible cell, nats."""
+        return self.total / self.visible_weight.clamp(min=1.0)
+
+    @classmethod
+    def of_all(cls, losses: Sequence[Self]) -> Self:
+        """The loss of all windows together: each visible cell counts alike."""
+        totals, weights = zip(*losses, strict=True)
+        return cls(torch.stack(totals).sum(), torch.stack(weights).sum())
 
 
-def _untold(text: str) -> None:
-    """Nobody asked how far the training is."""
+def sequence_loss(
+    network: Recurrence, windows: Tensor, settings: TrainingSettings, rate: float, motion_weight: float = 0.0
+) -> SequenceLoss:
+    """Binary cross-entropy of the forecast of each frame on its visible cells.
+
+    `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. The burn-in has neither loss nor gradient. A visible
+    cell near an entered one has the weight 1 + `motion_weight`. A cell that no frame sees has the weight
+    `unseen_weight`, and as its target the occupied `rate` of the recordings, which windows with more in them than a
+    recording, such as moving shapes, do not have.
+    """
+    frames = windows.transpose(0, 1)
+    state = network.initial(windows.shape[0])
+    features = []
+    for t, x in enumerate(frames):
+        observed = x.contiguous(memory_format=torch.channels_last) if settings.is_observed(t) else None
+        with torch.set_grad_enabled(t >= settings.burn_in):
+            state = network.step(observed, state)
+        if t >= settings.burn_in:
+            features.append(network.features(state))
+    logits = network.occupancy(torch.cat(features)).float()
+    visible, occupied = frames[settings.burn_in :].flatten(0, 1).unbind(dim=1)
+    weight = visible
+    if motion_weight:
+        near = near_entered_cells(windows.bool()).transpose(0, 1)[settings.burn_in :].flatten(0, 1)
+        weight = visible * (1.0 + motion_weight * near)
+    visible_weight = weight.sum()
+    if settings.unseen_weight:
+        unseen = ~windows[:, :, 0].bool().any(dim=1).repeat(len(features), 1, 1)
+        weight = weight + settings.unseen_weight * unseen
+        occupied = torch.where(unseen, rate, occupied)
+    total = functional.binary_cross_entropy_with_logits(logits, occupied, weight=weight, reduction="sum")
+    return SequenceLoss(total, visible_weight)
 
 
 class TrainingModule(lightning.LightningModule):
@@ -37,36 +83,37 @@ class TrainingModule(lightning.LightningModule):
 
     def __init__(
         self,
-        network: nn.Module,
-        in_training: RecurrentNetwork,
+        network: RecurrentNetwork,
+        in_training: Recurrence,
         dataset: SequenceDataset,
         settings: TrainingSettings,
+        devices: Devices,
         validate: Validate,
         done: int = 0,
     ) -> None:
-        """`done`: updates of the training that is resumed. `advance` and `report`, when set, are told how far it is."""
+        """`done`: updates of the training that is resumed. `advance` and `report` are called with lines of progress."""
         super().__init__()
         self.network, self._in_training = channels_last(network), in_training
         self.dataset, self.rate, self.done = dataset, dataset.occupied_rate, done
-        self.settings, self.validate = settings, validate
-        self.advance: Callable[[str], None] = _untold
-        self.report: Callable[[str], None] = _untold
+        self.settings, self.devices, self.validate = settings, devices, validate
+        self.advance: Callable[[str], None] = _ignore
+        self.report: Callable[[str], None] = _ignore
         self.scores: dict[str, float] = {}
 
     def train_dataloader(self) -> DataLoader[Item]:
         """The windows of this device: its share of each batch."""
-        s = self.settings
+        s, number = self.settings, self.devices.number
         sizes = (s.validate_every * s.batch, s.updates * s.batch, self.done * s.batch)
-        sampler = EpochSampler(*sizes, rank=self.trainer.global_rank, devices=s.devices)
-        processes = drawing_processes(s.devices)
-        return DataLoader(self.dataset, s.batch // s.devices, sampler=sampler, num_workers=processes)
+        sampler = EpochSampler(*sizes, rank=self.trainer.global_rank, devices=number)
+        processes = self.devices.loading_processes
+        return DataLoader(self.dataset, s.batch // number, sampler=sampler, num_workers=processes)
 
     def on_fit_start(self) -> None:
         """In the process of this device, before its first update."""
-        begin_on_device(self.settings.devices)
+        self.devices.start_process()
 
     def training_step(self, batch: Item) -> Tensor:
-        """The loss of a batch: the mean over devices, which DDP takes, is that of the cells of all of them."""
+        """The loss of a batch: the mean over devices, which DDP takes, is the loss of the cells of all of them."""
         found = self.loss_of(batch)
         of_a_device = self.trainer.strategy.reduce(found.visible_weight, reduce_op="mean")
         loss = found._replace(visible_weight=of_a_device).mean
@@ -74,11 +121,8 @@ class TrainingModule(lightning.LightningModule):
         return loss
 
     def loss_of(self, batch: Item) -> SequenceLoss:
-        """The loss of the cells of a batch of windows (B, T, 2, M, M) uint8.
-
-        Windows of one resolution are computed together, and all at once by a network that takes unlike ones.
-        """
-        together = isinstance(self._in_training, AcceleratedConvGRU)
+        """The loss of a batch of windows (B, T, 2, M, M) uint8, by resolution unless the network mixes them."""
+        together = self._in_training.mixed_resolutions
         losses = []
         for resolution in [batch.resolution] if together else torch.unique(batch.resolution, dim=0):
             set_resolution(self.network, resolution)
@@ -110,7 +154,7 @@ class TrainingModule(lightning.LightningModule):
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
     def on_train_epoch_end(self) -> None:
-        """Score the network on the validation stretch, on one device for all."""
+        """Score the network on the validation stretches, on one device for all."""
         first = self.trainer.is_global_zero
         self.scores = self.trainer.strategy.broadcast(self.validate(self.network) if first else {})
         self.log_dict(self.scores)
@@ -121,3 +165,12 @@ class TrainingModule(lightning.LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Store the scores of the weights in their checkpoint."""
         checkpoint["scores"] = self.scores
+
+
+def scores_text(scores: dict[str, float]) -> str:
+    """The `scores` by name, for a line of progress."""
+    return "  ".join(f"{name} {value:.4f}" for name, value in scores.items())
+
+
+def _ignore(text: str) -> None:
+    """Ignore progress."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -10,33 +11,42 @@ import psutil
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.engines.attempt import Attempt
-from gridtrack.evaluation.results.summary import read_summary
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.engines.task import TaskFolder
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.summary import read_summary
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 from scenes.agreement import assert_agree, counted, wait_until
+from scenes.programs_here import programs_here
+from scenes.room import STAGED, trial_of
+from studies.support.plugins import write_distribution
 
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'gridtrack[ray]'")
 OBJECTS = 80 * 1024 * 1024
 """Memory of a node for objects, bytes: the least that Ray takes."""
 
 
-@pytest.fixture
-def cluster(staged, monkeypatch):
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
     """A head without a core and two nodes with one each; their processes see the tracker `staged`."""
     from ray.cluster_utils import Cluster
 
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    monkeypatch.setenv("RAY_worker_niceness", "0")  # at Ray's 15 other work on the machine would starve them
+    site = tmp_path_factory.mktemp("site")
+    points, files = {"staged": "staged_tracker:Staged"}, {"staged_tracker.py": STAGED}
+    write_distribution(site, "staged", points, files, group="gridtrack.trackers")
     head = {"num_cpus": 0, "object_store_memory": OBJECTS, "include_dashboard": False}
-    cluster = Cluster(initialize_head=True, head_node_args=head)
-    for _ in range(2):
-        cluster.add_node(num_cpus=1, object_store_memory=OBJECTS)
-    yield cluster
-    ray.shutdown()
-    cluster.shutdown()
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        patched.setenv("RAY_worker_niceness", "0")  # at Ray's 15 other work on the machine would starve them
+        patched.syspath_prepend(str(site))
+        patched.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH")))))
+        cluster = Cluster(initialize_head=True, head_node_args=head)
+        for _ in range(2):
+            cluster.add_node(num_cpus=1, object_store_memory=OBJECTS)
+        yield cluster
+        ray.shutdown()
+        cluster.shutdown()
 
 
 def trackers_of(node):
@@ -46,50 +56,48 @@ def trackers_of(node):
     return [process for process in started if "gridtrack.trackers.serve" in " ".join(process.cmdline())]
 
 
-def test_a_node_killed_in_mid_run_changes_no_count(settings, progress, tmp_path, cluster):
-    """The one trial that it ran starts again on the other node; the tracker that fails by itself never does."""
-    requested = settings(
-        "staged:sleep_s=0.05", "dies=staged:crash_at=60,sleep_s=0.05", engine="ray", address=cluster.address
-    )
-    told, killed = progress.advanced, []
+def test_an_interrupt_ends_the_tasks_and_keeps_their_scores(cluster, settings, tmp_path):
+    words = ["compare", *settings().recordings, "--engine", "ray", "--address", cluster.address, "--horizon", "1s"]
+    words += ["--every", "0.5s", "--tracker", "persistence", "--tracker", "staged:crash_at=60,how=hangs"]
+    words += ["--out", str(tmp_path / "run")]
+    host = subprocess.Popen([sys.executable, "-m", "gridtrack.cli", *words])
+    nodes = cluster.list_all_nodes()
+    wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
+    tasks = (tmp_path / "run" / ".engine").glob
+    wait_until(lambda: any(TaskFolder(path.parent).progress().delivered > 90 for path in tasks("*/*/progress.json")))
+    host.send_signal(signal.SIGINT)
+    assert host.wait(300) == 130
+    summary = read_summary(tmp_path / "run")
+    assert summary.interrupted
+    assert trial_of(summary, "persistence").outcome == "ok"
+    partial = trial_of(summary, "staged")
+    assert (partial.outcome, 0 < partial.frames_scored < 16) == ("interrupted", True)
+    assert not [process for node in nodes for process in trackers_of(node)]
+    assert not (tmp_path / "run" / ".engine").exists()
 
-    def advanced(trial):
-        told(trial)
-        if not killed and trial == "staged@room" and progress.delivered[trial] > 20:
+
+def test_a_node_killed_in_mid_run_changes_no_count(cluster, settings, progress, tmp_path):
+    """The trial that it ran starts again on the other node; the tracker that fails by itself never does."""
+    rows = f"staged:crash_at=60,how=hangs,starts={tmp_path / 'starts'}", "dies=staged:crash_at=60"
+    requested = settings(*rows, engine="ray", address=cluster.address)
+    killed = []
+
+    def kill_its_node(trial, delivered):
+        if not killed and trial == "staged@room" and delivered > 20:
             killed.append(next(node for node in cluster.list_all_nodes()[1:] if trackers_of(node)))
             cluster.remove_node(killed[0], allow_graceful=False)
 
-    progress.advanced = advanced
+    progress.on_frame = kill_its_node
     run(resolve(requested), (), progress)
     assert killed
     (lost,) = [note for note in progress.notes if "lost by the engine" in note]
     assert lost.endswith("; starts again, 1 of 2")
     assert "engine ray: at most 2 trials at the same time" in progress.notes
-    here = requested.model_copy(update={"engine": "local", "address": None, "out": tmp_path / "local", "jobs": 2})
-    run(resolve(here), (), progress)
+    with programs_here():
+        run(resolve(settings("staged", "dies=staged:crash_at=60", out=tmp_path / "local")), (), progress)
     assert_agree(counted(tmp_path / "run"), counted(tmp_path / "local"))
     outcomes = {label: read_trial_record(tmp_path / "run" / f"{label}@room").outcome for label in ("staged", "dies")}
     assert outcomes == {"staged": "ok", "dies": "crashed"}
-
-
-def test_an_interrupt_ends_the_tasks_and_keeps_their_scores(settings, tmp_path, cluster):
-    words = ["compare", *settings().recordings, "--engine", "ray", "--address", cluster.address, "--horizon", "1s"]
-    words += ["--every", "0.5s", "--tracker", "persistence", "--tracker", "staged:sleep_s=0.2"]
-    words += ["--out", str(tmp_path / "run")]
-    host = subprocess.Popen([sys.executable, "-m", "gridtrack.cli", *words])
-    nodes = cluster.list_all_nodes()
-    wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
-    attempts = (tmp_path / "run" / ".engine").glob
-    wait_until(lambda: any(Attempt(path.parent).progress().delivered > 90 for path in attempts("*/*/progress.json")))
-    host.send_signal(signal.SIGINT)
-    assert host.wait(300) == 130
-    summary = read_summary(tmp_path / "run")
-    assert summary.interrupted
-    assert summary.trackers["persistence"].recordings["room"].outcome == "ok"
-    partial = summary.trackers["staged"].recordings["room"]
-    assert (partial.outcome, 0 < partial.frames_scored < 16) == ("interrupted", True)
-    assert not [process for node in nodes for process in trackers_of(node)]
-    assert not (tmp_path / "run" / ".engine").exists()
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:9", "nowhere", "ray://127.0.0.1:10001"])

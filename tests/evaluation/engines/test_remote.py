@@ -10,59 +10,60 @@ import numpy as np
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.engines.attempt import EngineError
-from gridtrack.evaluation.engines.cluster import TaskEnd
-from gridtrack.evaluation.engines.remote import RETRIES, RemoteEngine
-from gridtrack.evaluation.results.columns import PROBABILITY_BINS
-from gridtrack.evaluation.results.run_record import read_run_record
-from gridtrack.evaluation.results.trial_record import read_trial_record
-from gridtrack.evaluation.runs import orders, runner
-from gridtrack.evaluation.runs.engine_choice import engine_of
+from gridtrack.evaluation.engines.engine import EngineError
+from gridtrack.evaluation.engines.remote import RETRIES, RemoteEngine, TaskEnd
+from gridtrack.evaluation.referee.strata import STRATA
+from gridtrack.evaluation.runs import jobs, runner
+from gridtrack.evaluation.runs.jobs import SharedInputs, TrialJob
 from gridtrack.evaluation.runs.plan import resolve
-from gridtrack.evaluation.runs.recipe import Recipe
-from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.shared_inputs import SharedInputs
+from gridtrack.evaluation.runs.run_record import read_run_record
+from gridtrack.evaluation.runs.runner import engine_of, run
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
-from gridtrack.evaluation.runs.train import train_tracker
-from gridtrack.evaluation.runs.works import TrialWork
-from gridtrack.evaluation.scoring.strata import STRATA
-from gridtrack.evaluation.scoring.thresholds import Thresholds
+from gridtrack.evaluation.runs.trial_record import ThresholdsUsed, read_trial_record
+from gridtrack.evaluation.scores.cells import PROBABILITY_BINS
+from gridtrack.evaluation.scores.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation
 
 from scenes.agreement import assert_agree, counted, wait_until
 from scenes.process_cluster import ProcessCluster
+from scenes.room import trial_of
 
 pytestmark = pytest.mark.usefixtures("staged")
 
 
 @pytest.fixture
 def cluster(monkeypatch):
-    """A cluster of processes, on which the runs of a test are carried out."""
+    """A cluster of processes, which execute the runs of a test."""
     cluster = ProcessCluster()
     monkeypatch.setattr(runner, "engine_of", lambda settings, progress: RemoteEngine(cluster, settings.out, progress))
     return cluster
 
 
-def compare(settings, progress):
-    return run(resolve(settings), ("gridtrack", "compare"), progress)
+HUNG = 50 + 60
+"""Frames that a trial of `staged` has delivered when it hangs."""
 
 
-def in_thread(settings, progress):
-    """A run in a thread, and what it will return."""
-    done = []
-    thread = threading.Thread(target=lambda: done.append(compare(settings, progress)))
-    thread.start()
-    return thread, done
+@pytest.fixture
+def hangs(tmp_path):
+    """The tracker `staged`, whose first process hangs in the test stretch."""
+    return f"staged:crash_at=60,how=hangs,starts={tmp_path / 'starts'}"
 
 
-def test_two_engines_agree_to_the_last_count(settings, progress, tmp_path, record, cluster, monkeypatch):
+def interrupt_host(trial, delivered):
+    """Interrupts this process when a trial hangs."""
+    if delivered == HUNG:
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_two_engines_agree_to_the_last_count(compare, progress, tmp_path, train, cluster, monkeypatch):
     """With weights, a tracker that fails, a prior and degraded input."""
-    weights = tmp_path / "weights"
-    train_tracker(Recipe(tracker="static-map", recordings=(str(record()),), out=weights), progress.note)
-    requested = settings("static-map", "staged:crash_at=60", weights=weights, degrade=Degradation(frame_drop=0.2))
-    compare(requested, progress)
+    train("weights")
+    requested = {"weights": tmp_path / "weights", "degrade": Degradation(frame_drop=0.2)}
+    compare("static-map", "staged:crash_at=60", **requested)
+    assert progress.frames == {"static-map@room": 110 + 50, "staged@room": 110 + 50}
+    assert progress.delivered == {"static-map@room": 110 + 50, "staged@room": 50 + 60}
     monkeypatch.setattr(runner, "engine_of", engine_of)
-    compare(requested.model_copy(update={"out": tmp_path / "local"}), progress)
+    compare("static-map", "staged:crash_at=60", **requested, out=tmp_path / "local")
     assert_agree(counted(tmp_path / "run"), counted(tmp_path / "local"))
     records = {name: read_trial_record(tmp_path / "run" / f"{name}@room") for name in ("static-map", "staged")}
     assert records["static-map"].robustness is not None
@@ -77,7 +78,7 @@ def test_two_engines_agree_to_the_last_count(settings, progress, tmp_path, recor
 def test_thresholds_that_a_process_has_chosen_are_found_by_the_next(tmp_path):
     bins = np.random.default_rng(0).integers(1, PROBABILITY_BINS, (11, len(STRATA)))
     chosen = Thresholds(bins, "room.mcap@validation", STRATA)
-    SharedThresholds(tmp_path).learn("a key", chosen.used())
+    SharedThresholds(tmp_path).learn("a key", ThresholdsUsed.of(chosen))
     other = SharedThresholds(tmp_path)
     assert (other.known("a key"), other.known("another")) == (True, False)
     found = other.of("a key", lambda: pytest.fail("chosen again"))
@@ -85,110 +86,89 @@ def test_thresholds_that_a_process_has_chosen_are_found_by_the_next(tmp_path):
     assert (found.chosen_on, found.strata) == (chosen.chosen_on, chosen.strata)
 
 
-def test_the_progress_of_a_trial_is_told_frame_by_frame(settings, progress, cluster):
-    compare(settings("persistence"), progress)
-    assert progress.frames == progress.delivered == {"persistence@room": 110 + 50}
-
-
-def test_a_work_whose_process_is_killed_starts_again_and_is_told(settings, progress, cluster):
-    thread, done = in_thread(settings("staged:sleep_s=0.02"), progress)
-    wait_until(lambda: progress.delivered.get("staged@room", 0) > 20)
-    cluster.started[0].kill()
-    thread.join()
-    assert done[0].trackers["staged"].recordings["room"].outcome == "ok"
-    assert [note for note in progress.notes if "lost" in note] == [
-        "staged@room: lost by the engine (signal 9); starts again, 1 of 2"
-    ]
+@pytest.mark.parametrize(("number", "reason"), [(signal.SIGKILL, "signal 9"), (signal.SIGINT, "it was interrupted")])
+def test_a_job_whose_process_is_killed_or_interrupted_starts_again_with_a_note(
+    compare, progress, cluster, hangs, number, reason
+):
+    """As if its machine is lost, or a scheduler needs it for another user."""
+    progress.on_frame = lambda trial, delivered: delivered == HUNG and cluster.started[0].send_signal(number)
+    assert trial_of(compare(hangs), "staged").outcome == "ok"
+    lost = f"staged@room: lost by the engine ({reason}); starts again, 1 of 2"
+    assert [note for note in progress.notes if "lost" in note] == [lost]
     assert progress.frames == {"staged@room": 160}
     assert len(cluster.started) == 2
 
 
-def test_a_work_that_is_lost_again_and_again_ends_as_failed(settings, progress, cluster, monkeypatch):
+def test_a_job_that_is_lost_again_and_again_ends_as_failed(compare, cluster, monkeypatch):
     start = cluster.start
     monkeypatch.setattr(cluster, "start", lambda folders: [(task, task.kill())[0] for task in start(folders)])
-    outcome = compare(settings("persistence"), progress).trackers["persistence"].recordings["room"]
+    outcome = trial_of(compare("persistence"), "persistence")
     assert len(cluster.started) == 1 + RETRIES
     assert outcome.outcome == "failed"
     assert outcome.reason == ("lost by the engine 3 times, the last time because signal 9: compare with --resume")
 
 
-def test_a_process_of_a_lost_machine_that_still_writes_changes_no_result(settings, progress, tmp_path, cluster):
-    """The machine is only cut off: its process goes on, and notices that its attempt was given up."""
+def test_a_process_of_a_lost_machine_that_still_runs_changes_no_result(compare, progress, tmp_path, cluster, hangs):
+    """The machine is only cut off: its process continues, and notices that its task was abandoned."""
     ended, cut_off = cluster.ended, []
 
     def without_the_first(tasks):
         ends = dict(ended(tasks))
-        if not cut_off and progress.delivered.get("staged@room", 0) > 20:
+        if not cut_off and progress.delivered.get("staged@room") == HUNG:
             cut_off.append(tasks[0])
             ends[tasks[0]] = TaskEnd(lost=True, reason="no answer")
         return ends
 
     cluster.ended = without_the_first
-    compare(settings("staged:sleep_s=0.02"), progress)
+    compare(hangs)
     assert cut_off[0].wait(60) == 0
     assert read_trial_record(tmp_path / "run" / "staged@room").outcome == "ok"
     assert not (tmp_path / "run" / ".engine").exists()
 
 
-def test_an_interrupt_keeps_the_scores_and_leaves_no_process(settings, progress, tmp_path, cluster):
-    trackers = ("persistence", "staged:sleep_s=0.05")
-    scored = threading.Event()
-    told = progress.advanced
+def test_an_interrupt_keeps_the_scores_and_leaves_no_process(compare, progress, tmp_path, cluster, hangs):
+    trackers = ("persistence", hangs)
+    done = (tmp_path / "run" / "persistence@room" / "outcome.json").exists
 
-    def advanced(trial):
-        told(trial)
-        done = (tmp_path / "run" / "persistence@room" / "outcome.json").exists()
-        if done and progress.delivered.get("staged@room", 0) > 50 + 60 and not scored.is_set():
-            scored.set()
-            os.kill(os.getpid(), signal.SIGINT)
+    def interrupt():
+        wait_until(lambda: done() and progress.delivered.get("staged@room") == HUNG)
+        os.kill(os.getpid(), signal.SIGINT)
 
-    progress.advanced = advanced
-    summary = compare(settings(*trackers), progress)
+    threading.Thread(target=interrupt).start()
+    summary = compare(*trackers)
     assert summary.interrupted is True
-    assert summary.trackers["persistence"].recordings["room"].outcome == "ok"
-    partial = summary.trackers["staged"].recordings["room"]
+    assert trial_of(summary, "persistence").outcome == "ok"
+    partial = trial_of(summary, "staged")
     assert (partial.outcome, 0 < partial.frames_scored < 16) == ("interrupted", True)
     assert not cluster.trackers()
     assert {task.poll() for task in cluster.started} == {0}
-    resumed = compare(settings(*trackers, resume=True), progress)
-    assert resumed.trackers["staged"].recordings["room"].outcome == "ok"
+    assert trial_of(compare(*trackers, resume=True), "staged").outcome == "ok"
     assert len(cluster.started) == 3
 
 
-def test_an_interrupt_ends_a_run_whose_works_have_nothing_to_reply(settings, progress, cluster, monkeypatch):
-    """As those that still wait for a machine."""
-    cancel, told = cluster.cancel, progress.advanced
+def test_an_interrupt_ends_a_run_whose_jobs_have_nothing_to_reply(compare, progress, cluster, hangs, monkeypatch):
+    """As jobs that still wait for a machine."""
+    cancel = cluster.cancel
     monkeypatch.setattr(cluster, "cancel", lambda tasks, *, force: cancel(tasks, force=True))
-
-    def advanced(trial):
-        told(trial)
-        if progress.delivered[trial] == 60:
-            os.kill(os.getpid(), signal.SIGINT)
-
-    progress.advanced = advanced
-    summary = compare(settings("staged:sleep_s=0.05"), progress)
-    trial = summary.trackers["staged"].recordings["room"]
+    progress.on_frame = interrupt_host
+    summary = compare(hangs)
+    trial = trial_of(summary, "staged")
     assert (summary.interrupted, trial.outcome, trial.frames_scored) == (True, "interrupted", 0)
 
 
 def test_a_cluster_that_does_not_cancel_is_a_note_and_the_scores_are_kept(
-    settings, progress, tmp_path, cluster, monkeypatch
+    compare, progress, tmp_path, cluster, hangs, monkeypatch
 ):
-    cancel, told = cluster.cancel, progress.advanced
+    cancel = cluster.cancel
 
     def silent(tasks, *, force):
         cancel(tasks, force=force)
         raise EngineError("no answer: some may still run")
 
-    def advanced(trial):
-        told(trial)
-        if progress.delivered[trial] == 120:
-            os.kill(os.getpid(), signal.SIGINT)
-
     monkeypatch.setattr(cluster, "cancel", silent)
     monkeypatch.setattr(cluster, "close", lambda: silent([], force=True))
-    progress.advanced = advanced
-    trial = compare(settings("staged:sleep_s=0.05"), progress).trackers["staged"].recordings["room"]
+    progress.on_frame = interrupt_host
+    trial = trial_of(compare(hangs), "staged")
     assert (trial.outcome, trial.frames_scored > 0) == ("interrupted", True)
     assert [note for note in progress.notes if "no answer" in note] == ["no answer: some may still run"]
     assert not (tmp_path / "run" / ".engine").exists()
@@ -201,29 +181,15 @@ def test_an_error_of_the_cluster_leaves_no_scratch_behind(progress, tmp_path, cl
     assert not (tmp_path / ".engine").exists()
 
 
-def test_a_machine_that_ended_a_work_by_itself_is_as_good_as_lost(settings, progress, cluster):
-    """As where a scheduler needs the machine for somebody else."""
-    told, preempted = progress.advanced, []
-
-    def advanced(trial):
-        told(trial)
-        if not preempted and progress.delivered[trial] > 20:
-            preempted.append(cluster.started[0].send_signal(signal.SIGINT))
-
-    progress.advanced = advanced
-    summary = compare(settings("staged:sleep_s=0.02"), progress)
-    assert summary.trackers["staged"].recordings["room"].outcome == "ok"
-    assert "staged@room: lost by the engine (it was interrupted); starts again, 1 of 2" in progress.notes
-
-
-def test_a_machine_with_another_recording_or_version_refuses_the_work(settings, progress, cluster, monkeypatch, record):
+def test_a_machine_with_another_recording_or_version_refuses_the_job(
+    compare, settings, progress, cluster, monkeypatch, record, tmp_path
+):
     plan = resolve(settings("persistence"))
     record(wall_m=2.0)
-    reason = run(plan, (), progress).trackers["persistence"].recordings["room"].reason
+    reason = trial_of(run(plan, (), progress), "persistence").reason
     assert "room.mcap: another one on this machine" in reason
-    monkeypatch.setattr(orders, "versions", lambda: {"numpy": "0.1"})
-    outcome = compare(settings("persistence", resume=True, out=plan.settings.out / "2"), progress)
-    reason = outcome.trackers["persistence"].recordings["room"].reason
+    monkeypatch.setattr(jobs, "versions", lambda: {"numpy": "0.1"})
+    reason = trial_of(compare("persistence", out=tmp_path / "second"), "persistence").reason
     assert reason.endswith(
         "0.1 where the run was started: every machine of an engine has the same recordings, weights and versions"
     )
@@ -234,33 +200,32 @@ def test_only_the_path_of_a_folder_travels_and_an_order_does_not_grow_with_the_r
         several = tuple(str(record(f"r{n}", 8, {}, wall_m=3 + n / 10)) for n in range(count))
         plan = resolve(settings("persistence", "blank", recordings=several))
         shared = SharedInputs(plan.settings, lambda text: None, tmp_path)
-        return TrialWork(plan.trials[0], tmp_path, shared).order()
+        return TrialJob(plan.trials[0], tmp_path, shared).order()
 
-    assert len(order(1)) == len(order(12)) < 10_000
+    assert len(order(1)) == len(order(5)) < 10_000
 
 
-def test_a_reply_that_is_none_ends_the_work_with_one_line(settings, progress, cluster, monkeypatch):
+def test_an_invalid_reply_ends_the_job_with_one_line(compare, cluster, monkeypatch):
     monkeypatch.setattr(
-        "scenes.process_cluster.CARRY_OUT",
+        "scenes.process_cluster.EXECUTE",
         "import sys, pathlib; pathlib.Path(sys.argv[1], 'reply.json').write_text('{\"record\": 3}')",
     )
-    reason = compare(settings("persistence"), progress).trackers["persistence"].recordings["room"].reason
-    assert "reply.json: not as an engine writes it" in reason
+    assert "reply.json: not as an engine writes it" in trial_of(compare("persistence"), "persistence").reason
 
 
-def test_a_cluster_without_room_for_a_trial_is_refused(settings, progress, cluster):
+def test_a_cluster_without_room_for_a_trial_is_refused(compare, cluster):
     cluster.capacity = 0
     with pytest.raises(EngineError, match="no machine of the cluster has the cores for one trial"):
-        compare(settings("persistence"), progress)
+        compare("persistence")
 
 
 @pytest.mark.parametrize("engine", ["ray", "slurm"])
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"latency": True}, "--latency times each tracker alone on a machine, which --engine .* does not give"),
+        ({"latency": True}, "--latency times each tracker alone on a machine, which --engine .* cannot guarantee"),
         ({"deadline": True}, "then measure on one machine with --engine local --resume --deadline"),
-        ({"jobs": 2}, "--jobs is of --engine local"),
+        ({"jobs": 2}, "--jobs is for --engine local"),
         ({"follow": True}, "--follow runs on this machine"),
     ],
 )
@@ -270,5 +235,5 @@ def test_what_a_cluster_cannot_do_is_refused_in_one_line(settings, engine, given
 
 
 def test_an_address_without_a_cluster_is_refused(settings):
-    with pytest.raises(ConfigurationError, match="--address is of a Ray cluster"):
+    with pytest.raises(ConfigurationError, match="--address is for a Ray cluster"):
         resolve(settings("persistence", address="10.0.0.1:6379"))

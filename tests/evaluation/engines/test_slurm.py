@@ -10,17 +10,18 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.engines import slurm_cluster
-from gridtrack.evaluation.engines.attempt import Attempt, EngineError
+from gridtrack.evaluation.engines.engine import EngineError
 from gridtrack.evaluation.engines.remote import RemoteEngine
-from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmTask
-from gridtrack.evaluation.engines.slurm_settings import SlurmSettings, parse_slurm
-from gridtrack.evaluation.results.summary import read_summary
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmSettings, SlurmTask, parse_slurm
+from gridtrack.evaluation.engines.task import TaskFolder
+from gridtrack.evaluation.runs.jobs import execute
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.worker import carry_out
+from gridtrack.evaluation.runs.summary import read_summary
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 from scenes.agreement import assert_agree, counted, wait_until
+from scenes.programs_here import programs_here
 from studies.support.slurm_machine import missing_programs, slurm_machine
 
 pytest.importorskip("submitit", reason="submitit is not installed: pip install 'gridtrack[slurm]'")
@@ -40,7 +41,7 @@ def machine():
 def slurm(machine, monkeypatch):
     """The commands of Slurm are about the cluster of this machine."""
     monkeypatch.setenv("SLURM_CONF", str(machine))
-    monkeypatch.setattr(slurm_cluster, "ASK_S", 0.5)
+    monkeypatch.setattr(slurm_cluster, "POLL_S", 0.5)
     yield
     wait_until(lambda: not jobs())
 
@@ -97,24 +98,23 @@ def killed(job, node):
 )
 def test_a_trial_that_is_taken_away_in_mid_run_changes_no_count(settings, progress, tmp_path, take_away, reason):
     """It alone starts again; the tracker that fails by itself never does."""
-    requested = settings("staged:sleep_s=0.05", "dies=staged:crash_at=60", engine="slurm")
-    told, taken = progress.advanced, []
+    ended = []
 
-    def advanced(trial):
-        told(trial)
-        if not taken and trial == "staged@room" and progress.delivered[trial] > 20:
-            taken.append(first_job())
-            take_away(*taken[0])
+    def end_its_job(trial, delivered):
+        if not ended and trial == "staged@room" and delivered > 20:
+            ended.append(first_job())
+            take_away(*ended[0])
 
-    progress.advanced = advanced
-    run(resolve(requested), (), progress)
-    assert taken
+    progress.on_frame = end_its_job
+    rows = f"staged:crash_at=60,how=hangs,starts={tmp_path / 'starts'}", "dies=staged:crash_at=60"
+    run(resolve(settings(*rows, engine="slurm")), (), progress)
+    assert ended
     (lost,) = [note for note in progress.notes if "lost by the engine" in note]
     assert lost.startswith(f"staged@room: lost by the engine ({reason}")
     assert lost.endswith("; starts again, 1 of 2")
     assert "engine slurm: at most 2 trials at the same time" in progress.notes
-    here = requested.model_copy(update={"engine": "local", "out": tmp_path / "local", "jobs": 2})
-    run(resolve(here), (), progress)
+    with programs_here():
+        run(resolve(settings("staged", "dies=staged:crash_at=60", out=tmp_path / "local")), (), progress)
     assert_agree(counted(tmp_path / "run"), counted(tmp_path / "local"))
     outcomes = {label: read_trial_record(tmp_path / "run" / f"{label}@room").outcome for label in ("staged", "dies")}
     assert outcomes == {"staged": "ok", "dies": "crashed"}
@@ -123,13 +123,14 @@ def test_a_trial_that_is_taken_away_in_mid_run_changes_no_count(settings, progre
 @needs_slurm
 @pytest.mark.usefixtures("staged", "slurm")
 def test_short_trials_share_jobs_and_change_no_count(settings, progress, tmp_path):
-    """Of more trials than nodes the two jobs that run take those that wait, also after a tracker that fails."""
-    rows = ("dies=staged:crash_at=60", "persistence", *(f"blank{number}=blank" for number in range(6)))
-    requested, before = settings(*rows, engine="slurm"), completed()
-    run(resolve(requested), (), progress)
+    """With more trials than nodes the two running jobs claim the waiting tasks, also after a tracker that fails."""
+    rows = ("dies=staged:crash_at=60", *(f"staged{number}=staged" for number in range(7)))
+    before = completed()
+    run(resolve(settings(*rows, engine="slurm")), (), progress)
     assert 0 < len(completed() - before) < len(rows)
     assert not [note for note in progress.notes if "lost by the engine" in note]
-    run(resolve(requested.model_copy(update={"engine": "local", "out": tmp_path / "local", "jobs": 2})), (), progress)
+    with programs_here():
+        run(resolve(settings(*rows, out=tmp_path / "local")), (), progress)
     assert_agree(counted(tmp_path / "run"), counted(tmp_path / "local"))
     assert read_trial_record(tmp_path / "run" / "dies@room").outcome == "crashed"
 
@@ -137,15 +138,15 @@ def test_short_trials_share_jobs_and_change_no_count(settings, progress, tmp_pat
 @needs_slurm
 @pytest.mark.usefixtures("staged", "slurm")
 def test_an_interrupt_leaves_no_job_and_keeps_the_scores(settings, tmp_path):
-    """One trial is complete; its job has taken the last one. Another is running, and one still waits for a node."""
+    """One trial is complete; its job has claimed the last task. Another is running, and one still waits for a node."""
     words = ["compare", *settings().recordings, "--horizon", "1s", "--every", "0.5s", "--out", str(tmp_path / "run")]
     words += ["--engine", "slurm", "--slurm", "partition=low,timeout_min=5,mem_gb=0.5", "--tracker", "persistence"]
     for label in ("a", "b", "c"):
-        words += ["--tracker", f"{label}=staged:sleep_s=0.2"]
+        words += ["--tracker", f"{label}=staged:crash_at=60,how=hangs"]
     host = subprocess.Popen([sys.executable, "-m", "gridtrack.cli", *words])
     wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
-    attempts = (tmp_path / "run" / ".engine").glob
-    wait_until(lambda: any(Attempt(path.parent).progress().delivered > 90 for path in attempts("*/*/progress.json")))
+    tasks = (tmp_path / "run" / ".engine").glob
+    wait_until(lambda: any(TaskFolder(path.parent).progress().delivered > 90 for path in tasks("*/*/progress.json")))
     assert len(jobs()) == 3
     host.send_signal(signal.SIGINT)
     assert host.wait(300) == 130
@@ -165,13 +166,13 @@ def test_a_job_that_slurm_has_forgotten_is_lost_unless_it_has_replied(tmp_path):
     tasks = [SlurmTask(f"999999_{number}", tmp_path / str(number), tmp_path / "log") for number in range(2)]
     tasks[0].folder.mkdir()
     (tasks[0].folder / "reply.json").write_text("{}")
-    ends = SlurmCluster(SlurmSettings(), 1, carry_out).ended(tasks)
+    ends = SlurmCluster(SlurmSettings(), 1, execute).ended(tasks)
     assert [ends[task].lost for task in tasks] == [False, True]
 
 
 @needs_slurm
 @pytest.mark.usefixtures("slurm")
-def test_a_job_that_cannot_start_tells_the_last_line_of_its_errors(settings, progress, monkeypatch):
+def test_a_job_that_cannot_start_reports_the_last_line_of_its_errors(settings, progress, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", "/nowhere")
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
     requested = settings("persistence", engine="slurm")
@@ -213,7 +214,7 @@ def test_a_slow_scancel_is_a_note_that_says_what_to_do(progress, tmp_path, monke
         (tmp_path / name).write_text(f"#!/bin/sh\n{does}\n", "utf-8")
         (tmp_path / name).chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    cluster = SlurmCluster(SlurmSettings(), 1, carry_out)
+    cluster = SlurmCluster(SlurmSettings(), 1, execute)
     monkeypatch.setattr(slurm_cluster, "ANSWER_S", 0.2)
     (tmp_path / "run").mkdir()
     with RemoteEngine(cluster, tmp_path / "run", progress) as engine:
@@ -230,7 +231,7 @@ def test_a_machine_without_slurm_is_one_line(settings, progress, tmp_path, monke
         run(resolve(settings("persistence", engine="slurm")), (), progress)
 
 
-def test_what_a_trial_asks_of_slurm_is_read_as_submitit_names_it():
+def test_requests_to_slurm_have_the_names_of_submitit():
     given = parse_slurm("partition=long,account=1207,timeout_min=240,mem_gb=7.5")
     assert given == SlurmSettings(partition="long", account="1207", timeout_min=240, mem_gb=7.5)
 
@@ -245,14 +246,14 @@ def test_what_a_trial_asks_of_slurm_is_read_as_submitit_names_it():
         ("long", "--slurm: 'long' is not of the form key=value"),
     ],
 )
-def test_a_wrong_demand_on_slurm_is_one_line(text, message):
+def test_a_wrong_request_to_slurm_is_one_line(text, message):
     with pytest.raises(ConfigurationError) as refused:
         parse_slurm(text)
     assert str(refused.value).startswith(message)
 
 
-def test_demands_on_slurm_without_slurm_are_refused(settings):
-    with pytest.raises(ConfigurationError, match="--slurm is of a Slurm cluster"):
+def test_requests_to_slurm_without_slurm_are_refused(settings):
+    with pytest.raises(ConfigurationError, match="--slurm is for a Slurm cluster"):
         resolve(settings("persistence", engine="ray", slurm=SlurmSettings()))
-    with pytest.raises(ConfigurationError, match="--address is of a Ray cluster"):
+    with pytest.raises(ConfigurationError, match="--address is for a Ray cluster"):
         resolve(settings("persistence", engine="slurm", address="10.0.0.1:6379"))

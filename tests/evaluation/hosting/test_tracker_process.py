@@ -8,15 +8,15 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import numpy as np
 import psutil
 import pytest
 
 from gridtrack.common.errors import ConfigurationError, PluginError
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.hosting.contract_scene import scene
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess, describe
@@ -29,14 +29,7 @@ LIMITS = Limits(memory_mb=400)
 SHORT = Limits(start_s=4.0, update_s=0.5, predict_s=0.5)
 STEPS = 3
 STAGES = ("start", "reset", "update", "predict")
-
-
-def frame(stamp_ns: int = 0) -> GridFrame:
-    visible = np.ones(GRID.shape, bool)
-    occupied = np.zeros(GRID.shape, bool)
-    occupied[3, 4] = True
-    points = GRID.cell_centres(occupied)
-    return GridFrame(stamp_ns, visible, occupied, SE2(), np.zeros((1, 2), np.float32), points, np.zeros(1, np.uint8))
+(FRAME,) = scene(GRID, 0.125, 1, seed=1)
 
 
 @pytest.fixture
@@ -59,7 +52,7 @@ def run(name: str, log: Path, limits: Limits = LIMITS, **options: object) -> Tra
     with TrackerProcess(launch(name), STREAM, options, limits, log) as tracker:
         tracker.reset(0)
         for _ in range(2):
-            tracker.update(frame())
+            tracker.update(FRAME)
             tracker.predict(STEPS)
     return tracker
 
@@ -69,6 +62,12 @@ def outcome(name: str, log: Path, limits: Limits = LIMITS, **options: object) ->
         run(name, log, limits, **options)
     assert "\n" not in ended.value.reason
     return ended.value.outcome, ended.value.reason
+
+
+def at_every_stage(name: str, folder: Path, limits: Limits = LIMITS) -> list[tuple[str, str]]:
+    """The outcomes of a tracker that fails at each stage, in trials that run at the same time."""
+    with ThreadPoolExecutor(len(STAGES)) as threads:
+        return list(threads.map(lambda stage: outcome(name, folder / f"{stage}.log", limits, at=stage), STAGES))
 
 
 def at(stage: str) -> str:
@@ -84,22 +83,19 @@ def test_a_good_tracker_is_timed_and_measured(log: Path) -> None:
     assert 10 < tracker.peak_rss_mb < 400
 
 
-@pytest.mark.parametrize("stage", STAGES)
-def test_an_exception_is_a_crash_whose_last_line_is_the_reason(log: Path, stage: str) -> None:
-    prefix = "" if stage == "start" else f"{at(stage)}: "
-    assert outcome("raises", log, at=stage) == ("crashed", f"{prefix}ValueError: the gate is negative")
-    assert "Traceback" in log.read_text()
+def test_a_tracker_that_hangs_and_ignores_signals_is_a_timeout(tmp_path: Path) -> None:
+    limits = {"start": 4, "reset": 4, "update": 0.5, "predict": 0.5}
+    expected = [("timeout", f"{at(stage)}: no answer within {limits[stage]} s") for stage in STAGES]
+    assert at_every_stage("hangs", tmp_path, SHORT) == expected
 
 
-@pytest.mark.parametrize("stage", STAGES)
-def test_a_tracker_that_hangs_and_ignores_signals_is_a_timeout(log: Path, stage: str) -> None:
-    limit_s = SHORT.start_s if stage in {"start", "reset"} else SHORT.update_s
-    assert outcome("hangs", log, SHORT, at=stage) == ("timeout", f"{at(stage)}: no answer within {limit_s:g} s")
+def test_a_tracker_killed_by_a_signal_is_a_crash_that_names_it(tmp_path: Path) -> None:
+    assert at_every_stage("kills-itself", tmp_path) == [("crashed", f"{at(s)}: killed by SIGKILL") for s in STAGES]
 
 
-@pytest.mark.parametrize("stage", STAGES)
-def test_a_tracker_killed_by_a_signal_is_a_crash_that_names_it(log: Path, stage: str) -> None:
-    assert outcome("kills-itself", log, at=stage) == ("crashed", f"{at(stage)}: killed by SIGKILL")
+def test_an_exception_is_a_crash_whose_last_line_is_the_reason(tmp_path: Path, trackers_here: None) -> None:
+    reasons = [f"{at(stage)}: " if stage != "start" else "" for stage in STAGES]
+    assert at_every_stage("raises", tmp_path) == [("crashed", f"{r}ValueError: the gate is negative") for r in reasons]
 
 
 def test_a_segmentation_fault_is_a_crash_with_its_stack_in_the_log(log: Path) -> None:
@@ -109,42 +105,28 @@ def test_a_segmentation_fault_is_a_crash_with_its_stack_in_the_log(log: Path) ->
     assert "in misbehave" in log.read_text()
 
 
-def test_a_tracker_that_exits_silently_is_a_crash(log: Path) -> None:
+def test_the_reason_of_an_exit_has_its_code_and_the_last_line_of_the_log(log: Path) -> None:
     assert outcome("leaves", log) == ("crashed", "update with frame 1: exited with code 0")
-
-
-def test_the_reason_of_an_exit_has_the_last_line_of_the_log(log: Path) -> None:
     expected = "update with frame 1: exited with code 1 (no licence for this machine)"
     assert outcome("exits", log) == ("crashed", expected)
 
 
-@pytest.mark.parametrize("name", ["hogs", "hogs-in-a-child"])
-def test_resident_memory_is_bounded_over_all_processes(log: Path, name: str) -> None:
-    assert outcome(name, log) == ("out-of-memory", "update with frame 1: more than 400 MB of resident memory")
+@pytest.mark.parametrize("name", ["hogs", "hogs-in-a-child", "hides-in-a-memfd"])
+def test_resident_memory_is_bounded_over_all_processes_and_files_in_memory(log: Path, name: str) -> None:
+    limits = Limits(memory_mb=400, update_s=60.0)
+    expected = "update with frame 1: more than 400 MB of resident memory"
+    assert outcome(name, log, limits) == ("out-of-memory", expected)
 
 
 def test_pages_that_processes_share_are_counted_once(log: Path) -> None:
     assert run("shares-pages", log).peak_rss_mb < 400
 
 
-def test_a_file_in_memory_without_a_name_is_counted(log: Path) -> None:
-    limits = Limits(memory_mb=400, update_s=60.0)
-    assert outcome("hides-in-a-memfd", log, limits) == (
-        "out-of-memory",
-        "update with frame 1: more than 400 MB of resident memory",
-    )
-
-
 def test_the_files_of_a_tracker_are_removed_with_it(log: Path) -> None:
     run("leaves-files", log)
-    told = log.read_text().splitlines()[0].split()
-    folder, opened, mapped = map(Path, told)
+    folder, opened, mapped = map(Path, log.read_text().splitlines()[0].split())
     assert folder != Path(tempfile.gettempdir())
     assert not any(path.exists() for path in (folder, opened, mapped))
-
-
-def test_a_memory_error_is_out_of_memory(log: Path) -> None:
-    assert outcome("out-of-memory", log) == ("out-of-memory", "update with frame 1: MemoryError:")
 
 
 @pytest.mark.parametrize(
@@ -166,7 +148,7 @@ def test_a_memory_error_is_out_of_memory(log: Path) -> None:
     ],
 )
 def test_an_answer_that_violates_the_contract_is_invalid_output(
-    log: Path, name: str, options: dict[str, str], reason: str
+    log: Path, trackers_here: None, name: str, options: dict[str, str], reason: str
 ) -> None:
     result, found = outcome(name, log, **options)
     assert result == "invalid-output"
@@ -174,16 +156,24 @@ def test_an_answer_that_violates_the_contract_is_invalid_output(
     assert reason in found or re.search(reason, found)
 
 
-def test_classes_are_a_tuple_of_names(log: Path) -> None:
+def test_a_failure_to_start_has_its_own_outcome(log: Path, trackers_here: None) -> None:
     expected = "classes is 'car'; expected a tuple of names"
     assert outcome("classes-as-a-word", log) == ("invalid-output", expected)
+    assert outcome("needs-weights", log, at="start") == ("untrained", "needs-weights: no weights")
+    stream = StreamSpec(GRID, 0.125, "here", weights=Path("weights.toml"))
+    process = TrackerProcess(launch("needs-weights"), stream, {"at": "start"}, LIMITS, log)
+    with pytest.raises(TrialEnded, match="not-applicable: weights of another grid"), process:
+        pass
+    missing = "tracker 'needs-missing-module': No module named 'a_module_nobody_has'"
+    assert outcome("needs-missing-module", log, at="start") == ("unavailable", missing)
+    assert outcome("out-of-memory", log) == ("out-of-memory", "update with frame 1: MemoryError:")
 
 
-@pytest.mark.parametrize("stage", STAGES)
-def test_what_libraries_print_goes_to_the_log_and_never_into_the_wire(log: Path, stage: str) -> None:
-    run("prints-everywhere", log, at=stage)
+def test_what_libraries_print_goes_to_the_log_and_never_into_the_wire(log: Path) -> None:
+    run("prints-everywhere", log, at="every")
     lines = log.read_text().splitlines()
-    assert {"from python", "from C", "to descriptor 1", "from a subprocess"} <= set(lines)
+    for line in ("from python", "from C", "to descriptor 1", "from a subprocess"):
+        assert lines.count(line) == 1 + 1 + 2 + 2, "at each start, reset, update and prediction"
 
 
 def test_the_log_keeps_its_beginning_and_end_and_is_bounded(log: Path) -> None:
@@ -211,20 +201,6 @@ def test_child_processes_of_the_tracker_are_ended(log: Path, tmp_path: Path, how
     assert not psutil.pid_exists(int(pid_file.read_text()))
 
 
-def test_missing_weights_are_untrained_and_weights_of_another_grid_not_applicable(log: Path) -> None:
-    assert outcome("needs-weights", log, at="start") == ("untrained", "needs-weights: no weights")
-    stream = StreamSpec(GRID, 0.125, "here", weights=Path("weights.toml"))
-    process = TrackerProcess(launch("needs-weights"), stream, {"at": "start"}, LIMITS, log)
-    with pytest.raises(TrialEnded, match="not-applicable: weights of another grid"), process:
-        pass
-
-
-def test_a_module_that_is_not_installed_makes_a_tracker_unavailable(log: Path) -> None:
-    result, reason = outcome("needs-missing-module", log, at="start")
-    assert result == "unavailable"
-    assert reason == "tracker 'needs-missing-module': No module named 'a_module_nobody_has'"
-
-
 def test_a_missing_program_is_unavailable(log: Path) -> None:
     with (
         pytest.raises(TrialEnded, match=r"unavailable: cannot be started \(No such file or directory\)"),
@@ -233,41 +209,17 @@ def test_a_missing_program_is_unavailable(log: Path) -> None:
         pass
 
 
-def test_threads_run_their_trackers_in_parallel(tmp_path: Path) -> None:
-    ends: dict[str, str] = {}
-
-    def trial(name: str) -> None:
-        try:
-            run(name, tmp_path / f"{name}.log", SHORT if name == "hangs" else LIMITS)
-            ends[name] = "ok"
-        except TrialEnded as ended:
-            ends[name] = ended.outcome
-
-    names = ("good", "hangs", "raises", "kills-itself")
-    threads = [threading.Thread(target=trial, args=(name,)) for name in names]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert ends == {"good": "ok", "hangs": "timeout", "raises": "crashed", "kills-itself": "crashed"}
-
-
-def test_a_tracker_outlives_the_thread_that_started_it(log: Path) -> None:
-    tracker = TrackerProcess(launch("good"), STREAM, {}, LIMITS, log)
+def test_a_tracker_outlives_the_thread_that_started_it_and_is_killed_from_another(log: Path) -> None:
+    tracker = TrackerProcess(launch("hangs"), STREAM, {}, LIMITS, log)
     thread = threading.Thread(target=tracker.__enter__)
     thread.start()
     thread.join()
     tracker.reset(0)
     assert tracker.predict(STEPS).occupancy.shape == (STEPS + 1, *GRID.shape)
+    threading.Timer(0.1, tracker.kill).start()
+    with pytest.raises(TrialEnded, match="crashed: update with frame 1: ended by the referee"):
+        tracker.update(FRAME)
     tracker.__exit__(None, None, None)
-
-
-def test_kill_from_another_thread_ends_the_call_in_progress(log: Path) -> None:
-    tracker = TrackerProcess(launch("hangs"), STREAM, {}, LIMITS, log)
-    with tracker:
-        threading.Timer(0.1, tracker.kill).start()
-        with pytest.raises(TrialEnded, match="crashed: update with frame 1: ended by the referee"):
-            tracker.update(frame())
 
 
 def test_kill_before_the_start_ends_the_start(log: Path) -> None:
@@ -302,32 +254,26 @@ with TrackerProcess(launch("forks"), StreamSpec(GridSpec(20, 0.2), 0.125), optio
     assert not alive
 
 
-def test_describe_gives_the_options_with_their_defaults() -> None:
+def test_describe_gives_options_with_their_defaults_role_and_comparisons(trackers_here: None) -> None:
     found = describe(launch("forks"), {"how": "setsid"}, LIMITS)
     assert found.options == {"at": "update", "how": "setsid", "pid_file": "", "die": False}
     assert found.options_schema["additionalProperties"] is False
     assert not found.learns
     assert (found.role, found.reference_for) == ("tracker", frozenset())
-
-
-def test_describe_gives_role_and_comparisons() -> None:
-    found = describe(launch("persistence"), {}, LIMITS)
-    assert (found.role, found.reference_for) == ("floor", {"occupancy"})
-
-
-def test_describe_refuses_an_unknown_option_with_a_suggestion() -> None:
+    floor = describe(launch("persistence"), {}, LIMITS)
+    assert (floor.role, floor.reference_for) == ("floor", {"occupancy"})
     with pytest.raises(ConfigurationError, match="there is no option 'att'"):
         describe(launch("good"), {"att": "start"}, LIMITS)
 
 
-def test_describe_reports_an_environment_without_gridtrack(tmp_path: Path) -> None:
+def test_describe_reports_an_environment_without_gridtrack() -> None:
     bare = Launch("x", (sys.executable, "-I", "-S", "-m", "gridtrack.trackers.serve", "x"))
     with pytest.raises(PluginError, match=r"exited with code 1 .*No module named"):
         describe(bare, {}, LIMITS)
 
 
 def test_the_tracker_inherits_no_file_descriptor(log: Path, tmp_path: Path) -> None:
-    """What the referee has open, another trial's wire among it, is closed in the tracker."""
+    """Descriptors of the referee, such as another trial's wire, are closed in the tracker."""
     read_fd, write_fd = os.pipe()
     script = tmp_path / "lists.py"
     script.write_text("import os, sys; sys.stderr.write(' '.join(sorted(os.listdir('/proc/self/fd'), key=int)))")

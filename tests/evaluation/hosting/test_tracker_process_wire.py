@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
-import json
+import importlib.util
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
-import numpy as np
 import psutil
 import pytest
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.hosting import tracker_process
+from gridtrack.evaluation.hosting.contract_scene import empty_stream
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.tracker_process import TrackerDescription, TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch
+from tests.conftest import PLUGINS
 
-PROGRAM = Path(__file__).parents[2] / "plugins" / "rogue_program.py"
+from scenes.programs_here import ProgramHere
+
+PROGRAM = PLUGINS / "rogue_program.py"
 LIMITS = Limits(update_s=0.5, predict_s=0.5)
-
-
-def frame(grid: GridSpec) -> GridFrame:
-    seen = np.ones(grid.shape, bool)
-    return GridFrame(
-        0, seen, seen, SE2(), np.zeros((1, 2), np.float32), np.zeros((0, 2), np.float32), np.zeros(0, np.uint8)
-    )
+_spec = importlib.util.spec_from_file_location("rogue_program", PROGRAM)
+rogue = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(rogue)
 
 
 @pytest.fixture(autouse=True)
@@ -37,40 +37,60 @@ def _leaves_no_process() -> Iterator[None]:
     assert set(psutil.Process().children(recursive=True)) <= before
 
 
-def update_three_times(tracker: TrackerProcess, shown: GridFrame) -> None:
-    for _ in range(3):
-        tracker.update(shown)
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rogue program answers in this process."""
+
+    def program(argv, env, *, log, memory_mb, cwd):
+        def answer(request):
+            return [rogue.answer_to(request, argv[-1], DESCRIBED)]
+
+        return ProgramHere(SimpleNamespace(max_body=1 << 28, answer=answer), log)
+
+    monkeypatch.setattr(tracker_process, "SupervisedProgram", program)
 
 
-def end(how: str, tmp_path: Path, limits: Limits = LIMITS, size: int = 20) -> tuple[str, str]:
-    """How the trial of a rogue program ends: outcome and reason."""
-    grid = GridSpec(size, 0.2)
+DESCRIBED: dict[str, object] = {}
+"""The fields by which the program describes itself; tests set and clear them."""
+
+
+@pytest.fixture
+def described(tmp_path: Path, here: None):
+    """`described(fields)` starts the program with these fields; its description."""
+
+    def described(fields: dict[str, object]) -> TrackerDescription:
+        DESCRIBED.update(fields)
+        try:
+            with process("done", tmp_path) as started:
+                return started.description
+        finally:
+            DESCRIBED.clear()
+
+    return described
+
+
+def process(how: str, tmp_path: Path, size: int = 20, **more: object) -> TrackerProcess:
     program = Launch("rogue", (sys.executable, str(PROGRAM), how))
-    process = TrackerProcess(program, StreamSpec(grid, 0.125), {}, limits, tmp_path / "stderr.log")
-    with process as tracker, pytest.raises(TrialEnded) as ended:
-        update_three_times(tracker, frame(grid))
+    stream = StreamSpec(GridSpec(size, 0.2), 0.125)
+    return TrackerProcess(program, stream, {}, more.pop("limits", LIMITS), tmp_path / "stderr.log", **more)
+
+
+def update_three_times(tracker: TrackerProcess) -> None:
+    for frame in empty_stream(tracker.stream.grid, 0.125, 3):
+        tracker.update(frame)
+
+
+def end(how: str, tmp_path: Path, size: int = 20) -> tuple[str, str]:
+    """The outcome and the reason of the trial of a rogue program."""
+    with process(how, tmp_path, size) as tracker, pytest.raises(TrialEnded) as ended:
+        update_three_times(tracker)
     return ended.value.outcome, ended.value.reason
 
 
-def test_a_tracker_with_too_many_classes_is_refused_when_it_starts(tmp_path):
-    program = Launch("rogue", (sys.executable, str(PROGRAM), "many-classes"))
-    process = TrackerProcess(program, StreamSpec(GridSpec(20, 0.2), 0.125), {}, LIMITS, tmp_path / "stderr.log")
-    with pytest.raises(TrialEnded, match="invalid-output: start: 10000 classes; at most 255"), process:
-        pass
-
-
-def described(fields: dict[str, object], tmp_path: Path) -> TrackerDescription:
-    """How a tracker that starts with these fields describes itself."""
-    program = Launch("rogue", (sys.executable, str(PROGRAM), "garbage", json.dumps(fields)))
-    process = TrackerProcess(program, StreamSpec(GridSpec(20, 0.2), 0.125), {}, LIMITS, tmp_path / "stderr.log")
-    with process:
-        return process.description
-
-
-def test_a_program_may_name_its_role_and_the_comparisons_that_it_is_the_reference_of(tmp_path: Path) -> None:
-    floor = described({"role": "floor", "reference_for": ["classes", "occupancy"]}, tmp_path)
+def test_a_program_may_name_its_role_and_the_comparisons_that_it_is_the_reference_of(described) -> None:
+    floor = described({"role": "floor", "reference_for": ["classes", "occupancy"]})
     assert (floor.role, floor.reference_for) == ("floor", {"occupancy", "classes"})
-    plain = described({}, tmp_path)
+    plain = described({})
     assert (plain.role, plain.reference_for) == ("tracker", frozenset())
 
 
@@ -81,11 +101,12 @@ def test_a_program_may_name_its_role_and_the_comparisons_that_it_is_the_referenc
         ({"role": None}, "'started': role is None; expected one of tracker, floor"),
         ({"reference_for": "occupancy"}, "'started': reference_for is 'occupancy'; expected a list of occupancy"),
         ({"reference_for": [["classes"]]}, r"'started': reference_for is \[\['classes'\]\]; expected a list of"),
+        ({"classes": [f"class {i}" for i in range(10_000)]}, "10000 classes; at most 255"),
     ],
 )
-def test_an_unknown_role_or_comparison_is_refused(fields: dict[str, object], reason: str, tmp_path: Path) -> None:
+def test_an_invalid_description_is_refused(fields: dict[str, object], reason: str, described) -> None:
     with pytest.raises(TrialEnded, match=f"invalid-output: start: {reason}"):
-        described(fields, tmp_path)
+        described(fields)
 
 
 @pytest.mark.parametrize(
@@ -106,10 +127,14 @@ def test_an_unknown_role_or_comparison_is_refused(fields: dict[str, object], rea
         ("made-up-outcome", "an error with outcome 'ok'; expected one of crashed, timeout"),
     ],
 )
-def test_a_malformed_answer_is_invalid_output(tmp_path: Path, how: str, reason: str) -> None:
+def test_a_malformed_answer_is_invalid_output(tmp_path: Path, here: None, how: str, reason: str) -> None:
     outcome, found = end(how, tmp_path)
     assert outcome == "invalid-output"
     assert reason in found
+
+
+def test_a_reason_has_no_control_characters(tmp_path: Path, here: None) -> None:
+    assert end("terminal-codes", tmp_path) == ("crashed", "update with frame 1: [31mred alert")
 
 
 def test_a_second_answer_is_detected_at_the_next_request(tmp_path: Path) -> None:
@@ -137,33 +162,30 @@ def test_a_program_that_closes_its_stdin_has_closed_the_wire(tmp_path: Path) -> 
     assert end("closes-stdin", tmp_path) == ("crashed", "update with frame 2: closed its end of the wire")
 
 
-def test_a_reason_has_no_control_characters(tmp_path: Path) -> None:
-    assert end("terminal-codes", tmp_path) == ("crashed", "update with frame 1: [31mred alert")
+@pytest.fixture
+def large_forecasts(tmp_path: Path, here: None):
+    """`large_forecasts(classes_used)`: a program that names 255 classes and forecasts 100 MB, limited to 250 MB."""
+    DESCRIBED["classes"] = [f"class {i}" for i in range(255)]
+    limits = Limits(predict_s=60.0, memory_mb=250)
+    yield lambda classes_used: process("done", tmp_path, 100, limits=limits, classes_used=classes_used)
+    DESCRIBED.clear()
 
 
-def large_forecasts(tmp_path: Path, *, classes_used: bool) -> TrackerProcess:
-    """A program that names 255 classes and forecasts 100 MB, with a limit of 250 MB."""
-    described = json.dumps({"classes": [f"class {i}" for i in range(255)]})
-    program = Launch("rogue", (sys.executable, str(PROGRAM), "large-forecasts", described))
-    stream, limits = StreamSpec(GridSpec(100, 0.2), 0.125), Limits(predict_s=60.0, memory_mb=250)
-    return TrackerProcess(program, stream, {}, limits, tmp_path / "stderr.log", classes_used=classes_used)
-
-
-def test_the_forecasts_that_the_host_holds_have_a_budget(tmp_path: Path) -> None:
+def test_the_forecasts_that_the_host_holds_have_a_budget(large_forecasts) -> None:
     held = []
-    with large_forecasts(tmp_path, classes_used=True) as process:
-        process.update(frame(process.stream.grid))
+    with large_forecasts(True) as tracker:
+        update_three_times(tracker)
         for _ in range(3):
-            process.predict(9)  # is not held: costs nothing
-        held += [process.predict(9), process.predict(9)]
-        with pytest.raises(TrialEnded, match="out-of-memory: predict after frame 1: with those that wait") as ended:
-            held.append(process.predict(9))
+            tracker.predict(9)  # is not held: costs nothing
+        held += [tracker.predict(9), tracker.predict(9)]
+        with pytest.raises(TrialEnded, match="out-of-memory: predict after frame 3: its forecasts that wait") as ended:
+            held.append(tracker.predict(9))
     assert ended.value.outcome == "out-of-memory"
     assert len(held) == 2
 
 
-def test_class_probabilities_that_are_not_scored_are_not_kept(tmp_path: Path) -> None:
-    with large_forecasts(tmp_path, classes_used=False) as process:
-        process.update(frame(process.stream.grid))
-        held = [process.predict(9) for _ in range(6)]
+def test_class_probabilities_that_are_not_scored_are_not_kept(large_forecasts) -> None:
+    with large_forecasts(False) as tracker:
+        update_three_times(tracker)
+        held = [tracker.predict(9) for _ in range(6)]
     assert all(forecast.semantics is None and forecast.occupancy.base is None for forecast in held)

@@ -14,15 +14,21 @@ import numpy as np
 import pytest
 
 from gridtrack.evaluation.regression.baseline import digest_of
-from gridtrack.evaluation.results.passes import AtStrength, CallTimes, Latency, Robustness
-from gridtrack.evaluation.results.run_record import RUN_SCHEMA
-from gridtrack.evaluation.results.trial_record import TrialRecord
-from gridtrack.evaluation.scoring.class_store import ClassWriter
-from gridtrack.evaluation.scoring.counting import HALF, Tally
-from gridtrack.evaluation.scoring.score_store import ScoreWriter
-from gridtrack.evaluation.scoring.semantics import VISIBILITIES
-from gridtrack.evaluation.scoring.thresholds import half
+from gridtrack.evaluation.runs.passes import AtStrength, CallTimes, Latency, Robustness
+from gridtrack.evaluation.runs.run_record import RUN_SCHEMA
+from gridtrack.evaluation.runs.scorekeeper import Counter
+from gridtrack.evaluation.runs.sums import SumsWriter
+from gridtrack.evaluation.runs.trial_record import TRIAL_SCHEMA, ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.scores.cells import HALF, Tally
+from gridtrack.evaluation.scores.class_log_loss import CLASS_LOG_LOSS
+from gridtrack.evaluation.scores.definition import TrialFacts
+from gridtrack.evaluation.scores.f1 import F1
+from gridtrack.evaluation.scores.log_loss import LOG_LOSS
+from gridtrack.evaluation.scores.neighbourhoods import NeighbourhoodSums
+from gridtrack.evaluation.scores.thresholds import half
 from gridtrack.recordings.degradation import Degradation
+
+from scenes.synthetic_run import counted_forecast
 
 STEPS, PERIOD_S, FRAMES = 16, 0.125, 8
 OCCUPIED = {"visible": 300, "dynamic": 60, "static": 200}
@@ -30,6 +36,7 @@ STRATA = tuple(OCCUPIED)
 FREE = 2000
 HIGH, LOW = HALF + 10, 5
 """Bins of probabilities above and below every threshold in use."""
+NO_NEIGHBOURHOODS = NeighbourhoodSums(*np.zeros((2, 1, 1, 1)), np.zeros((1, 1)), ())
 
 
 @dataclass
@@ -81,16 +88,12 @@ def tally_of(made: Made, recording: str, frame: int, rng: np.random.Generator, o
     return tally
 
 
-def write_classes(folder: Path, recording: str, made: Made, start_s: int) -> None:
-    """Ten cells of one class in every scan and step."""
-    if made.class_nats is None:
-        return
-    nats = made.class_nats * (5.0 if recording in made.blurred else 1.0)
-    confusion = np.zeros((STEPS + 1, len(VISIBILITIES), 1, 2), np.int32)
-    confusion[:, 0, 0, 0] = 10
-    with ClassWriter(folder, ["car"], semantics=True) as classes:
-        for frame in range(made.scored):
-            classes.add_semantics(10**15 + (start_s + frame) * 10**9, confusion, confusion * nats)
+def class_sums(recording: str, made: Made, parts: tuple[str, ...]) -> np.ndarray:
+    """Ten cells of one class in a scan at every step (S, 1, P)."""
+    nats = (made.class_nats or 0.0) * (5.0 if recording in made.blurred else 1.0)
+    sums = np.zeros((STEPS + 1, 1, len(parts)))
+    sums[..., :4] = 10 * nats, nats, 1.0, 10.0
+    return sums
 
 
 def robustness_of(made: Made) -> Robustness | None:
@@ -110,17 +113,24 @@ def write_trial(run: Path, label: str, recording: str, made: Made, start_s: int 
     folder.mkdir(parents=True)
     rng = np.random.default_rng([made.seed, zlib.crc32(recording.encode())])
     offset = made.noise * rng.standard_normal()
-    with ScoreWriter(folder, STEPS, half(STEPS, STRATA)) as scores:
+    classes = () if made.class_nats is None else ("car",)
+    facts = TrialFacts(0.2, STEPS, STRATA, half(STEPS, STRATA), classes, classes)
+    cells = Counter((F1, LOG_LOSS), facts)
+    layouts = Counter((F1, LOG_LOSS, CLASS_LOG_LOSS), facts).layouts
+    with SumsWriter(folder, layouts, STEPS) as writer:
         for frame in range(made.scored):
-            stamp_ns = 10**15 + (start_s + frame) * 10**9
+            stamp_ns, digest = 10**15 + (start_s + frame) * 10**9, f"{zlib.crc32(recording.encode()):x}-{frame}"
             tally = tally_of(made, recording, frame, rng, offset)
-            scores.add(stamp_ns, f"{zlib.crc32(recording.encode()):x}-{frame}", tally, stamp_ns)
-    write_classes(folder, recording, made, start_s)
+            counts = cells.count(counted_forecast(stamp_ns, stamp_ns, tally, NO_NEIGHBOURHOODS))
+            if classes:
+                counts["class_log_loss"] = class_sums(recording, made, layouts["class_log_loss"].parts)
+            for score, sums in counts.items():
+                writer.add(stamp_ns, digest, score, sums)
     times = CallTimes(p50=made.ms, p95=made.ms, p99=made.ms) if made.ms else None
     TrialRecord(
-        schema=2, label=label, recording=recording, outcome=made.outcome, frames_scored=made.scored,
-        frames_expected=FRAMES, steps=STEPS, thresholds=half(STEPS, STRATA).used(), recoveries=made.recoveries,
-        robustness=robustness_of(made),
+        schema=TRIAL_SCHEMA, label=label, recording=recording, outcome=made.outcome, frames_scored=made.scored,
+        frames_expected=FRAMES, steps=STEPS, thresholds=ThresholdsUsed.of(half(STEPS, STRATA)),
+        recoveries=made.recoveries, robustness=robustness_of(made),
         latency_ms=Latency(update=times, predict=times, predict_step=times) if times else None,
     ).write(folder)  # fmt: skip
 

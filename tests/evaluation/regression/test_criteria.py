@@ -8,8 +8,6 @@ from xml.etree import ElementTree
 
 import pytest
 
-from gridtrack.cli.regress import regress_defaults
-
 FEW = tuple(f"junction-{number:02}" for number in range(4))
 
 
@@ -44,11 +42,10 @@ def judged(baseline_of, write_run, regress):
 def test_a_tracker_that_finds_much_less_on_four_of_twenty_recordings_is_worse_though_no_p_value_says_so(judged):
     then = {"recall": 0.7}
     done, worse = judged(then, {**then, "loss": 0.7, "only": FEW})
-    pooled = [row for row in worse if not row["recording"]]
+    pooled = [row for row in json.loads(done.out)["rows"] if (row["score"], row["stratum"]) == ("f1.f1", "dynamic")]
     assert done.code == 1
-    assert {(row["criterion"], row["stratum"], row["score"]) for row in pooled} == {("large", "dynamic", "F1")}
     assert min(row["p"] for row in pooled) > 0.05
-    assert {row["recording"] for row in worse if row["criterion"] == "collapse"} == set(FEW)
+    assert {(row["recording"], row["criterion"]) for row in worse} == {(name, "collapse") for name in FEW}
 
 
 @pytest.mark.parametrize("now", [{}, {"seed": 5}])
@@ -63,7 +60,7 @@ def test_a_ruined_log_loss_is_worse_though_f1_is_the_same(judged, blurred):
     now = {"blurred": blurred} if blurred else {"nats": 0.35}
     done, worse = judged({}, now)
     assert done.code == 1
-    assert {row["score"] for row in worse} == {"log loss"}
+    assert {row["score"] for row in worse} == {"log_loss.mean"}
     assert {row["recording"] for row in worse if row["criterion"] == "collapse"} >= set(blurred)
 
 
@@ -74,11 +71,11 @@ def test_a_log_loss_within_the_margin_is_no_worse(judged):
 
 def test_worse_classes_are_worse_and_lost_ones_are_not_measured(judged, write_run, regress, tmp_path):
     done, worse = judged({"class_nats": 0.2}, {"class_nats": 1.5})
-    assert (done.code, {row["score"] for row in worse}) == (1, {"class log loss"})
+    assert (done.code, {row["score"] for row in worse}) == (1, {"class_log_loss.per_scan"})
     assert {row["stratum"] for row in worse} == {"visible"}
     lost = regress(write_run("lost", {"net": {}}), "--baseline", tmp_path / "baseline.json")
     assert lost.code == 3
-    assert "net@junction-00: it gave classes for the baseline, and gives none in the run" in lost.err
+    assert "class_log_loss was scored for the baseline, and is not in the run" in lost.err
 
 
 @pytest.mark.parametrize(
@@ -130,8 +127,8 @@ def test_a_baseline_edited_by_hand_is_not_measured(baseline_of, write_run, regre
 
     def lower(content):
         for unit in content["runs"][0]["trackers"]["net"]["recordings"]["junction-00"]["units"]:
-            unit["counts"]["visible"]["short"][0] -= 100
-            unit["counts"]["visible"]["short"][2] += 100
+            unit["sums"]["f1"]["visible"]["short"][0] -= 100
+            unit["sums"]["f1"]["visible"]["short"][2] += 100
 
     edit(path, lower)
     done = regress(write_run("now", {"net": {}}, recordings=2), "--baseline", path)
@@ -159,17 +156,16 @@ def test_overlapping_stretches_of_one_recording_are_not_measured(write_run, regr
     assert "junction-00 and junction-01 are of one source and overlap" in done.err
 
 
-def test_a_margin_is_used_with_few_units_too_and_the_help_says_the_default(judged, write_run, regress, tmp_path):
+def test_a_margin_is_used_with_few_units_too(judged, write_run, regress, tmp_path):
     done, _ = judged({}, {"loss": 0.01}, recordings=2)
     assert done.code == 1
     assert regress(tmp_path / "now", "--baseline", tmp_path / "baseline.json", "--margin", "0.05").code == 0
-    assert regress_defaults()["margin"] == "0.005 with 20 units or more, 0 with fewer"
 
 
 def test_the_smallest_fall_that_would_have_been_found_stands_beside_each_verdict(judged, write_run, regress, tmp_path):
     done, _ = judged({"recall": 0.7}, {"recall": 0.7, "seed": 4, "noise": 0.03})
     rows = json.loads(done.out)["rows"]
-    smallest = {row["stratum"]: row["smallest"] for row in rows if row["score"] == "F1" and row["band"] == "middle"}
+    smallest = {row["stratum"]: row["smallest"] for row in rows if row["score"] == "f1.f1" and row["band"] == "middle"}
     assert 0.005 <= smallest["visible"] < smallest["dynamic"] < 0.05
     junit, page = tmp_path / "junit.xml", tmp_path / "page.md"
     said = regress(tmp_path / "now", "--baseline", tmp_path / "baseline.json", "--junit", junit, "--markdown", page)
@@ -193,7 +189,7 @@ def test_a_fall_of_several_times_the_smallest_size_is_found_and_one_of_a_third_o
     (row,) = [
         row
         for row in json.loads(done.out)["rows"]
-        if (row["score"], row["stratum"], row["band"]) == ("F1", "dynamic", "middle")
+        if (row["score"], row["stratum"], row["band"]) == ("f1.f1", "dynamic", "middle")
     ]
     assert 0.01 < row["smallest"] < 0.02
     codes = []

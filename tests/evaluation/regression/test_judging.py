@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.regression.criteria import row_tests
 from gridtrack.evaluation.regression.judging import judged_recordings, judged_row
-from gridtrack.evaluation.regression.rows import PairedRow
+from gridtrack.evaluation.regression.rows import PairedRow, row_tests
 from gridtrack.evaluation.regression.settings import GateSettings
+from gridtrack.evaluation.scores.definition import TrialFacts
+from gridtrack.evaluation.scores.f1 import F1
+from gridtrack.evaluation.scores.thresholds import half
 
 UNITS = 20
 
@@ -17,10 +19,10 @@ def fallen_row(recalls, now, recordings):
     """F1 of trainings with these recalls and a run with the recall `now`, alike in all units but for a little noise."""
     rng = np.random.default_rng(0)
     tp = 1000 * (np.array([*recalls, now])[:, None] + 0.002 * rng.standard_normal((len(recalls) + 1, UNITS)))
-    sums = np.stack([2 * tp, tp + 1000], axis=-1)
-    occurs = np.ones(UNITS, bool)
+    parts = F1.parts(TrialFacts(0.2, 1, ("visible",), half(1, ("visible",))))
+    sums = np.stack([tp, 0 * tp, 1000 - tp, *13 * [0 * tp]], axis=-1)
     return PairedRow(
-        "net", "F1", "visible", "middle", sums[:-1], sums[-1], np.arange(UNITS), recordings, occurs, equal=False
+        "net", F1, F1.output("f1"), "visible", "middle", parts, sums[:-1], sums[-1], np.arange(UNITS), recordings
     )
 
 

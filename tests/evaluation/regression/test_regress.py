@@ -63,13 +63,13 @@ def test_a_run_compared_with_itself_passes_and_every_count_is_equal(baseline, wr
     assert {row["standing"] for row in verdict["rows"]} == {"equal"}
     assert {row["p"] for row in verdict["rows"]} == {1.0}
     assert list(verdict["rows"][0]) == [
-        *("label", "score", "stratum", "band", "recording", "baseline", "run", "fall", "margin", "smallest"),
-        *("p", "spread", "criterion", "standing"),
+        *("label", "score", "title", "stratum", "band", "recording", "baseline", "run", "fall", "margin", "smallest"),
+        *("p", "spread", "criterion", "relative", "higher_is_better", "default_margin", "standing"),
     ]
     assert {(r["label"], r["score"], r["stratum"], r["band"]) for r in verdict["rows"]} == {
         (label, score, stratum, band)
         for label in NAMES
-        for score in ("F1", "log loss")
+        for score in ("f1.f1", "log_loss.mean")
         for stratum in ("visible", "dynamic", "static")
         for band in ("short", "middle", "long")
     }
@@ -77,7 +77,7 @@ def test_a_run_compared_with_itself_passes_and_every_count_is_equal(baseline, wr
 
 def test_the_baseline_of_twenty_recordings_and_two_trackers_is_small_and_has_no_pickle_in_it(baseline):
     assert baseline.stat().st_size < 300_000 / 3
-    assert json.loads(baseline.read_text())["schema"] == 3
+    assert json.loads(baseline.read_text())["schema"] == 4
 
 
 def test_a_tracker_that_lost_on_dynamic_cells_at_one_second_is_worse_there_and_only_there(baseline, write_run, regress):
@@ -131,7 +131,7 @@ def test_of_one_short_recording_each_pair_has_one_statement_and_one_rule(write_r
     assert done.code == 1
     assert len({line.split(": F1")[0] for line in told}) == len(told) >= 3
     assert all(line.startswith("worse: kalman, ") and line.endswith("; any fall is worse") for line in told)
-    assert "one recording," not in done.out
+    assert not any(" on one recording" in line for line in done.out.splitlines() if "kalman" in line)
     assert "On one recording" not in (tmp_path / "said.md").read_text()
 
 
@@ -164,7 +164,21 @@ def test_no_stated_fall_is_larger_than_the_score_itself(write_run, regress, tmp_
 )
 def test_where_no_fall_is_large_enough_the_sentence_of_a_row_says_why(baseline, margin, verdict, says):
     row = VerdictRow(
-        "net", "F1", "dynamic", "long", "", baseline, baseline, 0.0, margin, float("inf"), 1.0, None, "", verdict
+        "net",
+        "f1.f1",
+        "F1",
+        "dynamic",
+        "long",
+        "",
+        baseline,
+        baseline,
+        0.0,
+        margin,
+        float("inf"),
+        1.0,
+        None,
+        "",
+        verdict,
     )
     assert sentence_of(row).split("; ")[-1] == says
 
@@ -264,13 +278,13 @@ def damage(path):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
 
-@pytest.mark.parametrize("file", ["scores.parquet", "outcome.json", "histogram.parquet"])
+@pytest.mark.parametrize("file", ["sums.parquet", "outcome.json"])
 @pytest.mark.parametrize("harm", [damage, lambda path: path.unlink()])
 def test_a_trial_whose_files_are_damaged_or_gone_never_passes(short_baseline, write_run, regress, file, harm):
     run = write_run("now", NAMES, recordings=2)
     harm(run / "kalman@junction-01" / file)
     done = regress(run, "--baseline", short_baseline)
-    assert done.code == (0 if file == "histogram.parquet" else 3)
+    assert done.code == 3
 
 
 def test_a_trial_record_without_thresholds_never_passes(short_baseline, write_run, regress, edit):
@@ -290,7 +304,7 @@ def test_a_crash_is_not_measured_in_one_line_and_debug_shows_its_traceback(
         raise error
 
     run = write_run("now", NAMES, recordings=2)
-    monkeypatch.setattr("gridtrack.evaluation.regression.measuring.measure_run", crash)
+    monkeypatch.setattr("gridtrack.cli.regress.measure_run", crash)
     asked = update or ["--junit", tmp_path / "junit.xml"]
     done = regress(run, "--baseline", short_baseline, *asked)
     assert (done.code, done.err.count("\n")) == (3, 1)
@@ -308,7 +322,7 @@ def test_wrong_use_keeps_its_exit_code_under_debug(write_run, regress, tmp_path)
 def test_the_scores_of_another_trial_never_pass(short_baseline, write_run, regress):
     run = write_run("now", NAMES, recordings=2)
     one, two = (run / f"kalman@junction-0{n}" for n in (0, 1))
-    (two / "scores.parquet").write_bytes((one / "scores.parquet").read_bytes())
+    (two / "sums.parquet").write_bytes((one / "sums.parquet").read_bytes())
     done = regress(run, "--baseline", short_baseline)
     assert done.code == 3
     assert "kalman@junction-01: other frames were delivered" in done.err
@@ -334,7 +348,7 @@ def test_scores_by_other_rules_do_not_pair(short_baseline, write_run, regress, e
 def test_other_cells_do_not_pair(short_baseline, write_run, regress, edit_baseline):
     def count_others(content):
         unit = content["runs"][0]["trackers"]["kalman"]["recordings"]["junction-00"]["units"][0]
-        unit["counts"]["dynamic"]["short"][2] += 1
+        unit["sums"]["log_loss"]["dynamic"]["short"][1] += 1
 
     edit_baseline(short_baseline, count_others)
     done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline)
@@ -349,8 +363,8 @@ def kalman_of(baseline):
 @pytest.mark.parametrize(
     ("change", "code", "says"),
     [
-        (lambda b: b.update(schema=4), 2, "schema '4' of a baseline; this gridtrack reads schema 3"),
-        (lambda b: b.update(schema=2), 2, "schema '2' of a baseline; this gridtrack reads schema 3"),
+        (lambda b: b.update(schema=5), 2, "schema '5' of a baseline; this gridtrack reads schema 4"),
+        (lambda b: b.update(schema=3), 2, "schema '3' of a baseline; this gridtrack reads schema 4"),
         (lambda b: b.pop("schema"), 2, "is not a baseline"),
         (lambda b: b.update(runs=[]), 3, "the baseline is empty"),
         (lambda b: b["runs"][0].update(trackers={}), 3, "the baseline is empty"),

@@ -7,15 +7,15 @@ import pytest
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
+from gridtrack.evaluation.referee.kinds import regions_of
+from gridtrack.evaluation.referee.strata import CELL_KINDS, STRATA
 from gridtrack.evaluation.runs.fit_regions import FitScores, StretchRegions, cell_kinds_for, store_regions
-from gridtrack.evaluation.runs.stored_stretch import StoredStretch, store_stretch
-from gridtrack.evaluation.scoring.in_process import score_in_process
-from gridtrack.evaluation.scoring.regions import regions_of
-from gridtrack.evaluation.scoring.strata import CELL_KINDS, STRATA
+from gridtrack.evaluation.runs.objective import score_in_process
+from gridtrack.evaluation.runs.stretch_files import StoredStretch, store_stretch
 from gridtrack.recordings.stream import open_stream
-from gridtrack.trackers.baselines.persistence import PersistenceTracker
+from gridtrack.trackers.baselines import PersistenceTracker
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.excerpts import CachedSource
+from gridtrack.trackers.training.excerpts import CachedSource
 
 from scenes import drive, truth_scene
 
@@ -91,7 +91,7 @@ def test_kinds_of_a_moving_sensor_are_kept_by_the_time_and_overlapping_stretches
 def test_frames_that_are_of_no_stretch_of_the_training_are_not_scored(with_truth, tmp_path):
     _, score = stored(open_stream(f"{with_truth}@2s-6s"), tmp_path / "0.frames")
     other = open_stream(f"{with_truth}@7s-")
-    with pytest.raises(RecordingError, match="not a stretch that fit received, nor a part of one"):
+    with pytest.raises(RecordingError, match="can't be scored: it is not part of a stretch that fit received"):
         score(persistence(other), other, STEPS)
 
 

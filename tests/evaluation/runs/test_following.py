@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import queue
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,22 +13,21 @@ from mcap.reader import make_reader
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.grid import Shift
-from gridtrack.evaluation.results.columns import SCORES_TABLE
-from gridtrack.evaluation.results.files import RunError
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.referee.deadline import read_later
+from gridtrack.evaluation.referee.live_timeline import LiveTimeline
+from gridtrack.evaluation.referee.samples import SAMPLES, TRACKS_TOPIC
 from gridtrack.evaluation.runs.following import Following, following
 from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
-from gridtrack.evaluation.scoring.deadline import read_later
-from gridtrack.evaluation.scoring.live_timeline import LiveTimeline
-from gridtrack.evaluation.scoring.samples import SAMPLES, TRACKS_TOPIC
-from gridtrack.recordings.formats import native_writer
+from gridtrack.evaluation.runs.sums import SUMS_FILE
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.trackers.contract import Forecast, TrackedObject
 
 from scenes import truth_scene
 
-pytestmark = pytest.mark.usefixtures("staged")
+pytestmark = pytest.mark.usefixtures("staged", "trackers_here")
 
 COMMAND = ("gridtrack", "compare", "--follow")
 PIECE = 1000
@@ -112,13 +109,12 @@ class Table:
 @pytest.fixture(autouse=True)
 def small_chunks(monkeypatch):
     """A recorder that writes a chunk every second."""
-    monkeypatch.setattr(native_writer, "CHUNK_BYTES", 8000)
+    monkeypatch.setattr("gridtrack.recordings.formats.native.CHUNK_BYTES", 8000)
 
 
 @pytest.fixture
-def settings(record, tmp_path, monkeypatch):
+def settings(record, tmp_path, home):
     """`settings(*trackers, **more)` to follow a file that `Writer` writes."""
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
     growing = tmp_path / "live" / "room.mcap"
     growing.parent.mkdir()
 
@@ -165,11 +161,11 @@ def test_a_tracker_that_keeps_up_has_the_scores_of_the_finished_file(settings, r
     assert summary.interrupted is False
     for label in ("persistence", "blank"):
         live, later = (one.trackers[label].recordings["room"] for one in (summary, ordinary))
-        assert live.outcome == "ok"
+        assert live.outcome == "ok", live.reason
         assert live.strata == later.strata
         assert live.frames_scored == later.frames_scored == len(range(20, 200 - 10, 5))
         folders = [tmp_path / name / f"{label}@room" for name in ("followed", "ordinary")]
-        delivered = [pl.read_parquet(folder / SCORES_TABLE.file)["stamp_ns", "delivered"] for folder in folders]
+        delivered = [pl.read_parquet(folder / SUMS_FILE)["stamp_ns", "delivered"] for folder in folders]
         assert delivered[0].equals(delivered[1])
         records = [read_trial_record(folder) for folder in folders]
         assert records[0].delivered == records[1].delivered
@@ -178,29 +174,36 @@ def test_a_tracker_that_keeps_up_has_the_scores_of_the_finished_file(settings, r
         assert records[1].followed is None
     assert summary.recordings["room"] == ordinary.recordings["room"]
     assert len(table.shown) == 200
-    assert not [notice for notice in summary.notices if "other frames" in notice or "table" in notice]
+    assert not [notice for notice in summary.notices if "different frames" in notice or "table" in notice]
+    assert table.shown[0].score == "F1 dynamic at 1 s"
+    assert table.shown[-1].time_s == pytest.approx(19.9)
+    assert [row.label for row in table.shown[-1].rows] == ["persistence", "blank"]
+    with pytest.raises(RunError, match="holds a run already"), following(the_settings):
+        pass
 
 
-def test_every_part_of_a_forecast_waits_for_its_scores(settings, install, progress, tmp_path):
-    """Velocities, sampled futures, and the objects that the samples show."""
-    files = {"movers.py": (Path(__file__).parents[2] / "plugins" / "movers.py").read_text()}
-    install("movers", {"mover": "movers:Mover", "guesser": "movers:Guesser"}, files)
+def test_every_part_of_a_forecast_waits_for_its_scores(settings, movers, progress, tmp_path):
+    """Velocities, sampled futures, the objects that the samples show; the oracle, and hidden cells."""
     finished = truth_scene.write_recording(tmp_path / "room.mcap", seconds=14)
     trackers = "mover", "now=mover:gives=now", "guesser:gives=mixed", "kalman"
     the_settings = settings(*trackers)
-    summary, _ = followed(the_settings, Writer(finished, Path(the_settings.recordings[0])), progress)
+    summary, table = followed(the_settings, Writer(finished, Path(the_settings.recordings[0])), progress)
+    assert not [notice for notice in summary.notices if "table" in notice or "different frames" in notice]
+    assert table.shown[-1].rows[0].label == "mover"
     again = settings(*trackers, follow=False, out=tmp_path / "ordinary", recordings=(f"{finished}@0s-",))
     ordinary = run(resolve(again), COMMAND, progress)
     longest = {}
-    for label in ("mover", "now", "guesser", "kalman"):
+    for label in ("mover", "now", "guesser", "kalman", "oracle"):
         live, later = (next(iter(one.trackers[label].recordings.values())).strata for one in (summary, ordinary))
         assert live == later
+        if label == "oracle":
+            continue
         tracks = [tracks_in(next((tmp_path / out).glob(f"{label}@*"))) for out in ("followed", "ordinary")]
         assert tracks[0] == tracks[1]
         longest[label] = max(map(len, tracks[0]))
     assert longest["kalman"] > longest["mover"], "it alone has objects"
-    assert live_of(summary, "mover").flow_error[0] is not None
-    assert live_of(summary, "guesser").energy_score[0] is not None
+    assert live_of(summary, "mover")["flow_error"]["mean"].value[0] is not None
+    assert live_of(summary, "guesser")["energy"]["score"].value[0] is not None
 
 
 def test_a_forecast_that_is_read_later_keeps_what_it_says_of_later_steps():
@@ -257,17 +260,8 @@ def test_a_busy_tracker_misses_frames_and_its_newest_forecast_in_time_is_scored(
     (notice,) = (notice for notice in summary.notices if "missed" in notice)
     assert notice.startswith(f"slow missed {missed} of {slow.followed.frames} frames with a deadline; its newest")
     assert table.shown[-1].rows[1].missed == missed
-    f1 = [summary.trackers[name].recordings["room"].strata["dynamic"].f1[0] for name in ("persistence", "slow")]
+    f1 = [live_of(summary, name)["f1"]["f1"].value[0] for name in ("persistence", "slow")]
     assert f1[0] == 1.0 > f1[1] > 0.0
-
-
-def test_the_table_has_the_scores_so_far(settings, record, progress):
-    the_settings = settings("persistence")
-    summary, table = followed(the_settings, Writer(record(stretches={}), Path(the_settings.recordings[0])), progress)
-    assert table.shown[0].score == "F1 dynamic at 1 s"
-    assert table.shown[-1].time_s == pytest.approx(19.9)
-    assert summary.trackers["persistence"].recordings["room"].frames_scored > 0
-    assert table.shown[-1].rows[0].label == "persistence"
 
 
 def test_ctrl_c_ends_the_recording_and_the_run_is_complete(settings, record, progress, tmp_path):
@@ -323,21 +317,6 @@ def test_thresholds_are_chosen_on_a_finished_recording_before(settings, record, 
     assert live.strata == later.strata
 
 
-def test_a_recording_with_truth_has_its_oracle_and_its_hidden_cells(settings, progress, tmp_path):
-    finished = tmp_path / "room.mcap"
-    truth_scene.write_recording(finished)
-    the_settings = settings("persistence")
-    summary, table = followed(the_settings, Writer(finished, Path(the_settings.recordings[0])), progress)
-    again = settings("persistence", follow=False, out=tmp_path / "ordinary", recordings=(f"{finished}@0s-",))
-    ordinary = run(resolve(again), COMMAND, progress)
-    for label in ("persistence", "oracle"):
-        live, later = (next(iter(one.trackers[label].recordings.values())) for one in (summary, ordinary))
-        assert live.outcome == "ok"
-        assert live.strata["occluded"].f1_at_half == later.strata["occluded"].f1_at_half
-    assert not [notice for notice in summary.notices if "table" in notice or "other frames" in notice]
-    assert table.shown[-1].rows[0].label == "persistence"
-
-
 def test_what_is_for_finished_recordings_is_refused(settings, record, tmp_path):
     path = str(record(stretches={}))
     for more, said in (
@@ -365,24 +344,15 @@ def test_a_file_in_which_too_little_comes_is_one_line(settings, record):
         pass
 
 
-def test_a_folder_with_a_run_is_refused_before_anything_is_waited_for(settings, record, progress):
-    the_settings = settings("blank")
-    followed(the_settings, Writer(record(stretches={}), Path(the_settings.recordings[0])), progress)
-    with pytest.raises(RunError, match="holds a run already"), following(the_settings):
-        pass
-
-
-def test_the_command_follows_a_finished_file_to_its_end(record, tmp_path):
+def test_the_command_follows_a_finished_file_to_its_end(gridtrack, record, tmp_path):
     path = record(stretches={})
-    command = [sys.executable, "-m", "gridtrack.cli", "compare", "--follow", str(path), "--tracker", "persistence"]
-    done = subprocess.run(
-        [*command, "--horizon", "1s", "--out", str(tmp_path / "out")], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert "F1 dynamic at 1 s: persistence" in done.stderr
-    assert "the first 200 frames, written before the following began, have no deadline" in (
+    command = ("compare", "--follow", path, "--tracker", "persistence", "--horizon", "1s", "--out", tmp_path / "out")
+    done = gridtrack(*command)
+    assert done.code == 0, done.err
+    assert "F1 dynamic at 1 s: persistence" in done.err
+    assert "the first 200 frames, written before the comparison began, have no deadline" in (
         (tmp_path / "out" / "report" / "index.html").read_text()
     )
-    again = subprocess.run([*command, "--deadline"], capture_output=True, text=True, check=False)
-    assert again.returncode == 2
-    assert again.stderr.strip() == ("gridtrack: --deadline is for finished recordings: leave it out with --follow")
+    refused = gridtrack(*command, "--deadline")
+    message = "gridtrack: --deadline is for finished recordings: leave it out with --follow\n"
+    assert (refused.code, refused.err) == (2, message)

@@ -2,34 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-
 import pytest
 
-from gridtrack.cli import main
-
-pytestmark = pytest.mark.usefixtures("staged")
-
-
-@pytest.fixture
-def gridtrack(monkeypatch, capsys):
-    """`gridtrack(*arguments)` in this process: exit code and what went to stderr."""
-
-    def gridtrack(*arguments):
-        monkeypatch.setattr(sys, "argv", ["gridtrack", *map(str, arguments)])
-        capsys.readouterr()
-        try:
-            main()
-        except SystemExit as end:
-            return end.code or 0, capsys.readouterr().err
-        return 0, capsys.readouterr().err
-
-    return gridtrack
+pytestmark = pytest.mark.usefixtures("staged", "trackers_here")
 
 
 @pytest.fixture
 def compare(gridtrack, record, tmp_path):
-    """`compare(folder, *requested)` runs `staged`, which dies in its second stream, and `blank`."""
+    """`compare(folder, *requested)` runs `staged`, which fails in its second stream, and `blank`."""
     # without a validation stretch the second stream is the first one after the trial
     path, starts = record("plain", stretches={}), tmp_path / "starts"
     trackers = ("--tracker", f"staged:crash_at=60,starts={starts}", "--tracker", "blank")
@@ -48,22 +28,22 @@ def test_a_requested_measurement_that_failed_is_exit_3_of_compare_and_of_regress
 ):
     message = f"gridtrack: not measured: staged@plain: {requested[0]} was requested and failed"
     baseline = tmp_path / "baseline.json"
-    assert compare("then")[0] == 0
-    code, err = compare("now", *requested)
+    assert compare("then").code == 0
+    code, _, err = compare("now", *requested)
     assert (code, err.count("gridtrack: not measured: "), message in err) == (3, 1, True)
-    assert gridtrack("regress", tmp_path / "then", "--baseline", baseline, "--update")[0] == 0
+    assert gridtrack("regress", tmp_path / "then", "--baseline", baseline, "--update").code == 0
     before = baseline.read_bytes()
     for update in ([], ["--update"]):
-        code, err = gridtrack("regress", tmp_path / "now", "--baseline", baseline, *update)
+        code, _, err = gridtrack("regress", tmp_path / "now", "--baseline", baseline, *update)
         assert (code, message in err, baseline.read_bytes() == before) == (3, True, True)
 
 
 def test_a_run_without_the_measurements_of_the_baseline_does_not_pass(gridtrack, record, tmp_path):
     path, baseline = record(), tmp_path / "baseline.json"
     fixed = ("compare", path, "--tracker", "blank", "--horizon", "1s", "--every", "0.5s", "--out")
-    assert gridtrack(*fixed, tmp_path / "then", "--degrade", "range-noise=0.1")[0] == 0
-    assert gridtrack("regress", tmp_path / "then", "--baseline", baseline, "--update")[0] == 0
-    assert gridtrack(*fixed, tmp_path / "now")[0] == 0
-    code, err = gridtrack("regress", tmp_path / "now", "--baseline", baseline)
+    assert gridtrack(*fixed, tmp_path / "then", "--degrade", "range-noise=0.1").code == 0
+    assert gridtrack("regress", tmp_path / "then", "--baseline", baseline, "--update").code == 0
+    assert gridtrack(*fixed, tmp_path / "now").code == 0
+    code, _, err = gridtrack("regress", tmp_path / "now", "--baseline", baseline)
     assert (code, "blank@room: measured with --degrade for the baseline and not in the run" in err) == (3, True)
-    assert gridtrack("regress", tmp_path / "then", "--baseline", baseline)[0] == 0
+    assert gridtrack("regress", tmp_path / "then", "--baseline", baseline).code == 0

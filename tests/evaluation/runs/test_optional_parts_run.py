@@ -1,85 +1,76 @@
 """The optional parts of forecasts, velocities and sampled futures, in a run: their scores are in the summary."""
 
-from pathlib import Path
-
 import pytest
 
-from gridtrack.evaluation.results.columns import ENERGY_TABLE, FLOW_TABLE
-from gridtrack.evaluation.runs.plan import resolve
-from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.settings import CompareSettings
-from gridtrack.evaluation.scoring.energy import ENERGY_STRATA
-from gridtrack.evaluation.scoring.flow_errors import FLOW_STRATA
+from gridtrack.evaluation.runs.sums import TrialSums
+from gridtrack.evaluation.scores.energy import ENERGY_STRATA
+from gridtrack.evaluation.scores.flow_error import FLOW_STRATA
 
 from scenes import truth_scene
+from scenes.room import curve
+
+pytestmark = pytest.mark.usefixtures("trackers_here")
 
 STEPS = 10
 CYCLIST_MPS, PEDESTRIAN_MPS = 4 * 2.8 / 5.0, 4 * 3.4 / 8.0
 
 
 @pytest.fixture
-def strata(install, progress, tmp_path):
-    """Compares trackers on the scene, and gives their scores by label and stratum."""
-    files = {"movers.py": (Path(__file__).parents[2] / "plugins" / "movers.py").read_text()}
-    install("movers", {"mover": "movers:Mover", "guesser": "movers:Guesser"}, files)
+def results(movers, compare, tmp_path):
+    """`results(*trackers, **recording)` compares trackers on the scene; their results by label."""
 
-    def compare(*trackers, **recording):
+    def results(*trackers, **recording):
         path = truth_scene.write_recording(tmp_path / "room.mcap", seconds=14, **recording)
-        settings = CompareSettings(
-            recordings=(str(path),), trackers=trackers, out=tmp_path / "run", horizon_s=1.0, every_s=0.5, jobs=1
-        )
-        summary = run(resolve(settings), (), progress)
+        summary = compare(*trackers, recordings=(str(path),))
         for label, row in summary.trackers.items():
             trial = row.recordings["room"]
             assert trial.outcome == ("invalid-output" if label == "sometimes" else "ok")
             reason = "unlike in the first one: a tracker gives futures in all of its forecasts or in none"
             assert (reason in trial.reason) == (label == "sometimes")
-        return {label: row.recordings["room"].strata for label, row in summary.trackers.items()}
+        return {label: row.recordings["room"] for label, row in summary.trackers.items()}
 
-    return compare
+    return results
 
 
-def test_true_velocities_have_no_error_and_no_motion_has_the_true_speed(strata, tmp_path):
-    found = strata(
+def test_true_velocities_have_no_error_and_no_motion_has_the_true_speed(results, tmp_path):
+    found = results(
         "right=mover", "still=mover:scale=0", "now=mover:gives=now", "cyclist=mover:gives=cyclist",
         "late=mover:gives=late", "none=mover:gives=nothing", "persistence",
     )  # fmt: skip
     for stratum in FLOW_STRATA:
-        right, still = found["right"][stratum], found["still"][stratum]
-        assert right.flow_error == pytest.approx((0.0,) * (STEPS + 1), abs=1e-4)
-        assert right.flow_coverage == still.flow_coverage == (1.0,) * (STEPS + 1)
-        assert still.flow_error == right.flow_speed
-        assert all(PEDESTRIAN_MPS - 0.2 < speed < CYCLIST_MPS + 1e-4 for speed in right.flow_speed)
-        now = found["now"][stratum]
-        assert now.flow_error == pytest.approx((0.0, *[None] * STEPS), abs=1e-4)
-        assert now.flow_coverage == (1.0, *[0.0] * STEPS)
-        for label in ("persistence", "oracle", "none"):
-            assert found[label][stratum].flow_error is None, "its forecasts have no velocities"
-    one = found["cyclist"]["occluded"]
-    assert one.flow_error == pytest.approx((0.0,) * (STEPS + 1), abs=1e-4)
-    assert all(0.1 < share < 0.9 for share in one.flow_coverage), "the pedestrian has no velocity"
-    assert found["late"]["dynamic"].flow_coverage == (1.0,) * (STEPS + 1), "counted from its first velocity on"
-    assert found["right"]["visible"].flow_error is None
-    assert (tmp_path / "run" / "right@room" / FLOW_TABLE.file).exists()
-    assert not (tmp_path / "run" / "persistence@room" / FLOW_TABLE.file).exists()
+        error, speed, coverage = (
+            {label: curve(found[label], stratum, f"flow_error.{output}") for label in found}
+            for output in ("mean", "true_speed", "coverage")
+        )
+        assert error["right"] == pytest.approx((0.0,) * (STEPS + 1), abs=1e-4)
+        assert coverage["right"] == coverage["still"] == (1.0,) * (STEPS + 1)
+        assert error["still"] == speed["right"]
+        assert all(PEDESTRIAN_MPS - 0.2 < mps < CYCLIST_MPS + 1e-4 for mps in speed["right"])
+        assert error["now"] == pytest.approx((0.0, *[None] * STEPS), abs=1e-4)
+        assert coverage["now"] == (1.0, *[0.0] * STEPS)
+        assert {error[label] for label in ("persistence", "oracle", "none")} == {None}, "forecasts without velocities"
+    assert curve(found["cyclist"], "occluded", "flow_error.mean") == pytest.approx((0.0,) * (STEPS + 1), abs=1e-4)
+    covered = curve(found["cyclist"], "occluded", "flow_error.coverage")
+    assert all(0.1 < share < 0.9 for share in covered), "the pedestrian has no velocity"
+    late = curve(found["late"], "dynamic", "flow_error.coverage")
+    assert late == (1.0,) * (STEPS + 1), "counted from its first velocity on"
+    assert curve(found["right"], "visible", "flow_error.mean") is None
+    assert "flow_error" in TrialSums(tmp_path / "run" / "right@room").scores
+    assert "flow_error" not in TrialSums(tmp_path / "run" / "persistence@room").scores
 
 
-def test_without_ground_truth_velocities_are_not_scored(strata, tmp_path):
-    found = strata("mover", with_truth=False)
-    assert found["mover"]["dynamic"].flow_error is None
-    assert not (tmp_path / "run" / "mover@room" / FLOW_TABLE.file).exists()
-
-
-def test_sampled_futures_have_an_energy_score_with_and_without_ground_truth(strata, tmp_path):
+def test_sampled_futures_have_an_energy_score_with_and_without_ground_truth(results, tmp_path):
     trackers = "alike=guesser", "mixed=guesser:gives=mixed", "sometimes=guesser:gives=sometimes", "persistence"
-    found = strata(*trackers, with_truth=False)
+    found = results(*trackers, "mover", with_truth=False)
+    assert curve(found["mover"], "dynamic", "flow_error.mean") is None, "velocities are scored with ground truth only"
+    assert "flow_error" not in TrialSums(tmp_path / "run" / "mover@room").scores
     for stratum in ENERGY_STRATA:
-        alike, mixed = found["alike"][stratum], found["mixed"][stratum]
-        assert alike.energy_score[0] == 0.0, "step 0 has been seen"
-        assert alike.energy_spread == (0.0,) * (STEPS + 1)
-        assert min(mixed.energy_spread) > 0.0
-        assert found["persistence"][stratum].energy_score is None, "its forecasts have no futures"
-    assert found["mixed"]["dynamic"].energy_score[STEPS] < found["alike"]["dynamic"].energy_score[STEPS]
-    assert found["alike"]["static"].energy_score is None
-    assert (tmp_path / "run" / "alike@room" / ENERGY_TABLE.file).exists()
-    assert not (tmp_path / "run" / "persistence@room" / ENERGY_TABLE.file).exists()
+        assert curve(found["alike"], stratum, "energy.score")[0] == 0.0, "step 0 has been seen"
+        assert curve(found["alike"], stratum, "energy.spread") == (0.0,) * (STEPS + 1)
+        assert min(curve(found["mixed"], stratum, "energy.spread")) > 0.0
+        assert curve(found["persistence"], stratum, "energy.score") is None, "its forecasts have no futures"
+    mixed, alike = (curve(found[label], "dynamic", "energy.score") for label in ("mixed", "alike"))
+    assert mixed[STEPS] < alike[STEPS]
+    assert curve(found["alike"], "static", "energy.score") is None
+    assert "energy" in TrialSums(tmp_path / "run" / "alike@room").scores
+    assert "energy" not in TrialSums(tmp_path / "run" / "persistence@room").scores

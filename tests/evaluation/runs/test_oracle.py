@@ -7,12 +7,13 @@ import pytest
 
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.raycast import cast_scan
+from gridtrack.evaluation.referee.splits import Sampling, plan_split
 from gridtrack.evaluation.runs.oracle import expected_grid, range_errors, run_oracle
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
-from gridtrack.evaluation.scoring.counting import CLIP
-from gridtrack.evaluation.scoring.splits import Sampling, plan_split
+from gridtrack.evaluation.scores.cells import CLIP
+from gridtrack.evaluation.scores.registry import built_in
 from gridtrack.recordings.stream import open_stream
-from gridtrack.simulation.range_errors import true_ranges
+from gridtrack.simulation.expected_scan import true_ranges
 
 from scenes import truth_scene
 
@@ -118,7 +119,8 @@ def test_its_thresholds_are_chosen_once_for_all_recordings_with_one_validation_s
     split = plan_split(str(path), None, Sampling(horizon_s=1.0, every_s=1.0))
     regions, shared, delivered = split.regions(), SharedThresholds(tmp_path), []
     records = [
-        run_oracle(split, regions, tmp_path / name, lambda: delivered.append(1), shared) for name in ("one", "two")
+        run_oracle(split, regions, tmp_path / name, lambda: delivered.append(1), shared, built_in())
+        for name in ("one", "two")
     ]
     assert len(delivered) == 2 * len(split.test) + len(split.validation)
     assert records[0].thresholds == records[1].thresholds

@@ -1,60 +1,42 @@
-"""The prior: what a tracker with weights expects of a place that it has not seen, beside what the recording shows."""
+"""The prior: the expectation of a tracker with weights for a place before it sees it, beside what is recorded there."""
 
 import numpy as np
 import polars as pl
 import pytest
 
-from gridtrack.evaluation.results.columns import PRIOR_TABLE
-from gridtrack.evaluation.results.trial_record import read_trial_record
-from gridtrack.evaluation.runs.plan import resolve
-from gridtrack.evaluation.runs.recipe import Recipe
-from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.settings import CompareSettings
-from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.evaluation.runs.prior_pass import PRIOR_FILE
+from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.stream import GridStream
 
-OPTIONS = {"horizon_s": 1.0, "every_s": 0.5, "jobs": 2}
+from scenes.room import trial_of
+
+pytestmark = pytest.mark.usefixtures("trackers_here")
 
 
 @pytest.fixture
-def weights(record, tmp_path, monkeypatch):
-    """The folder with `static-map` trained in the room."""
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
-    folder = tmp_path / "weights"
-    trained_on = str(record("before", stretches={"train": (0.0, 15.0), "validation": (15.0, None)}))
-    recipe = Recipe(tracker="static-map", recordings=(trained_on,), from_scratch=True, out=folder)
-    train_tracker(recipe, lambda text: None)
-    return folder
+def out(compare, record, train, tmp_path):
+    """`out(*recordings, **settings)` runs `static-map`, trained in the room, and `persistence`; the run's folder."""
+    before = record("before", stretches={"train": (0.0, 15.0), "validation": (15.0, None)})
+    train("weights", "static-map", before, from_scratch=True)
 
+    def out(*recordings, **more):
+        given = {"recordings": tuple(map(str, recordings)), "weights": tmp_path / "weights"}
+        compare("static-map", "persistence", **(given | more))
+        return tmp_path / "run"
 
-@pytest.fixture
-def compare(weights, progress, tmp_path):
-    """`compare(recordings, **settings)` runs `static-map` and `persistence`; the folder of the run."""
-
-    def compare(*recordings, **more):
-        settings = CompareSettings(
-            recordings=tuple(map(str, recordings)),
-            trackers=("static-map", "persistence"),
-            out=tmp_path / "run",
-            weights=weights,
-            **(OPTIONS | more),
-        )
-        run(resolve(settings), ("gridtrack", "compare"), progress)
-        return settings.out
-
-    return compare
+    return out
 
 
 def prior_of(folder):
-    table = pl.read_parquet(folder / PRIOR_TABLE.file)
+    table = pl.read_parquet(folder / PRIOR_FILE)
     return {name: table[name].to_numpy().reshape(40, 40) for name in ("visible", "occupied", "probability")}
 
 
-def test_a_tracker_with_a_map_expects_the_wall_before_it_sees_anything(compare, record):
+def test_a_tracker_with_a_map_expects_the_wall_before_it_sees_anything(out, record):
     # the other place has no wall where the room has one: the prior must not come from the frames of the test
     other = record("other", stretches={}, wall_m=5.0)
-    prior = prior_of(compare(other) / "static-map@other")
+    prior = prior_of(out(other) / "static-map@other")
     stream = GridStream(open_recording(record("again", stretches={})))
     wall = np.mean([frame.occupied for frame in stream], axis=0) > 0.9
     assert wall.sum() > 20
@@ -65,40 +47,25 @@ def test_a_tracker_with_a_map_expects_the_wall_before_it_sees_anything(compare, 
     assert (prior["occupied"][wall] < 0.1 * prior["visible"][wall]).all()
 
 
-def test_one_recording_of_a_place_is_enough_and_a_tracker_without_weights_has_no_prior(compare, record):
-    out = compare(record("one", stretches={}), record("two", stretches={}, seconds=15))
-    found = sorted(path.parent.name for path in out.glob(f"*/{PRIOR_TABLE.file}"))
-    assert found == ["static-map@one"]
-    assert PRIOR_TABLE.file in read_trial_record(out / "static-map@one").files
+def test_the_prior_of_a_row_with_weights_is_measured_once_at_each_place_where_the_sensor_rests(out, record):
+    recordings = record("one", stretches={}), record("two", stretches={}, seconds=15)
+    run = out(*recordings, record("ride", stretches={}, speed=0.5))
+    measured = [path.parent.name for path in run.glob(f"*/{PRIOR_FILE}")]
+    assert measured == ["static-map@one"]
+    found = read_trial_record(run / "static-map@one")
+    assert PRIOR_FILE in found.files
+    # an interrupt may have come between the scores and the prior
+    (run / "static-map@one" / PRIOR_FILE).unlink()
+    files = {name: sha for name, sha in found.files.items() if name != PRIOR_FILE}
+    found.model_copy(update={"files": files}).write(run / "static-map@one")
+    out(*recordings, record("ride", stretches={}, speed=0.5), resume=True)
+    assert prior_of(run / "static-map@one")["probability"].max() > 0.8
 
 
-def test_a_sensor_that_moves_shows_no_place_for_which_there_could_be_a_prior(compare, record):
-    out = compare(record("ride", stretches={}, speed=0.5))
-    assert not list(out.glob(f"*/{PRIOR_TABLE.file}"))
-
-
-def test_general_weights_expect_the_same_everywhere_and_have_no_prior(record, tmp_path, progress):
-    trained_on = (str(record("before", stretches={})),)
+def test_general_weights_expect_the_same_everywhere_and_have_no_prior(compare, record, train, tmp_path):
     validation = (str(record("between", stretches={}, wall_m=4.0)),)
-    recipe = Recipe(
-        tracker="static-map", recordings=trained_on, validation=validation, general=True, out=tmp_path / "general"
-    )
-    train_tracker(recipe, lambda text: None)
+    train("general", "static-map", record("before", stretches={}), validation=validation, general=True)
     recordings = (str(record("one", stretches={}, wall_m=2.0)),)
-    settings = CompareSettings(
-        recordings=recordings, trackers=("static-map",), out=tmp_path / "run", weights=tmp_path / "general", **OPTIONS
-    )
-    summary = run(resolve(settings), ("gridtrack", "compare"), progress)
-    assert summary.trackers["static-map"].recordings["one"].outcome == "ok"
-    assert not list((tmp_path / "run").glob(f"*/{PRIOR_TABLE.file}"))
-
-
-def test_a_run_of_before_gets_its_priors_when_it_is_resumed(compare, record):
-    path = record("one", stretches={})
-    out = compare(path)
-    record_of_trial = read_trial_record(out / "static-map@one")
-    (out / "static-map@one" / PRIOR_TABLE.file).unlink()
-    files = {name: sha for name, sha in record_of_trial.files.items() if name != PRIOR_TABLE.file}
-    record_of_trial.model_copy(update={"files": files}).write(out / "static-map@one")
-    compare(path, resume=True)
-    assert prior_of(out / "static-map@one")["probability"].max() > 0.8
+    summary = compare("static-map", recordings=recordings, weights=tmp_path / "general")
+    assert trial_of(summary, "static-map", "one").outcome == "ok"
+    assert not list((tmp_path / "run").glob(f"*/{PRIOR_FILE}"))

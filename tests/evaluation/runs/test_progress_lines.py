@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 import time
 
-from gridtrack.evaluation.runs.progress_lines import ProgressLines
-from gridtrack.trackers.progress import Progress, duration_text
+from gridtrack.evaluation.runs.training_process import ProgressLines
+from gridtrack.trackers.training.progress import Progress, duration_text
 
 
 def wait_for(lines, pattern):

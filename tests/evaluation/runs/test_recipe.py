@@ -14,7 +14,9 @@ from gridtrack.evaluation.runs.recipe import Recipe, complete_recipe, read_recip
 from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.trackers import registry
 from gridtrack.trackers.selection import parse_selection
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
+
+pytestmark = pytest.mark.usefixtures("trackers_here")
 
 RECIPES = Path(__file__).parents[3] / "studies" / "recipes"
 CARDS = sorted(Path(str(resources.files("gridtrack.data"))).glob("weights/*/*.toml"))
@@ -86,10 +88,8 @@ def test_a_recipe_like_a_card_has_its_tracker_settings_and_seed(path):
     assert all(getattr(settings, key) is not None for key in card.settings)
 
 
-def test_a_training_like_a_card_writes_the_settings_of_that_card(record, tmp_path):
-    first = train_tracker(
-        Recipe(tracker="static-map", options={"prior_frames": 3.0}, recordings=(str(record()),), out=tmp_path), print
-    )
+def test_a_training_like_a_card_writes_the_settings_of_that_card(record, train, tmp_path):
+    first = train("first", options={"prior_frames": 3.0})
     again = complete_recipe(
         recipe_like(first), {"recordings": (str(record("other")),), "out": tmp_path / "other", "seed": 5}
     )
@@ -113,39 +113,31 @@ def test_a_recipe_trains_and_its_card_has_the_command_that_repeats_it(record, tm
     ]  # fmt: skip
 
 
-def test_a_folder_stands_for_the_recordings_in_it_and_the_command_names_the_folder(record, tmp_path):
-    folder = Path(record()).parent
+def test_a_folder_stands_for_the_recordings_in_it_and_the_command_names_the_folder(record, train):
+    folder = record().parent
     record("other")
     (folder / "notes.txt").write_text("no recording")
-    recipe = Recipe(
-        tracker="static-map", recordings=(f"{folder}@0s-4s",), validation=(f"{folder}@5s-9s",), out=tmp_path
-    )
-    card = read_card(train_tracker(recipe, print))
-    assert [data.recording.partition("@")[0] for data in card.train] == sorted(
-        path.name for path in folder.glob("*.mcap")
-    )
+    card = read_card(train("weights", "static-map", f"{folder}@0s-4s", validation=(f"{folder}@5s-9s",)))
+    assert [data.recording for data in card.train] == ["other.mcap@0s-4s", "room.mcap@0s-4s"]
     assert len(card.train) == len(card.validation) == 2
     assert f"{folder}@0s-4s" in shlex.split(card.command)
 
 
-def test_a_network_learns_general_weights_from_a_folder_and_has_thresholds(record, tmp_path):
-    """The tracker process runs with these weights to choose the thresholds."""
+def test_a_network_learns_general_weights_from_a_folder_and_has_thresholds(record, train):
+    """The tracker runs with these weights to choose the thresholds."""
     pytest.importorskip("lightning")
-    folder = Path(record()).parent
+    folder = record().parent
     options = {"channels": 4, "updates": 1, "validate_every": 1, "batch": 1, "observed_frames": 3, "blank_frames": 3}
-    recipe = Recipe(
-        tracker="dilated-convgru", options=options, recordings=(f"{folder}@0s-5s",), general=True,
-        validation=(f"{folder}@5s-15s",), out=tmp_path,
-    )  # fmt: skip
-    card = read_card(train_tracker(recipe, print))
+    how = {"options": options, "general": True, "validation": (f"{folder}@5s-15s",)}
+    card = read_card(train("weights", "dilated-convgru", f"{folder}@0s-5s", **how))
     assert card.general
     assert card.settings["resolution_input"]
     assert card.thresholds is not None
 
 
-def test_a_folder_without_recordings_is_refused(tmp_path):
-    with pytest.raises(RecordingError, match=f"{tmp_path}: no recording in this folder"):
-        train_tracker(Recipe(tracker="static-map", recordings=(str(tmp_path),), out=tmp_path), print)
+def test_a_folder_without_recordings_is_refused(train, tmp_path):
+    with pytest.raises(RecordingError, match=f"{tmp_path}/empty: no recording in this folder"):
+        train("weights", "static-map", (tmp_path / "empty").mkdir() or tmp_path / "empty")
 
 
 def test_the_command_of_a_recipe_names_every_option_as_the_command_line_reads_it():
@@ -168,7 +160,7 @@ def test_what_is_given_overrides_the_recipe_and_options_one_by_one():
     ("text", "message"),
     [
         ("trackers = 1", r"r\.toml: there is no option 'trackers'; did you mean 'tracker'"),
-        ('weights = "w"\nfrom_scratch = true', r"r\.toml: .*weights .* and from_scratch .*: leave one of them out"),
+        ('weights = "w"\nfrom_scratch = true', r"r\.toml: .*weights .* and from_scratch: leave one of them out"),
         ("seed = -1", r"r\.toml: 'seed' = -1: "),
         ("recordings = [", r"r\.toml: not TOML"),
         ("seed = 1\nseed = 2", r"r\.toml: not TOML"),

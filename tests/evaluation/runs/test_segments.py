@@ -7,25 +7,22 @@ import polars as pl
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.results.columns import SCORES_TABLE
-from gridtrack.evaluation.runs.orders import Order
+from gridtrack.evaluation.runs.jobs import JobOrder, SharedInputs
 from gridtrack.evaluation.runs.plan import resolve
-from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.shared_inputs import SharedInputs
+from gridtrack.evaluation.runs.run_record import description_of, identity_of
+from gridtrack.evaluation.runs.sums import SUMS_FILE
 
-COUNTED = ("tp", "fp", "fn", "tn")
-
-
-def compare(settings, progress):
-    return run(resolve(settings), ("gridtrack", "compare"), progress)
+pytestmark = pytest.mark.usefixtures("trackers_here")
 
 
 def counts(folder, label):
-    """Counts of every scored frame of a row, by stamp, step and stratum."""
-    files = sorted(folder.glob(f"{label}@*/{SCORES_TABLE.file}"))
-    columns = ["stamp_ns", "step", "stratum", *COUNTED]
-    rows = pl.concat([pl.read_parquet(file, columns=columns, glob=False) for file in files])
-    return rows.sort("stamp_ns", "step", "stratum")
+    """The sums of F1 of every scored frame of a row, by stamp, step and stratum."""
+    files = sorted(folder.glob(f"{label}@*/{SUMS_FILE}"))
+    columns = ["stamp_ns", "step", "stratum", "part", "value"]
+    rows = pl.concat(
+        [pl.read_parquet(file, glob=False).filter(pl.col("score") == "f1").select(columns) for file in files]
+    )
+    return rows.cast({"stratum": pl.String}).sort("stamp_ns", "step", "stratum")
 
 
 @pytest.fixture
@@ -35,14 +32,21 @@ def long(record):
     return {"recordings": (str(record("hall", 40, {})),), "validation": validation}
 
 
-def test_segments_together_count_what_the_whole_does(settings, progress, long, tmp_path):
-    whole = compare(settings("persistence", **long, out=tmp_path / "whole"), progress)
-    cut = compare(settings("persistence", **long, out=tmp_path / "cut", segment_s=10.0, warm_up_s=4.0), progress)
+def test_segments_together_count_what_the_whole_does(compare, progress, long, tmp_path):
+    whole = compare("persistence", **long, out=tmp_path / "whole")
+    progress.notes.clear()
+    progress.delivered.clear()
+    cut = compare("persistence", "blank", **long, out=tmp_path / "cut", segment_s=10.0, warm_up_s=4.0)
     assert list(cut.recordings) == ["hall@2s-11s", "hall@11s-20.5s", "hall@20.5s-29.5s", "hall@29.5s-39s"]
     one, other = (counts(tmp_path / name, "persistence") for name in ("whole", "cut"))
     assert one.height == whole.trackers["persistence"].recordings["hall"].frames_scored * 11 * 5
     # how long a cell is hidden before a segment is not known: the warm-up is longer than the bands of hidden time
     assert one.equals(other)
+    assert progress.notes.count("hall: finding its static cells") == 1, "segments share them"
+    delivered = [progress.delivered[f"persistence@{name}"] for name in ("hall@2s-11s", "hall@11s-20.5s")]
+    assert delivered == [80 + 116, 141], "the first chooses the thresholds, on 80 frames"
+    difference = next(one for one in cut.differences if one.tracker == "blank")
+    assert (difference.units, difference.recordings) == (1, "all recordings"), "segments are no independent units"
 
 
 def test_a_segment_is_delivered_its_warm_up_which_is_not_scored(settings, long):
@@ -51,22 +55,9 @@ def test_a_segment_is_delivered_its_warm_up_which_is_not_scored(settings, long):
     assert first.test.stretch_s[0] == 0.0
     assert second.test.stretch_s == (7.0, 21.1)
     assert (first.warm_up, second.warm_up) == (20, 40)
-    assert [split.description().warm_up_frames for split in plan.splits] == [20, 40, 40, 40]
+    assert [description_of(split).warm_up_frames for split in plan.splits] == [20, 40, 40, 40]
     due = [index for index in range(len(second.test)) if second.schedule.due(index)]
     assert due == list(range(40, 131, 5))
-
-
-def test_segments_of_one_recording_share_its_static_cells_and_thresholds(settings, progress, long):
-    compare(settings("persistence", **long, segment_s=10.0, warm_up_s=4.0, jobs=1), progress)
-    assert progress.notes.count("hall: finding its static cells") == 1
-    delivered = [progress.delivered[f"persistence@{name}"] for name in ("hall@2s-11s", "hall@11s-20.5s")]
-    assert delivered == [80 + 116, 141]  # the first chooses the thresholds, on 80 frames
-
-
-def test_segments_of_one_recording_are_no_independent_units(settings, progress, long):
-    summary = compare(settings("persistence", "blank", **long, segment_s=10.0), progress)
-    difference = next(one for one in summary.differences if one.tracker == "blank")
-    assert (difference.units, difference.recordings) == (1, "all recordings")
 
 
 def test_a_recording_that_is_not_longer_is_one_trial(settings, long):
@@ -77,8 +68,8 @@ def test_another_machine_finds_the_same_segment(settings, long, tmp_path):
     plan = resolve(settings("persistence", **long, segment_s=10.0))
     shared = SharedInputs(plan.settings, lambda text: None, tmp_path)
     for split in plan.splits:
-        order = Order.read(Order.of("oracle", split, shared).model_dump_json(by_alias=True))
-        assert order.split().identity() == split.identity()
+        order = JobOrder.read(JobOrder.of("oracle", split, shared).model_dump_json(by_alias=True))
+        assert identity_of(order.split()) == identity_of(split)
 
 
 def test_frames_at_periods_that_are_no_decimals_are_cut_without_a_gap(settings, long):

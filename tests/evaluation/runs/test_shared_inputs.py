@@ -1,4 +1,4 @@
-"""Regions of recordings that the works of a run share: found once, and kept of few recordings."""
+"""Regions of recordings that the jobs of a run share: found once, and kept for few recordings."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import pytest
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.evaluation.engines.engine import Interrupted
+from gridtrack.evaluation.referee.splits import EvaluationSplit
+from gridtrack.evaluation.runs.jobs import SharedInputs
 from gridtrack.evaluation.runs.plan import resolve
-from gridtrack.evaluation.runs.runner import run
-from gridtrack.evaluation.runs.shared_inputs import SharedInputs
-from gridtrack.trackers.weights import read_card
 
 
 class Split:
@@ -34,10 +33,10 @@ class Split:
 
 @pytest.fixture
 def shared(settings, tmp_path):
-    return lambda works: SharedInputs(settings("persistence"), lambda text: None, tmp_path, works)
+    return lambda jobs: SharedInputs(settings("persistence"), lambda text: None, tmp_path, jobs)
 
 
-def test_works_that_need_regions_at_the_same_time_wait_for_those_of_the_first(shared):
+def test_jobs_that_need_regions_at_the_same_time_wait_for_those_of_the_first(shared):
     inputs, split = shared(2), Split("hall")
     split.proceed.clear()
     with ThreadPoolExecutor(2) as threads:
@@ -48,7 +47,7 @@ def test_works_that_need_regions_at_the_same_time_wait_for_those_of_the_first(sh
         assert first.result() == second.result() == "regions of hall (1)"
 
 
-def test_regions_are_kept_of_as_many_recordings_as_works_run(shared):
+def test_regions_are_kept_for_as_many_recordings_as_jobs_run(shared):
     inputs = shared(2)
     splits = [Split(name) for name in "abc"]
     for split in (splits[0], splits[1], splits[0], splits[2], splits[0]):
@@ -58,25 +57,25 @@ def test_regions_are_kept_of_as_many_recordings_as_works_run(shared):
     assert splits[1].found == 2
 
 
-def test_an_error_reaches_every_work_that_needs_the_regions(shared):
+def test_an_error_reaches_every_job_that_needs_the_regions(shared):
     inputs, split = shared(1), Split("hall", RecordingError("hall.mcap: damaged at 3 s"))
     for _ in range(2):
         with pytest.raises(RecordingError, match="damaged at 3 s"):
             inputs.regions_of(split)
 
 
-def test_regions_that_cannot_be_found_fail_the_trials_of_their_recording_alone(settings, progress, record, monkeypatch):
+@pytest.mark.usefixtures("trackers_here")
+def test_regions_that_cannot_be_found_fail_the_trials_of_their_recording_alone(compare, record, monkeypatch):
     recordings = tuple(str(record(name, 8, {}, wall_m=wall_m)) for name, wall_m in (("good", 3.0), ("bad", 3.2)))
-    plan = resolve(settings("persistence", recordings=recordings))
-    regions = type(plan.splits[0]).regions
+    regions = EvaluationSplit.regions
 
     def damaged(split, check):
         if split.name == "bad":
             raise RecordingError("bad.mcap: damaged at 3 s")
         return regions(split, check)
 
-    monkeypatch.setattr(type(plan.splits[0]), "regions", damaged)
-    rows = run(plan, (), progress).trackers["persistence"].recordings
+    monkeypatch.setattr(EvaluationSplit, "regions", damaged)
+    rows = compare("persistence", recordings=recordings).trackers["persistence"].recordings
     assert (rows["good"].outcome, rows["bad"].outcome) == ("ok", "failed")
     assert rows["bad"].reason == "bad.mcap: damaged at 3 s"
 
@@ -93,23 +92,3 @@ def test_an_interrupt_ends_the_search_for_static_cells(shared, settings, record)
     with pytest.raises(Interrupted):
         shared(1).regions_of(split, stop)
     assert len(frames) == 5
-
-
-def test_a_card_is_read_once_for_all_recordings_of_a_site(settings, record, monkeypatch):
-    read = []
-    monkeypatch.setattr(
-        "gridtrack.evaluation.runs.learned.read_card",
-        lambda path, *rest: read.append(path.parent.name) or read_card(path, *rest),
-    )
-    recordings = tuple(str(record(f"r{n}", 8, {}, wall_m=3 + n / 10)) for n in range(3))
-    plan = resolve(settings("kalman", "persistence", recordings=recordings))
-    assert read == ["kalman"]
-    assert all(trial.weights for trial in plan.trials if trial.label == "kalman")
-
-
-def test_the_time_left_counts_a_shared_validation_stretch_once(settings, record, progress):
-    recordings = tuple(str(record(name, 8, {}, wall_m=wall_m)) for name, wall_m in (("one", 3.0), ("two", 3.2)))
-    validation = str(record("other", 6, {}, wall_m=3.4))
-    run(resolve(settings("persistence", recordings=recordings, validation=validation, jobs=1)), (), progress)
-    assert progress.planned_frames == {"persistence@one": 140, "persistence@two": 80}
-    assert progress.delivered == progress.planned_frames

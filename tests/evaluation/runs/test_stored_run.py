@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gridtrack.common.errors import StoreError
-from gridtrack.evaluation.results.files import RunError
+from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.runs.stored_run import stored_run
 
 URL = "memory://bucket/runs/hall"
@@ -81,7 +81,7 @@ def test_what_an_error_leaves_is_kept_and_told_in_one_line(store, home, notes):
 def test_a_run_that_no_command_continues_is_to_be_copied(store, home, notes):
     with pytest.raises(KeyboardInterrupt):
         crash([], notes, again=None)
-    assert notes[-1].endswith(f"{URL} as it is here: copy it")
+    assert notes[-1].endswith(f"{URL} does not have in this state: copy it")
 
 
 def test_a_fetched_run_to_which_nothing_was_added_is_not_kept(store, home, notes):
@@ -100,7 +100,7 @@ def made_beside_another(store, folders, notes):
 
 def test_a_run_that_another_put_there_meanwhile_is_not_replaced(store, notes):
     folders = []
-    with pytest.raises(StoreError, match="another run came there since this one began"):
+    with pytest.raises(StoreError, match="another run was uploaded since this one began"):
         made_beside_another(store, folders, notes)
     with pytest.raises(StoreError, match="is not replaced: copy"), begun(notes, resume=True):
         pass

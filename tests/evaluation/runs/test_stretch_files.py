@@ -10,19 +10,26 @@ import pytest
 from gridtrack.evaluation.runs import stretch_files
 from gridtrack.evaluation.runs.fit_regions import StretchRegions, cell_kinds_for
 from gridtrack.evaluation.runs.recipe import Recipe
-from gridtrack.evaluation.runs.stored_stretch import StoredStretch
-from gridtrack.evaluation.runs.stretch_files import STRETCHES_VERSION, StretchFiles, stretch_cache, surveyed
+from gridtrack.evaluation.runs.stretch_files import (
+    STRETCHES_VERSION,
+    StoredStretch,
+    StretchFiles,
+    stretch_cache,
+    surveyed,
+)
 from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.formats.native import NativeRecording
 from gridtrack.recordings.stream import GridStream, frame_digest, open_stream
-from gridtrack.trackers.progress import Progress
+from gridtrack.trackers.training.progress import Progress
 from gridtrack.trackers.wire import WireError
 
 from scenes import drive, truth_scene
 
+pytestmark = pytest.mark.usefixtures("trackers_here")
+
 VANDAL = '''
-from gridtrack.trackers.baselines.static_map import StaticMapTracker
+from gridtrack.trackers.baselines import StaticMapTracker
 from gridtrack.trackers.contract import stream_of
 
 
@@ -30,11 +37,11 @@ class Vandal(StaticMapTracker):
     """Its training destroys every file that it was given, once it has learned from them."""
 
     @classmethod
-    def fit(cls, train, validation, score, out, options):
-        super().fit(train, validation, score, out, options)
-        for source in (*train, *validation):
-            score(cls(stream_of(source, out.path), options), source, 1)
-        for path in train[0]._path.parent.iterdir():
+    def fit(cls, task):
+        super().fit(task)
+        for source in (*task.train, *task.validation):
+            task.objective(cls(stream_of(source, task.out), task.options), source, 1)
+        for path in task.train[0]._path.parent.iterdir():
             path.write_bytes(b"destroyed")
 '''
 

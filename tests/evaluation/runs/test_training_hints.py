@@ -11,17 +11,13 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError, RecordingError
-from gridtrack.evaluation.results.trial_record import read_trial_record
+from gridtrack.evaluation.runs.jobs import SharedInputs, TrialJob
 from gridtrack.evaluation.runs.plan import resolve
-from gridtrack.evaluation.runs.shared_inputs import SharedInputs
 from gridtrack.evaluation.runs.trial import unstarted
-from gridtrack.evaluation.runs.works import TrialWork
-from gridtrack.trackers.weights import read_card
+from gridtrack.evaluation.runs.trial_record import read_trial_record
+from gridtrack.trackers.training.weights import read_card
 
-
-@pytest.fixture(autouse=True)
-def home(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+pytestmark = pytest.mark.usefixtures("home", "trackers_here")
 
 
 def gridtrack(*words):
@@ -88,13 +84,13 @@ def test_the_hint_of_a_trial_on_another_machine_is_that_of_the_whole_run(record,
     trial = resolve(both).trials[0]
     alone = replace(trial, others=())
     assert alone.how_to_train != trial.how_to_train
-    work = TrialWork(trial, tmp_path / "trial", SharedInputs(both, print, tmp_path, 1))
+    work = TrialJob(trial, tmp_path / "trial", SharedInputs(both, print, tmp_path, 1))
     (tmp_path / "trial").mkdir()
     there = unstarted(alone).model_copy(update={"outcome": "untrained", "reason": alone.how_to_train})
-    assert work.taken(there).reason == trial.how_to_train
+    assert work.accepted(there).reason == trial.how_to_train
     assert read_trial_record(tmp_path / "trial").reason == trial.how_to_train
     ok = there.model_copy(update={"outcome": "ok", "reason": ""})
-    assert work.taken(ok) == ok
+    assert work.accepted(ok) == ok
 
 
 def test_stretches_of_its_own_that_another_trial_tests_are_not_named(record, tmp_path):

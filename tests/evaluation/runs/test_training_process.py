@@ -15,18 +15,16 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError, PluginError, WeightsError
 from gridtrack.evaluation.runs.recipe import Recipe
-from gridtrack.evaluation.runs.stored_stretch import StoredStretch, store_stretch
+from gridtrack.evaluation.runs.stretch_files import StoredStretch, store_stretch
 from gridtrack.evaluation.runs.train import train_tracker
-from gridtrack.recordings import RecordingInfo, write_native
 from gridtrack.recordings.stream import frame_digest, open_stream
-from gridtrack.trackers.weights import read_card
+from gridtrack.trackers.training.weights import read_card
 from tests.conftest import PLUGINS
-from tests.evaluation.conftest import RATE_HZ, SECONDS, scan
 
 FITS = '''
 import os, time
 from gridtrack.common.errors import WeightsError
-from gridtrack.trackers.baselines.static_map import StaticMapOptions, StaticMapTracker
+from gridtrack.trackers.baselines import StaticMapOptions, StaticMapTracker
 
 
 class Options(StaticMapOptions):
@@ -39,20 +37,21 @@ class Fits(StaticMapTracker):
     Options = Options
 
     @classmethod
-    def fit(cls, train, validation, score, out, options):
-        if options.how == "raises":
+    def fit(cls, task):
+        how = task.options.how
+        if how == "raises":
             raise ValueError("no\\nminimum")
-        if options.how == "refuses":
+        if how == "refuses":
             raise WeightsError("too few frames")
-        if options.how == "dies":
+        if how == "dies":
             os.abort()
-        if options.how == "writes-and-sleeps":
-            super().fit(train, validation, score, out, options)
+        if how == "writes-and-sleeps":
+            super().fit(task)
         try:
-            out.report(f"{os.getpid()}")  # the test interrupts as soon as it has read this line
+            task.report(f"{os.getpid()}")  # the test interrupts as soon as it has read this line
             time.sleep(60)
         except KeyboardInterrupt:
-            out.report("saved")
+            task.report("saved")
             raise
 '''
 
@@ -108,58 +107,43 @@ def test_a_stored_stretch_has_the_frames_and_labels_of_the_stream(record, tmp_pa
     ],
 )
 @pytest.mark.usefixtures("fits")
-def test_a_training_that_fails_is_one_line(how, error, message, record, tmp_path):
+def test_a_training_that_fails_is_one_line(how, error, message, train):
     with pytest.raises(error, match=message) as raised:
-        train_tracker(
-            Recipe(tracker="fits", options={"how": how}, recordings=(str(record()),), out=tmp_path), lambda _: None
-        )
+        train("weights", "fits", options={"how": how})
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("differs", ["site", "grid", "period"])
+@pytest.mark.parametrize(
+    ("differs", "other", "here", "there"),
+    [
+        ("site", {"site": "elsewhere"}, "'room'", "'elsewhere'"),
+        ("grid", {"grid": "20x0.4@-1,-4"}, "40x0.2@-1,-4", "20x0.4@-1,-4"),
+        ("period", {"rate_hz": 5}, "0.1 s", "0.2 s"),
+    ],
+)
 @pytest.mark.parametrize("validates", [False, True])
-@pytest.mark.usefixtures("fits")
-def test_stretches_of_another_place_are_refused_before_the_training(differs, validates, record, tmp_path):
+@pytest.mark.usefixtures("fits", "trackers_here")
+def test_stretches_of_another_place_are_refused_before_the_training(
+    differs, other, here, there, validates, record, train
+):
     """Here every training fails, so a line of another reason says that it began."""
-    room = str(record())
-    other = str(stretch_of_another(tmp_path / "other.mcap", differs))
-    first, named = f"{room}@0s-4s", f"{other}@10s-14s"
-    stretches = {"recordings": (first,), "validation": (f"{room}@5s-9s", named)}
-    if not validates:
-        stretches = {"recordings": (first, named), "validation": (f"{room}@5s-9s",)}
-    here, there = PLACES[differs]
+    room, named = record(), f"{record('other', stretches={}, **other)}@10s-14s"
+    train_on, validation = [f"{room}@0s-4s"], [f"{room}@5s-9s"]
+    (validation if validates else train_on).append(named)
     with pytest.raises(
         WeightsError,
         match=rf"^other\.mcap@10s-14s has the {differs} {re.escape(there)}, but room\.mcap@0s-4s {re.escape(here)}:"
         r" train and validate on recordings of one grid, period and site, or for any place with --general$",
     ):
-        train_tracker(Recipe(tracker="fits", out=tmp_path / "weights", **stretches), lambda text: None)
+        train("weights", "fits", *train_on, validation=tuple(validation))
     with pytest.raises(PluginError, match="its training failed: ValueError"):
-        train_tracker(Recipe(tracker="fits", out=tmp_path / "weights", general=True, **stretches), lambda text: None)
+        train("weights", "fits", *train_on, validation=tuple(validation), general=True)
 
 
-PLACES = {
-    "site": ("'room'", "'elsewhere'"),
-    "grid": ("40x0.2@-1,-4", "20x0.4@-1,-4"),
-    "period": ("0.1 s", "0.2 s"),
-}
-
-
-def stretch_of_another(path, differs):
-    """A recording like that of `record`, but for its site, grid or period."""
-    info = RecordingInfo(
-        site="elsewhere" if differs == "site" else "room",
-        grid="20x0.4@-1,-4" if differs == "grid" else "40x0.2@-1,-4",
-        rate_hz=5 if differs == "period" else RATE_HZ,
-    )
-    with path.open("wb") as file:
-        write_native(file, info, (scan(index) for index in range(SECONDS * RATE_HZ)))
-    return path
-
-
-def test_an_unknown_option_is_refused_before_the_recording_is_read(tmp_path):
+@pytest.mark.usefixtures("trackers_here")
+def test_an_unknown_option_is_refused_before_the_recording_is_read(train):
     with pytest.raises(ConfigurationError, match=r"tracker 'static-map'.*wrong"):
-        train_tracker(Recipe(tracker="static-map", options={"wrong": 1}, recordings=("none.mcap",), out=tmp_path))
+        train("weights", "static-map", "none.mcap", options={"wrong": 1})
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
@@ -171,7 +155,7 @@ def test_ctrl_c_reaches_fit_and_no_process_survives_the_command(end, record, tmp
     assert ("saved" in rest) == (end == signal.SIGINT)
     if end == signal.SIGINT:
         assert process.returncode == 130
-        assert errors == "gridtrack: interrupted before there was a result; the same command goes on\n"
+        assert errors == "gridtrack: interrupted before there was a result; the same command continues it\n"
     deadline = time.monotonic() + 10
     while psutil.pid_exists(child) and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -179,23 +163,22 @@ def test_ctrl_c_reaches_fit_and_no_process_survives_the_command(end, record, tmp
 
 
 @pytest.mark.usefixtures("fits")
-def test_ctrl_c_says_whose_weights_are_kept(record, tmp_path):
+def test_ctrl_c_reports_the_weights_that_are_kept(record, tmp_path):
     recording, card = record(), tmp_path / "fits" / "room.toml"
     kept = {
-        "writes-and-sleeps": "has the weights, but not what is learned after them, as classes",
+        "writes-and-sleeps": "has the weights, but not what is learned after them, such as classes",
         "sleeps": "keeps the weights of an earlier training",
     }
     for how, text in kept.items():
         process, _ = begun(how, recording, tmp_path)
         os.kill(process.pid, signal.SIGINT)
-        assert (
-            process.communicate(timeout=20)[1] == f"gridtrack: interrupted; {card} {text}; the same command goes on\n"
-        )
+        errors = process.communicate(timeout=20)[1]
+        assert errors == f"gridtrack: interrupted; {card} {text}; the same command continues it\n"
         assert "how=writes-and-sleeps" in read_card(card).command
 
 
 def begun(how, recording, out):
-    """The process of a training that `fits` has begun, and the number of that of `fit`."""
+    """The process of a training whose `fit` has begun, and the number of the process of `fit`."""
     command = [sys.executable, "-m", "gridtrack.cli", "train", f"fits:how={how}", str(recording), "--out", str(out)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None

@@ -2,27 +2,65 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
 from scipy import stats
 from sklearn.metrics import average_precision_score
 
-from gridtrack.evaluation.results.columns import PROBABILITY_BINS, PROBABILITY_EDGES
-from gridtrack.evaluation.statistics.jackknife import (
-    COUNTS,
-    LEAST_UNITS,
-    differences,
-    holm,
-    interval,
-    jackknifed,
-    pooled,
-    proportion_interval,
-    ratio_differences,
-    ratio_interval,
-)
-from gridtrack.evaluation.statistics.pr_auc import pr_auc_without_each
+from gridtrack.evaluation.scores.cells import PROBABILITY_BINS, PROBABILITY_EDGES
+from gridtrack.evaluation.scores.definition import Ratio, Sums, block
+from gridtrack.evaluation.scores.pr_auc import PR_AUC
+from gridtrack.evaluation.statistics import jackknife
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, difference, holm, ratio_replicates, replicates
+
+COUNTS = ("tp", "fp", "fn", "tn", "squared_error", "log_loss")
+SCALES = {"f1": "odds", "precision": "odds", "recall": "odds", "brier": "odds", "log_loss": "log"}
+
+
+def replicates_of(counts, score="f1"):
+    """The replicates of a score of counts (U, ..., C) of units."""
+    tp, fp, fn, tn, squared_error, loss = np.moveaxis(counts, -1, 0)
+    cells = tp + fp + fn + tn
+    ratios = {
+        "f1": Ratio(2 * tp, 2 * tp + fp + fn, support=tp + fn, counted=True),
+        "precision": Ratio(tp, tp + fp, counted=True),
+        "recall": Ratio(tp, tp + fn, counted=True),
+        "brier": Ratio(squared_error, cells),
+        "log_loss": Ratio(loss, cells),
+    }
+    return ratio_replicates(ratios[score])
+
+
+def pooled(counts, score):
+    return replicates_of(counts, score).value
+
+
+def interval(counts, score="f1"):
+    return ends_of(replicates_of(counts, score), SCALES[score])
+
+
+def ends_of(found, scale):
+    estimate = jackknife.interval(found, scale)
+    return estimate.low, estimate.high
+
+
+def differences(own, other, score="f1"):
+    return difference(replicates_of(own, score), replicates_of(other, score))
+
+
+def ratio_interval(part, whole):
+    return ends_of(ratio_replicates(Ratio(part, whole)), "log")
+
+
+def proportion_interval(part, whole):
+    return ends_of(ratio_replicates(Ratio(part, whole)), "odds")
+
+
+def pr_auc_of(cells, positives):
+    """The replicates of PR-AUC of histograms (U, ..., B) of units."""
+    parts = (*block("cells", PROBABILITY_BINS), *block("occupied", PROBABILITY_BINS))
+    sums = Sums(np.concatenate([cells, positives], axis=-1).astype(float), parts)
+    return replicates(PR_AUC.value, lambda: iter([sums]), Sums(sums.values.sum(axis=0), parts))["area"]
 
 
 def counts_of(rng, units=20, recall=0.6, cells=200, shape=()):
@@ -43,7 +81,7 @@ def f1_by_hand(counts):
 def test_pooled_scores_are_ratios_of_sums_over_all_units():
     counts = np.zeros((2, len(COUNTS)))
     counts[0], counts[1] = (3, 1, 2, 4, 1.5, 2.0), (1, 0, 1, 8, 0.5, 3.0)
-    by_hand = {"f1": 8 / 12, "precision": 4 / 5, "recall": 4 / 7, "brier": 2.0 / 20, "nll": 5.0 / 20}
+    by_hand = {"f1": 8 / 12, "precision": 4 / 5, "recall": 4 / 7, "brier": 2.0 / 20, "log_loss": 5.0 / 20}
     assert {score: float(pooled(counts, score)) for score in by_hand} == pytest.approx(by_hand)
 
 
@@ -59,7 +97,7 @@ def test_the_interval_is_the_jackknife_of_the_log_odds_computed_one_unit_at_a_ti
     assert np.array(interval(counts)) == pytest.approx(1 / (1 + np.exp(-ends)))
 
 
-@pytest.mark.parametrize("score", ["f1", "precision", "recall", "brier", "nll"])
+@pytest.mark.parametrize("score", ["f1", "precision", "recall", "brier", "log_loss"])
 def test_the_interval_is_near_the_bootstraps_where_units_are_many_and_alike(score):
     counts = counts_of(np.random.default_rng(2), units=200)
     bootstrap = stats.bootstrap(
@@ -88,19 +126,10 @@ def test_few_units_that_agree_exactly_tell_nothing():
 def test_differences_within_rounding_are_none():
     own, other = (counts_of(np.random.default_rng(5)) for _ in "ab")
     other[:, COUNTS.index("log_loss")] *= 1 + 1e-12
-    assert differences(own, other, "nll").p == 1.0
+    assert differences(own, other, "log_loss").p == 1.0
 
 
-def test_a_ratio_of_two_sums_is_treated_as_the_log_loss_of_cells_is():
-    own, other = (counts_of(np.random.default_rng(seed)) for seed in (6, 7))
-    sums = [(counts[:, COUNTS.index("log_loss")], counts[:, :4].sum(axis=1)) for counts in (own, other)]
-    assert np.array(ratio_interval(*sums[0])) == pytest.approx(np.array(interval(own, "nll")))
-    found, expected = ratio_differences(*sums), differences(own, other, "nll")
-    for name in ("value", "low", "high", "p"):
-        assert float(getattr(found, name)) == pytest.approx(float(getattr(expected, name)))
-
-
-@pytest.mark.parametrize("interval_of", [ratio_interval, partial(proportion_interval, counted=False)])
+@pytest.mark.parametrize("interval_of", [ratio_interval, proportion_interval])
 def test_the_interval_of_a_sum_that_is_no_count_does_not_depend_on_its_unit(interval_of):
     rng = np.random.default_rng(2)
     part, whole = 0.03 * rng.lognormal(0, 0.6, (20, 1)), np.full((20, 1), 20.0)
@@ -111,7 +140,7 @@ def test_the_interval_of_a_sum_that_is_no_count_does_not_depend_on_its_unit(inte
         assert found / (unit if interval_of is ratio_interval else 1) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("score", ["brier", "nll"])
+@pytest.mark.parametrize("score", ["brier", "log_loss"])
 def test_a_small_loss_is_as_uncertain_as_a_large_one_that_varies_as_much(score):
     counts, small = (counts_of(np.random.default_rng(3)) for _ in "ab")
     counts[:, :4], small[:, :4] = [0, 0, 0, 5000], [0, 0, 0, 5000]
@@ -184,8 +213,8 @@ def test_the_difference_is_the_jackknifes_computed_one_unit_at_a_time():
 
 def test_a_difference_of_differences_is_the_jackknifes_computed_one_unit_at_a_time():
     sides = [counts_of(np.random.default_rng(seed), recall=recall) for seed, recall in enumerate((0.8, 0.5, 0.6, 0.5))]
-    own, floor, other, others_floor = map(jackknifed, sides)
-    found = own.minus(floor).less(other.minus(others_floor))
+    own, floor, other, others_floor = map(replicates_of, sides)
+    found = difference(own.minus(floor), other.minus(others_floor))
     signs = (1, -1, -1, 1)
     value = sum(sign * f1_by_hand(side) for sign, side in zip(signs, sides, strict=True))
     without = [
@@ -198,11 +227,6 @@ def test_a_difference_of_differences_is_the_jackknifes_computed_one_unit_at_a_ti
     freedom = min(s.sum() ** 2 / (s**2).sum() for s in pairs) - 1
     assert float(found.value) == pytest.approx(value)
     assert float(found.high - found.low) == pytest.approx(2 * stats.t.ppf(0.975, freedom) * error)
-
-
-def test_a_score_with_its_values_without_each_unit_differs_as_its_counts_do():
-    one, other = counts_of(np.random.default_rng(8)), counts_of(np.random.default_rng(9), recall=0.5)
-    assert jackknifed(one).less(jackknifed(other)) == differences(one, other)
 
 
 def test_pairing_takes_out_what_both_trackers_share():
@@ -273,34 +297,42 @@ def test_the_interval_of_pr_auc_is_the_jackknife_of_its_log_odds_computed_one_un
     sizes, value = positives.sum(axis=(1, 2)), area_by_hand(cells, positives)
     reach = stats.t.ppf(0.975, sizes.sum() ** 2 / (sizes**2).sum() - 1) * error
     ends = 1 / (1 + np.exp(-(np.log(value / (1 - value)) + np.array([-1, 1]) * reach)))
-    found = pr_auc_without_each(cells, positives)
+    found = pr_auc_of(cells, positives)
     assert found.value == pytest.approx(value)
-    assert np.ravel(found.interval()) == pytest.approx(ends)
+    assert np.ravel(ends_of(found, "odds")) == pytest.approx(ends)
 
 
 def test_the_difference_in_pr_auc_is_paired_and_that_of_equal_forecasts_is_none():
     rng = np.random.default_rng(6)
-    good, poor = (pr_auc_without_each(*histograms(rng, skill=skill)) for skill in (2.5, 1.5))
-    found = good.less(poor)
+    good, poor = (pr_auc_of(*histograms(rng, skill=skill)) for skill in (2.5, 1.5))
+    found = difference(good, poor)
     assert found.value == pytest.approx(good.value - poor.value)
     assert found.low > 0
     assert found.p < 0.001
-    same = good.less(good)
+    same = difference(good, good)
     assert (float(same.value[0]), float(same.p[0])) == (0.0, 1.0)
 
 
 def test_pr_auc_of_too_few_units_has_no_interval_and_no_test():
-    few, other = (pr_auc_without_each(*histograms(np.random.default_rng(seed), LEAST_UNITS - 1)) for seed in (0, 1))
-    assert np.isnan(few.interval()).all()
-    assert np.isnan(few.less(other).p).all()
+    few, other = (pr_auc_of(*histograms(np.random.default_rng(seed), LEAST_UNITS - 1)) for seed in (0, 1))
+    assert np.isnan(ends_of(few, "odds")).all()
+    assert np.isnan(difference(few, other).p).all()
 
 
-def test_a_pr_auc_that_is_undefined_without_a_unit_rests_on_it_and_has_no_interval():
+def test_a_pr_auc_that_is_undefined_without_a_unit_has_no_interval():
     cells, positives = histograms(np.random.default_rng(7))
-    assert not pr_auc_without_each(cells, positives).rests_on_one_unit.any()
     positives[1:] = 0
-    found = pr_auc_without_each(cells, positives)
-    assert found.rests_on_one_unit.all()
+    found = pr_auc_of(cells, positives)
     assert np.isfinite(found.value).all()
-    assert np.isnan(found.interval()).all()
-    assert not pr_auc_without_each(cells, 0 * positives).rests_on_one_unit.any(), "it has no value at all"
+    assert np.isnan(ends_of(found, "odds")).all()
+
+
+def test_units_in_groups_have_the_replicates_of_all_together():
+    cells, positives = histograms(np.random.default_rng(8))
+    parts = (*block("cells", PROBABILITY_BINS), *block("occupied", PROBABILITY_BINS))
+    values = np.concatenate([cells, positives], axis=-1).astype(float)
+    total = Sums(values.sum(axis=0), parts)
+    groups = [Sums(values[first : first + 7], parts) for first in range(0, 20, 7)]
+    found, expected = replicates(PR_AUC.value, lambda: iter(groups), total)["area"], pr_auc_of(cells, positives)
+    assert np.array_equal(found.without, expected.without)
+    assert np.array_equal(found.size, expected.size)

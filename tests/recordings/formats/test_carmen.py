@@ -29,7 +29,7 @@ def robotlaser(k: int) -> str:
 
 def log(path: Path, *lines: str) -> Path:
     text = "\n".join(["# message_name [message contents]", "PARAM robot_use_laser on nohost 0", *lines, ""])
-    path.write_bytes(bz2.compress(text.encode()) if path.suffix == ".bz2" else text.encode())
+    path.write_bytes(bz2.compress(text.encode(), 1) if path.suffix == ".bz2" else text.encode())
     return path
 
 
@@ -43,7 +43,7 @@ def test_flaser_lines(name: str, tmp_path: Path) -> None:
     assert second.world_T_sensor == SE2(1.5, 1.0, 0.5)
     assert (first.angle_min, first.angle_increment) == (-math.pi / 2, math.radians(1.0))
     np.testing.assert_array_equal(first.ranges, np.array(ranges, np.float32))
-    assert first.ranges[-1] > first.range_max, "what the laser answers where nothing returns is no return"
+    assert first.ranges[-1] > first.range_max, "the value of the laser for no return is beyond its maximum"
     assert recording.survey.topics == {"PARAM": ("CARMEN", 1), "ODOM": ("CARMEN", 1), "FLASER": ("CARMEN", 2)}
     assert recording.info.site == "a"
 
@@ -64,15 +64,15 @@ def test_the_angles_follow_from_the_number_of_beams(
     assert math.degrees(scan.angle_increment) == pytest.approx(step_deg)
 
 
-def test_angles_of_a_number_of_beams_that_no_known_laser_has_are_told(tmp_path: Path) -> None:
+def test_an_unknown_number_of_beams_is_a_warning(tmp_path: Path) -> None:
     recording = open_recording(log(tmp_path / "a.clf", *(flaser(k, ["1.0"] * 91) for k in range(3))), strict=True)
     scan = next(iter(recording.scans()))
     assert math.degrees(scan.angle_min) == pytest.approx(-90)
     assert math.degrees(scan.angle_increment) == pytest.approx(2.0)
     (warning,) = recording.overview().warnings
     assert warning.endswith(
-        "FLASER lines do not contain the angles of their beams, and 91 beams are those of no known laser: taken as 180"
-        " deg, as CARMEN does; where that is wrong, ROBOTLASER1 lines contain the angles"
+        "FLASER lines do not contain the angles of their beams, and no known laser has 91 beams: 180 deg are assumed,"
+        " as in CARMEN; if that is wrong, use ROBOTLASER1 lines, which contain the angles"
     )
 
 
@@ -86,7 +86,7 @@ def test_robotlaser_lines_contain_their_angles(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("old", "new"), [("-0.3 0.6", "-1e308 0.6"), ("0.2 30.0", "1e308 30.0"), ("30.0", "1e308")])
 def test_a_geometry_beyond_the_limits_is_refused(old: str, new: str, tmp_path: Path) -> None:
     path = log(tmp_path / "a.clf", robotlaser(3).replace(old, new, 1))
-    with pytest.raises(RecordingError, match=r"expected (radians|finite ones up to 1e\+06 m)"):
+    with pytest.raises(RecordingError, match=r"expected (radians|finite limits up to 1e\+06 m)"):
         list(open_recording(path).scans())
 
 
@@ -111,21 +111,21 @@ def test_a_warning_gives_the_number_of_an_invalid_line(line: str, tmp_path: Path
     recording = open_recording(path)
     assert len(list(recording.scans())) == 1
     assert len(recording.warnings) == 1
-    assert "line 4: not a FLASER" in recording.warnings[0]
+    assert "line 4: not a readable FLASER" in recording.warnings[0]
     with pytest.raises(RecordingError, match="line 4"):
         list(open_recording(path, strict=True).scans())
 
 
 def test_a_cut_archive_gives_the_lines_before_the_cut(tmp_path: Path) -> None:
     random = np.random.default_rng(0)
-    lines = [flaser(k, [f"{r:.2f}" for r in random.uniform(0, 80, 180)]) for k in range(2000)]
+    lines = [flaser(k, [f"{r:.2f}" for r in random.uniform(0, 80, 180)]) for k in range(600)]
     path = log(tmp_path / "a.clf.bz2", *lines)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) * 3 // 4])
     recording = open_recording(path)
     found = [s.stamp_ns for s in recording.scans()]
     assert found == [(100 + k) * 10**9 + 250_000_000 for k in range(len(found))]
-    assert 200 < len(found) < 2000
+    assert 60 < len(found) < 600
     assert len(recording.warnings) == 1
 
 

@@ -1,4 +1,4 @@
-"""MCAP files of Foxglove messages that another program wrote."""
+"""MCAP files with Foxglove messages of another program."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import import_recording, open_recording
 from gridtrack.recordings.frames.transform import SE3
-from gridtrack.recordings.protobuf_time import timestamp_of
+from gridtrack.recordings.native_messages import timestamp_of
 
 from scenes import drive_bag as made
 
-LIMIT = "topic '/front': its scans have no limits of their ranges; the longest, "
+LIMIT = "topic '/front': its scans do not contain their range limits; the longest range, "
 
 
 def stamp(at_ms: float) -> Any:
@@ -48,7 +48,7 @@ def pose_message(at_ms: float) -> PoseInFrame:
 
 
 def scan_message(at_ms: float, laser: made.Laser, in_base: bool = False) -> LaserScan:
-    """In the laser's own frame, or in that of the robot with the place of the laser."""
+    """A scan in the frame of the laser, or in that of the robot with the pose of the laser."""
     end = laser.angle_min + laser.angle_increment * (laser.beams - 1)
     message = LaserScan(timestamp=stamp(at_ms), start_angle=laser.angle_min, end_angle=end)
     message.frame_id = "base_link" if in_base else "front_laser"
@@ -78,33 +78,31 @@ def mcap(tmp_path: Path) -> Callable[..., Path]:
     return mcap
 
 
-def walls_stay(path: Path) -> bool:
-    off = [made.distance_to_walls(scan).max() for scan in open_recording(path).scans()]
-    return len(off) == 30 and max(off) < 0.02
+STAMPS_MS = range(0, made.DURATION_MS, 100)
 
 
 def test_a_drive_with_frame_transforms(mcap, tmp_path: Path) -> None:
     mount = transform_message(0, "base_link", "front_laser", SE3.in_plane(made.FRONT.base_T_laser))
-    scans = [("/front", at, scan_message(at, made.FRONT)) for at in range(0, 3000, 100)]
+    scans = [("/front", at, scan_message(at, made.FRONT)) for at in STAMPS_MS]
     moving = []
-    for at in range(-20, 3100, 20):
+    for at in made.STAMPS_MS:
         odometry = transform_message(at, "odom", "base_link", SE3.in_plane(made.robot_at(at)))
         moving.append(("/tf", at, FrameTransforms(transforms=[odometry])))
     path = mcap([*scans, *moving, ("/mount", 5, mount)])
-    assert walls_stay(path)
     recording = open_recording(path)
+    assert made.walls_stay(recording.scans())
     (warning,) = recording.overview().warnings
     assert LIMIT in warning
-    assert recording.info.poses == "odom -> base_link -> front_laser; from /tf, /mount; longest gap 0.02 s"
+    assert recording.info.poses == "odom -> base_link -> front_laser; from /tf, /mount; longest gap 0.04 s"
     imported = import_recording(path, tmp_path / "native.mcap")
-    assert walls_stay(imported.path)
+    assert made.walls_stay(imported.scans())
 
 
-def test_poses_in_a_frame_and_scans_with_the_place_of_the_laser(mcap) -> None:
-    scans = [("/front", at, scan_message(at, made.FRONT, in_base=True)) for at in range(0, 3000, 100)]
-    path = mcap([*scans, *(("/pose", at, pose_message(at)) for at in range(-20, 3100, 20))])
-    assert walls_stay(path)
-    assert open_recording(path).info.poses == "world -> base_link; from /pose; longest gap 0.02 s"
+def test_poses_in_a_frame_and_scans_with_the_pose_of_the_laser(mcap) -> None:
+    scans = [("/front", at, scan_message(at, made.FRONT, in_base=True)) for at in STAMPS_MS]
+    recording = open_recording(mcap([*scans, *(("/pose", at, pose_message(at)) for at in made.STAMPS_MS)]))
+    assert made.walls_stay(recording.scans())
+    assert recording.info.poses == "world -> base_link; from /pose; longest gap 0.04 s"
 
 
 class Broken:
@@ -137,17 +135,17 @@ def test_angles_and_ranges_are_kept(mcap) -> None:
 
 
 def without_rotation(message: Any) -> Any:
-    """A message whose rotation is as Protobuf has it where it is not set: all zeros."""
+    """The message without its rotation: Protobuf reads it as all zeros."""
     for part in ("rotation", "orientation"):
         if part in message.DESCRIPTOR.fields_by_name:
             message.ClearField(part)
     return message
 
 
-ZEROS = "have a rotation of all zeros, as Protobuf has where none is set: taken as not turned"
+ZEROS = "have a rotation of all zeros, the default of Protobuf: read as no rotation"
 
 
-def test_a_mount_without_a_rotation_is_not_turned_and_told(mcap) -> None:
+def test_a_mount_of_zero_rotation_is_read_as_no_rotation(mcap) -> None:
     place = SE3((0.3, 0.1, 0.0))
     mount = without_rotation(transform_message(0, "base_link", "front_laser", place))
     moving = [("/tf", at, transform_message(at, "odom", "base_link", SE3((at / 1e3, 0.0, 0.0)))) for at in (0, 500)]
@@ -157,7 +155,7 @@ def test_a_mount_without_a_rotation_is_not_turned_and_told(mcap) -> None:
     assert any(f"transforms on /mount of frame 'front_laser' {ZEROS}" in line for line in recording.warnings)
 
 
-def test_poses_without_a_rotation_are_not_turned_and_told(mcap) -> None:
+def test_poses_of_zero_rotation_are_read_as_no_rotation(mcap) -> None:
     poses = []
     for at in range(0, 600, 100):
         message = pose_message(at)
@@ -172,7 +170,7 @@ def test_poses_without_a_rotation_are_not_turned_and_told(mcap) -> None:
     assert any(f"poses on /pose {ZEROS}" in line for line in recording.warnings)
 
 
-def test_the_place_of_a_laser_in_its_scans_is_used_without_a_rotation_and_told(mcap) -> None:
+def test_a_laser_pose_of_zero_rotation_is_read_as_no_rotation(mcap) -> None:
     message = scan_message(0, made.FRONT, in_base=True)
     without_rotation(message.pose)
     recording = open_recording(mcap([("/front", 0, message)]), strict=True)
@@ -181,7 +179,7 @@ def test_the_place_of_a_laser_in_its_scans_is_used_without_a_rotation_and_told(m
     assert any(f"poses of the laser in the scans on /front {ZEROS}" in line for line in recording.warnings)
 
 
-def test_an_empty_place_of_a_laser_in_its_scans_is_none(mcap) -> None:
+def test_an_empty_laser_pose_is_none(mcap) -> None:
     message = scan_message(0, made.FRONT)
     message.pose.SetInParent()
     recording = open_recording(mcap([("/front", 0, message)]))
@@ -189,9 +187,11 @@ def test_an_empty_place_of_a_laser_in_its_scans_is_none(mcap) -> None:
     assert not any(ZEROS in line for line in recording.warnings)
 
 
-def test_a_scan_with_a_place_of_its_laser_that_is_no_number_is_left_out(mcap) -> None:
+def test_a_scan_with_a_laser_pose_that_is_not_finite_is_left_out(mcap) -> None:
     messages = [scan_message(at, made.FRONT, in_base=True) for at in range(0, 500, 100)]
     messages[2].pose.position.x = math.nan
     recording = open_recording(mcap([("/front", 100 * k, message) for k, message in enumerate(messages)]))
     assert len(list(recording.scans())) == 4
-    assert any("scans of sensor 'front' whose pose is not finite, left out: 1 of them" in w for w in recording.warnings)
+    assert any(
+        "scans of sensor 'front' with a pose that is not finite, left out: 1 of them" in w for w in recording.warnings
+    )

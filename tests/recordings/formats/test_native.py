@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,42 +11,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
-from gridtrack.common.errors import ConfigurationError, GridtrackError, RecordingError
+from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.geometry import SE2, same_pose
-from gridtrack.common.pose_quality import PoseQuality
-from gridtrack.common.scan import Scan
+from gridtrack.common.scan import PoseQuality, Scan
 from gridtrack.recordings import RecordingInfo, open_recording
-from gridtrack.recordings.json_messages import read_beam_times, read_pose_quality
-from gridtrack.recordings.recording import DamageError
+from gridtrack.recordings.file_reading import DamageError
+from gridtrack.recordings.native_messages import read_beam_times, read_pose_quality
 
 
-def test_scans_round_trip_bit_for_bit(write: Callable[..., Path], scan: Callable[..., Scan], same_scans) -> None:
-    scans = [scan(k) for k in range(50)]
+def test_scans_round_trip_bit_for_bit(write, scan, same_scans) -> None:
+    """Ordinary ones, changing range limits, extreme values, one beam, no beam."""
+    smallest, largest = np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max
+    extreme = np.array([np.inf, -np.inf, np.nan, 0.0, -0.0, smallest, largest, 1 / 3], np.float32)
+    scans = [replace(scan(k), range_max=5.0 + k // 10) for k in range(50)]
+    scans.append(replace(scan(50), ranges=extreme, angle_min=-1.5707963705062866, angle_increment=0.006135923322290182))
+    scans += [replace(scan(51 + n), ranges=np.ones(n, np.float32), angle_increment=0.0) for n in (0, 1)]
     same_scans(open_recording(write(scans)).scans(), scans)
 
 
-def test_extreme_values_round_trip(write: Callable[..., Path], scan: Callable[..., Scan], same_scans) -> None:
-    smallest, largest = np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max
-    ranges = np.array([np.inf, -np.inf, np.nan, 0.0, -0.0, smallest, largest, 1 / 3], np.float32)
-    odd = replace(scan(0), ranges=ranges, angle_min=-1.5707963705062866, angle_increment=0.006135923322290182)
-    same_scans(open_recording(write([odd])).scans(), [odd])
-
-
-def test_one_beam_and_no_beam(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
-    for beams in (0, 1):
-        (found,) = open_recording(write([replace(scan(0), ranges=np.ones(beams, np.float32))])).scans()
-        assert found.ranges.size == beams
-
-
-def test_sensors_are_merged_by_stamp_with_their_own_poses_and_labels(
-    write: Callable[..., Path], scan: Callable[..., Scan], same_scans
-) -> None:
+def test_sensors_are_merged_by_stamp_with_their_own_poses_and_labels(write, scan, same_scans) -> None:
     labels = np.arange(36, dtype=np.uint8) % 3
     labels[5] = 255
     scans = []
@@ -63,9 +50,7 @@ def test_sensors_are_merged_by_stamp_with_their_own_poses_and_labels(
     assert {s.sensor for s in open_recording(path, topic="/scan/front").scans()} == {"front"}
 
 
-def test_reference_poses_round_trip_beside_those_that_trackers_get(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_reference_poses_round_trip(write, scan) -> None:
     scans = []
     for k in range(6):
         drifts = replace(scan(k, "front/left", SE2(0.1 * k, 0.0, 0.5)), reference_T_sensor=SE2(0.11 * k, 7.0, -3.0))
@@ -82,7 +67,7 @@ def test_reference_poses_round_trip_beside_those_that_trackers_get(
             assert same_pose(found.reference_T_sensor, expected.reference_T_sensor or expected.world_T_sensor)
 
 
-def test_beam_times_and_the_quality_of_poses_round_trip(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_beam_times_and_the_quality_of_poses_round_trip(write, scan) -> None:
     qualities = [None, PoseQuality("start"), PoseQuality("matched", 0.875, 0.0125), PoseQuality("few-returns")]
     scans = [
         replace(scan(k, name), time_increment_s=time_s, pose_quality=quality)
@@ -97,35 +82,36 @@ def test_beam_times_and_the_quality_of_poses_round_trip(write: Callable[..., Pat
 
 
 @pytest.mark.parametrize(
-    "message",
-    [b"[1]", b"{}", b'{"outcome": "good", "inlier_share": 1, "residual_m": 0}', b"\xff" * 2000,
-     b'{"outcome": "matched", "inlier_share": NaN, "residual_m": 0}'],
-)  # fmt: skip
-def test_a_damaged_quality_is_told(message: bytes) -> None:
+    ("read", "message"),
+    [
+        *(
+            (read_pose_quality, message)
+            for message in (
+                b"[1]",
+                b"{}",
+                b'{"outcome": "good", "inlier_share": 1, "residual_m": 0}',
+                b"\xff" * 2000,
+                b'{"outcome": "matched", "inlier_share": NaN, "residual_m": 0}',
+            )
+        ),
+        *(
+            (read_beam_times, message)
+            for message in (b'{"time_increment_s": -1}', b'{"time_increment_s": "fast"}', b"", b"[" * 900)
+        ),
+    ],
+)
+def test_a_damaged_quality_or_beam_time_is_damage(read: Callable[[bytes], object], message: bytes) -> None:
     with pytest.raises(DamageError, match="corrupt"):
-        read_pose_quality(message)
+        read(message)
 
 
-@pytest.mark.parametrize("message", [b'{"time_increment_s": -1}', b'{"time_increment_s": "fast"}', b"", b"[" * 900])
-def test_damaged_beam_times_are_told(message: bytes) -> None:
-    with pytest.raises(DamageError, match="corrupt"):
-        read_beam_times(message)
-
-
-def test_range_limits_may_change(write: Callable[..., Path], scan: Callable[..., Scan], same_scans) -> None:
-    scans = [replace(scan(k), range_max=5.0 + k // 5) for k in range(20)]
-    same_scans(open_recording(write(scans)).scans(), scans)
-
-
-def test_same_scans_same_bytes(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_same_scans_same_bytes(write, scan) -> None:
     once = write((scan(k) for k in range(30)), "once.mcap")
     again = write((scan(k) for k in range(30)), "again.mcap")
     assert once.read_bytes() == again.read_bytes()
 
 
-def test_a_stretch_is_read_by_seconds_from_the_first_scan(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_a_stretch_is_read_by_seconds_from_the_first_scan(write, scan) -> None:
     recording = open_recording(write(scan(k) for k in range(50)))
     stamps = [s.stamp_ns for s in recording.scans()]
     assert [s.stamp_ns for s in recording.scans(1.0, 2.0)] == stamps[10:20]
@@ -133,7 +119,7 @@ def test_a_stretch_is_read_by_seconds_from_the_first_scan(
     assert [s.stamp_ns for s in recording.scans(end_s=0.1)] == stamps[:1]
 
 
-def test_foxglove_reads_standard_messages(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_foxglove_reads_standard_messages(write, scan) -> None:
     path = write([replace(scan(0, pose=SE2(1.0, 2.0, math.pi / 2)), labels=np.zeros(36, np.uint8))])
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
@@ -150,7 +136,7 @@ def test_foxglove_reads_standard_messages(write: Callable[..., Path], scan: Call
     assert transform.rotation.z == pytest.approx(math.sqrt(0.5))
 
 
-def test_metadata_round_trip(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_metadata_round_trip(write, scan) -> None:
     stretches = {"train": (0.0, 3.0), "test": (3.0, None)}
     path = write([scan(0)], site="hall", grid="100x0.1@-2,-4.5", rate_hz=10.0, stretches=stretches, classes=["car"])
     info = open_recording(path).info
@@ -177,20 +163,16 @@ def test_invalid_metadata_are_refused(values: dict[str, object]) -> None:
         RecordingInfo.model_validate(values)
 
 
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(-math.pi, math.pi))
-def test_poses_round_trip(tmp_path_factory: pytest.TempPathFactory, x: float, y: float, theta: float) -> None:
-    from gridtrack.recordings import write_native
-
-    path = tmp_path_factory.mktemp("pose") / "pose.mcap"
+def test_poses_round_trip(write, x: float, y: float, theta: float) -> None:
     original = Scan(7, np.ones(3, np.float32), 0.0, 0.1, 0.0, 5.0, world_T_sensor=SE2(x, y, theta))
-    with path.open("wb") as file:
-        write_native(file, RecordingInfo(site="here"), [original])
-    (found,) = open_recording(path).scans()
+    (found,) = open_recording(write([original])).scans()
     assert (found.world_T_sensor.x, found.world_T_sensor.y) == (x, y)
     assert abs(math.remainder(found.world_T_sensor.theta - theta, 2 * math.pi)) < 1e-12
 
 
-def test_the_overview_describes_the_content(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_the_overview_describes_the_content(write, scan) -> None:
     path = write([scan(k) for k in range(50) if not 20 <= k < 30], site="hall")
     summary = open_recording(path).overview()
     sensor = summary.sensors["scan"]
@@ -204,44 +186,33 @@ def test_the_overview_describes_the_content(write: Callable[..., Path], scan: Ca
     assert type(summary).model_validate_json(summary.model_dump_json()) == summary
 
 
-def test_rate_is_that_of_the_slowest_sensor_to_a_tenth(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_the_rate_is_the_slowest_sensors_to_a_tenth(write, scan) -> None:
     front = [scan(k, "front", offset_ns=31_000 * (k % 3)) for k in range(40)]
     rear = [scan(k, "rear", offset_ns=1) for k in range(0, 40, 2)]
     merged = sorted(front + rear, key=lambda s: s.stamp_ns)
     assert open_recording(write(merged)).survey.rate_hz == 5.0
 
 
-def test_the_error_for_a_wrong_topic_lists_the_topics(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+@pytest.mark.parametrize(
+    ("topic", "message"),
+    [
+        ("/scan/frnt", "no topic '/scan/frnt'; did you mean '/scan/front'"),
+        ("/pose", r"'/pose' is foxglove.FrameTransform, not scans; .*: /scan/front, /scan/rear"),
+    ],
+)
+def test_the_error_for_a_wrong_topic_names_the_topics_in_one_line(write, scan, topic: str, message: str) -> None:
     path = write([scan(0, "front"), scan(1, "rear")])
-    with pytest.raises(RecordingError, match="no topic '/scan/frnt'; did you mean '/scan/front'"):
-        list(open_recording(path, topic="/scan/frnt").scans())
-    with pytest.raises(
-        RecordingError, match=r"'/pose' is foxglove.FrameTransform, not scans; .*: /scan/front, /scan/rear"
-    ):
-        list(open_recording(path, topic="/pose").scans())
+    with pytest.raises(RecordingError, match=message) as error:
+        list(open_recording(path, topic=topic).scans())
+    assert "\n" not in str(error.value)
 
 
-def test_a_recording_without_scans_is_refused(write: Callable[..., Path]) -> None:
+def test_a_recording_without_scans_is_refused(write) -> None:
     with pytest.raises(RecordingError, match=r"made\.mcap: no scans; topics: none"):
         list(open_recording(write([])).scans())
 
 
-def test_a_missing_file_is_an_error_with_a_suggestion(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
-    path = write([scan(0)])
-    with pytest.raises(RecordingError, match=r"no such recording; did you mean 'made\.mcap'"):
-        open_recording(path.with_name("maed.mcap"))
-
-
-def test_other_files_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "notes.txt"
-    path.write_text("not a recording")
-    with pytest.raises(RecordingError, match="not a recording that gridtrack reads"):
-        open_recording(path)
-
-
-def test_scans_with_decreasing_stamps_are_left_out_with_one_warning(
-    write: Callable[..., Path], scan: Callable[..., Scan]
-) -> None:
+def test_scans_with_decreasing_stamps_are_left_out_with_one_warning(write, scan) -> None:
     path = write(scan(k) for k in [0, 1, 3, 2, 4, 5, 7, 6, 8, 8, 9])
     recording = open_recording(path)
     for _ in range(2):
@@ -252,7 +223,7 @@ def test_scans_with_decreasing_stamps_are_left_out_with_one_warning(
         list(open_recording(path, strict=True).scans())
 
 
-def test_sensors_written_late_are_merged_up_to_a_second(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_sensors_written_late_are_merged_up_to_a_second(write, scan) -> None:
     def late(by: int) -> list[Scan]:
         front, rear = ([scan(k, sensor) for k in range(40)] for sensor in ("front", "rear"))
         return [s for pair in zip(front[by:], rear, strict=False) for s in pair] + rear[40 - by :]
@@ -268,17 +239,15 @@ def test_sensors_written_late_are_merged_up_to_a_second(write: Callable[..., Pat
     assert "sensor 'rear' stamped more than a second before those of other sensors" in recording.warnings[0]
 
 
-def test_a_changing_number_of_beams_is_a_warning(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_a_changing_number_of_beams_is_a_warning(write, scan) -> None:
     recording = open_recording(write(scan(k, beams=30 + 6 * (k // 5)) for k in range(15)))
     assert len(list(recording.scans())) == 15
-    assert "number of beams differs from the one before: 2 of them" in recording.warnings[0]
+    assert "with another number of beams than the one before: 2 of them" in recording.warnings[0]
     assert recording.overview().sensors["scan"].beams == (30, 42)
 
 
 @pytest.mark.parametrize("limits", [(3.0, 1.0), (-1.0, 2.0), (0.0, math.nan), (0.0, 1e300)])
-def test_invalid_range_limits_are_refused(
-    write: Callable[..., Path], scan: Callable[..., Scan], limits: tuple[float, float]
-) -> None:
+def test_invalid_range_limits_are_refused(write, scan, limits: tuple[float, float]) -> None:
     path = write([replace(scan(0), range_min=limits[0], range_max=limits[1])])
     with pytest.raises(RecordingError, match="range limits"):
         list(open_recording(path).scans())
@@ -294,8 +263,8 @@ def test_invalid_range_limits_are_refused(
         ({"angle_increment": 1e-6, "ranges": np.ones(100_001, np.float32)}, "100001 beams; at most 100000"),
     ],
 )
-def test_angles_and_numbers_of_beams_beyond_the_limits_are_refused_in_the_first_scan_and_cost_a_later_one(
-    write: Callable[..., Path], scan: Callable[..., Scan], changes: dict[str, object], message: str
+def test_impossible_beams_are_an_error_in_the_first_scan_and_leave_out_a_later_one(
+    write, scan, changes: dict[str, object], message: str
 ) -> None:
     with pytest.raises(RecordingError, match=message):
         list(open_recording(write([replace(scan(2), **changes)])).scans())
@@ -305,29 +274,25 @@ def test_angles_and_numbers_of_beams_beyond_the_limits_are_refused_in_the_first_
 
 
 @pytest.mark.parametrize("pose", ["world_T_sensor", "reference_T_sensor"])
-def test_a_scan_with_a_pose_that_is_not_finite_is_left_out_and_refused_as_the_first(
-    write: Callable[..., Path], scan: Callable[..., Scan], pose: str
-) -> None:
+def test_an_infinite_pose_is_an_error_in_the_first_scan_and_leaves_out_a_later_one(write, scan, pose: str) -> None:
     nowhere = {pose: SE2(math.nan, 0.0, 0.0)}
     recording = open_recording(write([scan(0), replace(scan(1), **nowhere), scan(2)]))
     assert [s.stamp_ns for s in recording.scans()] == [scan(0).stamp_ns, scan(2).stamp_ns]
-    assert "whose pose is not finite, left out: 1 of them" in recording.warnings[0]
+    assert "with a pose that is not finite, left out: 1 of them" in recording.warnings[0]
     with pytest.raises(RecordingError, match="a pose of nan, 0, 0; expected finite numbers"):
         list(open_recording(write([replace(scan(0), **nowhere)])).scans())
 
 
 @pytest.mark.parametrize("label", [math.nan, math.inf, -1.0, 2.5, 256.0, 1e300])
-def test_a_label_that_is_no_number_of_a_class_is_damage(
-    write: Callable[..., Path], scan: Callable[..., Scan], label: float
-) -> None:
+def test_a_label_that_is_not_the_number_of_a_class_is_damage(write, scan, label: float) -> None:
     labelled = [replace(scan(k), labels=np.zeros(36, np.uint8)) for k in range(3)]
     path = altered(write(labelled, classes=["person"]), "/labels", 1, {"intensities": label})
     recording = open_recording(path)
     assert [s.stamp_ns for s in recording.scans()] == [scan(0).stamp_ns]
-    assert f"a label {label:g}, which is no number of a class" in recording.warnings[0]
+    assert f"a label {label:g} is not the number of a class" in recording.warnings[0]
 
 
-def test_a_range_beyond_float32_is_no_return(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
+def test_a_range_beyond_float32_is_no_return(write, scan) -> None:
     path = altered(write([scan(0)]), "/scan", 0, {"ranges": 1e300})
     (found,) = open_recording(path).scans()
     assert found.ranges[0] == np.inf
@@ -335,7 +300,7 @@ def test_a_range_beyond_float32_is_no_return(write: Callable[..., Path], scan: C
 
 
 def altered(path: Path, topic: str, number: int, values: dict[str, float]) -> Path:
-    """A copy of a recording in which a message, by number, of `topic` has other first values of these fields."""
+    """A copy of a recording; message `number` of `topic` has these values first in its fields."""
     changed = path.with_name("altered.mcap")
     with path.open("rb") as source, changed.open("wb") as target:
         reader, writer = make_reader(source), Writer(target)
@@ -360,20 +325,3 @@ def altered(path: Path, topic: str, number: int, values: dict[str, float]) -> Pa
             writer.add_message(channels[channel.id], message.log_time, data, message.publish_time)
         writer.finish()
     return changed
-
-
-def test_every_error_is_one_line(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
-    for topic in ("/pose", "/nothing"):
-        with pytest.raises(GridtrackError) as caught:
-            list(open_recording(write([scan(0)]), topic=topic).scans())
-        assert "\n" not in str(caught.value)
-
-
-def test_native_recordings_are_read_without_rosbags(write: Callable[..., Path], scan: Callable[..., Scan]) -> None:
-    path = write([scan(0)])
-    program = (
-        "import sys; from gridtrack.recordings.stream import open_stream\n"
-        f"list(open_stream({str(path)!r}, rate_hz=10.0))\n"
-        "assert not any(m.partition('.')[0] in ('rosbags', 'mcap_ros2') for m in sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True)

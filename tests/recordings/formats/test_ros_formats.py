@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import struct
 import sys
@@ -13,31 +12,30 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
 
-from gridtrack.common.errors import GridtrackError, RecordingError
+from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import MAX_RANGE_M, Scan
 from gridtrack.recordings import CloudSlice, import_recording, open_recording
 
-ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.LATEST)
-LASER, CLOUD, STRING = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2", "std_msgs/msg/String"
+from scenes.drive_bag import CLOUD, LASER, Message, Ros
+
+ROS1, ROS2 = Ros(1), Ros(2)
+STRING = "std_msgs/msg/String"
 
 
-def header(store: Any, stamp_ns: int) -> Any:
-    stamp = store.types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
-    sequence = {"seq": 0} if store is ROS1 else {}
-    return store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="laser", **sequence)
+def header(ros: Ros, stamp_ns: int) -> Any:
+    stamp = ros.make("builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+    sequence = {"seq": 0} if ros is ROS1 else {}
+    return ros.make("std_msgs/msg/Header", stamp=stamp, frame_id="laser", **sequence)
 
 
-def laser(store: Any, scan: Scan) -> Any:
-    return store.types[LASER](
-        header=header(store, scan.stamp_ns),
+def laser(ros: Ros, scan: Scan) -> Any:
+    return ros.make(
+        LASER,
+        header=header(ros, scan.stamp_ns),
         angle_min=scan.angle_min,
         angle_max=scan.angle_min + scan.angle_increment * (scan.ranges.size - 1),
         angle_increment=scan.angle_increment,
@@ -50,17 +48,18 @@ def laser(store: Any, scan: Scan) -> Any:
     )
 
 
-def cloud(store: Any, points: np.ndarray, stamp_ns: int = 5) -> Any:
+def cloud(ros: Ros, points: np.ndarray, stamp_ns: int = 5) -> Any:
     """Points (N, 3) with padding and a field of another type in between, as in the messages of drivers."""
     kind = np.dtype({"names": ["x", "y", "z"], "formats": ["<f4"] * 3, "offsets": [0, 4, 8], "itemsize": 32})
     packed = np.zeros(len(points), kind)
     packed["x"], packed["y"], packed["z"] = points.T
     fields = [
-        store.types["sensor_msgs/msg/PointField"](name=name, offset=offset, datatype=datatype, count=1)
+        ros.make("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=datatype, count=1)
         for name, offset, datatype in (("x", 0, 7), ("y", 4, 7), ("ring", 16, 4), ("z", 8, 7))
     ]
-    return store.types[CLOUD](
-        header=header(store, stamp_ns),
+    return ros.make(
+        CLOUD,
+        header=header(ros, stamp_ns),
         height=1,
         width=len(points),
         fields=fields,
@@ -72,34 +71,7 @@ def cloud(store: Any, points: np.ndarray, stamp_ns: int = 5) -> Any:
     )
 
 
-Messages = Iterable[tuple[str, str, int, Any]]
-"""(topic, type, time of reception, message)."""
-
-
-def ros1_bag(path: Path, messages: Messages, compression: Any = None, chunk_bytes: int = 4096) -> Path:
-    with Writer1(path) as writer:
-        writer.chunk_threshold = chunk_bytes
-        if compression:
-            writer.compression = compression
-        connections: dict[str, Any] = {}
-        for topic, kind, received_ns, message in messages:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=ROS1)
-            writer.write(connections[topic], received_ns, ROS1.serialize_ros1(message, kind))
-    return path
-
-
-def ros2_bag(path: Path, messages: Messages, storage: StoragePlugin = StoragePlugin.SQLITE3) -> Path:
-    with Writer2(path, version=9, storage_plugin=storage) as writer:
-        connections: dict[str, Any] = {}
-        for topic, kind, received_ns, message in messages:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=ROS2)
-            writer.write(connections[topic], received_ns, ROS2.serialize_cdr(message, kind))
-    return path
-
-
-def ros1_mcap(path: Path, messages: Messages, before: Iterable[tuple[str, bytes]] = ()) -> Path:
+def ros1_mcap(path: Path, messages: Iterable[Message], before: Iterable[tuple[str, bytes]] = ()) -> Path:
     """A ROS 1 MCAP file; `before` are topics of JSON without a schema, each with a message."""
     with path.open("wb") as file:
         writer = McapWriter(file, chunk_size=1024)
@@ -109,65 +81,62 @@ def ros1_mcap(path: Path, messages: Messages, before: Iterable[tuple[str, bytes]
         channels: dict[str, int] = {}
         for topic, kind, received_ns, message in messages:
             if topic not in channels:
-                text, _ = ROS1.generate_msgdef(kind)
+                text, _ = ROS1.store.generate_msgdef(kind)
                 schema = writer.register_schema(kind.replace("/msg/", "/"), "ros1msg", text.encode())
                 channels[topic] = writer.register_channel(topic, "ros1", schema)
-            writer.add_message(channels[topic], received_ns, bytes(ROS1.serialize_ros1(message, kind)), received_ns)
+            data = bytes(ROS1.store.serialize_ros1(message, kind))
+            writer.add_message(channels[topic], received_ns, data, received_ns)
         writer.finish()
     return path
 
 
-def float32(value: float) -> float:
-    return float(np.float32(value))
-
-
 @pytest.fixture
-def scans(scan: Callable[..., Scan]) -> list[Scan]:
-    """Scans of two sensors whose fields are exact in the 32 bits that ROS gives them."""
+def scans(scan) -> list[Scan]:
+    """Scans of two sensors with fields that are exact in the 32 bits of ROS."""
     made = []
-    for k in range(40):
+    for k in range(20):
         for sensor, offset_ns in (("scan", 0), ("rear/scan", 40_000_000)):
-            s = scan(k, sensor, offset_ns=offset_ns)
-            exact = {n: float32(getattr(s, n)) for n in ("angle_min", "angle_increment", "range_min", "range_max")}
-            made.append(replace(s, **exact, time_increment_s=float32(1e-4) if sensor == "scan" else 0.0))
+            one = scan(k, sensor, offset_ns=offset_ns)
+            names = ("angle_min", "angle_increment", "range_min", "range_max")
+            exact = {name: float(np.float32(getattr(one, name))) for name in names}
+            time_s = float(np.float32(1e-4)) if sensor == "scan" else 0.0
+            made.append(replace(one, **exact, time_increment_s=time_s))
     return made
 
 
-def messages_of(store: Any, scans: Iterable[Scan]) -> Messages:
-    for s in scans:
-        yield f"/{s.sensor}", LASER, s.stamp_ns + 10_000_000, laser(store, s)
-        yield "/chatter", STRING, s.stamp_ns + 11_000_000, store.types[STRING](data="hello")
+def messages_of(ros: Ros, scans: Iterable[Scan]) -> list[Message]:
+    lasers = [(f"/{one.sensor}", LASER, one.stamp_ns + 10_000_000, laser(ros, one)) for one in scans]
+    chatter = ros.make(STRING, data="hello")
+    return [m for one in lasers for m in (one, ("/chatter", STRING, one[2] + 1_000_000, chatter))]
+
+
+def ros1_bag(folder: Path, scans: Iterable[Scan], compression: Writer1.CompressionFormat | None = None) -> Path:
+    return ROS1.write(folder / "a.bag", messages_of(ROS1, scans), compression=compression, chunk_bytes=2048)
+
+
+def ros2_bag(folder: Path, scans: Iterable[Scan], storage: StoragePlugin = StoragePlugin.SQLITE3) -> Path:
+    return ROS2.write(folder / "a", messages_of(ROS2, scans), storage)
 
 
 MAKERS: dict[str, Callable[[Path, list[Scan]], Path]] = {
-    "ros1 bag": lambda folder, scans: ros1_bag(folder / "a.bag", messages_of(ROS1, scans)),
-    "ros1 bag, bz2": lambda folder, scans: ros1_bag(
-        folder / "a.bag", messages_of(ROS1, scans), Writer1.CompressionFormat.BZ2
-    ),
-    "ros1 bag, lz4": lambda folder, scans: ros1_bag(
-        folder / "a.bag", messages_of(ROS1, scans), Writer1.CompressionFormat.LZ4
-    ),
-    "ros2 bag, sqlite": lambda folder, scans: ros2_bag(folder / "a", messages_of(ROS2, scans)),
-    "ros2 bag, one db3": lambda folder, scans: next(ros2_bag(folder / "a", messages_of(ROS2, scans)).glob("*.db3")),
-    "ros2 bag, mcap": lambda folder, scans: ros2_bag(folder / "a", messages_of(ROS2, scans), StoragePlugin.MCAP),
-    "ros2 mcap": lambda folder, scans: next(
-        ros2_bag(folder / "a", messages_of(ROS2, scans), StoragePlugin.MCAP).glob("*.mcap")
-    ),
+    "ros1 bag": ros1_bag,
+    "ros1 bag, bz2": lambda folder, scans: ros1_bag(folder, scans, Writer1.CompressionFormat.BZ2),
+    "ros1 bag, lz4": lambda folder, scans: ros1_bag(folder, scans, Writer1.CompressionFormat.LZ4),
+    "ros2 bag, sqlite": ros2_bag,
+    "ros2 bag, one db3": lambda folder, scans: next(ros2_bag(folder, scans).glob("*.db3")),
+    "ros2 bag, mcap": lambda folder, scans: ros2_bag(folder, scans, StoragePlugin.MCAP),
+    "ros2 mcap": lambda folder, scans: next(ros2_bag(folder, scans, StoragePlugin.MCAP).glob("*.mcap")),
     "ros1 mcap": lambda folder, scans: ros1_mcap(folder / "a.mcap", messages_of(ROS1, scans)),
 }
 
 
 @pytest.mark.parametrize("kind", MAKERS)
-def test_laser_scans_round_trip_through(kind: str, tmp_path: Path, scans: list[Scan], same_scans) -> None:
-    recording = open_recording(MAKERS[kind](tmp_path, scans))
+def test_laser_scans_round_trip_all_and_of_one_topic(kind: str, tmp_path: Path, scans: list[Scan], same_scans) -> None:
+    path = MAKERS[kind](tmp_path, scans)
+    recording = open_recording(path)
     same_scans(recording.scans(), scans)
     assert recording.warnings == []
-    assert recording.survey.topics["/chatter"] == (STRING, 80)
-
-
-@pytest.mark.parametrize("kind", MAKERS)
-def test_one_topic_of_several(kind: str, tmp_path: Path, scans: list[Scan], same_scans) -> None:
-    path = MAKERS[kind](tmp_path, scans)
+    assert recording.survey.topics["/chatter"] == (STRING, 40)
     same_scans(open_recording(path, topic="/rear/scan").scans(), [s for s in scans if s.sensor == "rear/scan"])
     with pytest.raises(RecordingError, match="no topic '/raer/scan'; did you mean '/rear/scan'"):
         list(open_recording(path, topic="/raer/scan").scans())
@@ -177,21 +146,21 @@ def test_one_topic_of_several(kind: str, tmp_path: Path, scans: list[Scan], same
 
 def test_headers_without_a_stamp_get_the_time_of_reception_and_a_warning(tmp_path: Path, scans: list[Scan]) -> None:
     messages = [("/scan", LASER, 10**9 + k, laser(ROS1, replace(s, stamp_ns=0))) for k, s in enumerate(scans[:3])]
-    recording = open_recording(ros1_bag(tmp_path / "a.bag", messages))
+    recording = open_recording(ROS1.write(tmp_path / "a.bag", messages))
     assert [s.stamp_ns for s in recording.scans()] == [10**9, 10**9 + 1, 10**9 + 2]
     assert len(recording.warnings) == 1
     assert "time of reception" in recording.warnings[0]
 
 
 @pytest.mark.parametrize("increment_s", [-1e-4, 1.0, math.nan, math.inf])
-def test_beam_times_that_no_laser_has_are_not_known(tmp_path: Path, scans: list[Scan], increment_s: float) -> None:
+def test_impossible_beam_times_are_unknown(tmp_path: Path, scans: list[Scan], increment_s: float) -> None:
     message = laser(ROS1, replace(scans[0], time_increment_s=increment_s))
-    (found,) = open_recording(ros1_bag(tmp_path / "a.bag", [("/scan", LASER, 10**9, message)])).scans()
+    (found,) = open_recording(ROS1.write(tmp_path / "a.bag", [("/scan", LASER, 10**9, message)])).scans()
     assert found.time_increment_s == 0.0
 
 
 def test_the_error_for_a_bag_without_scans_lists_its_topics(tmp_path: Path) -> None:
-    path = ros1_bag(tmp_path / "a.bag", [("/chatter", STRING, 5, ROS1.types[STRING](data="hello"))])
+    path = ROS1.write(tmp_path / "a.bag", [("/chatter", STRING, 5, ROS1.make(STRING, data="hello"))])
     with pytest.raises(RecordingError, match=r"no scans; topics: /chatter \(std_msgs/msg/String\)"):
         list(open_recording(path).scans())
 
@@ -212,13 +181,13 @@ def test_a_cut_file_gives_the_scans_before_the_cut(kind: str, tmp_path: Path, sc
 
 
 def test_a_bag_cut_inside_a_chunk_gives_the_messages_before_the_cut(tmp_path: Path, scans: list[Scan]) -> None:
-    path = ros1_bag(tmp_path / "a.bag", messages_of(ROS1, scans), chunk_bytes=1 << 20)
+    path = ROS1.write(tmp_path / "a.bag", messages_of(ROS1, scans))
     content = path.read_bytes()
     path.write_bytes(content[: content.index(b"op=\x05") + 8000])
     recording = open_recording(path)
     found = [s.stamp_ns for s in recording.scans()]
     assert found == [s.stamp_ns for s in scans][: len(found)]
-    assert len(found) > 15
+    assert len(found) > 10
     assert len(recording.warnings) == 1
 
 
@@ -232,7 +201,7 @@ def test_a_bag_without_its_index_can_be_read(tmp_path: Path, scans: list[Scan], 
     same_scans(open_recording(path).scans(), scans)
 
 
-def test_a_damaged_database_is_an_error_where_strict(tmp_path: Path, scans: list[Scan]) -> None:
+def test_a_damaged_database_is_an_error_with_strict(tmp_path: Path, scans: list[Scan]) -> None:
     path = MAKERS["ros2 bag, one db3"](tmp_path, scans)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
@@ -240,26 +209,11 @@ def test_a_damaged_database_is_an_error_where_strict(tmp_path: Path, scans: list
         list(open_recording(path, strict=True).scans())
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.data())
-def test_random_damage_of_a_bag_raises_only_our_errors(tmp_path: Path, scans: list[Scan], data: st.DataObject) -> None:
-    whole = tmp_path / "whole.bag"
-    if not whole.exists():
-        ros1_bag(whole, messages_of(ROS1, scans))
-    content = bytearray(whole.read_bytes())
-    for _ in range(data.draw(st.integers(1, 3))):
-        content[data.draw(st.integers(4096, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path = tmp_path / "damaged.bag"
-    path.write_bytes(content[: data.draw(st.integers(5000, len(content)))])
-    with contextlib.suppress(GridtrackError):
-        list(open_recording(path).scans())
-
-
-def test_a_cloud_is_cut_at_a_height_to_the_nearest_point_of_each_bearing(tmp_path: Path) -> None:
+def test_a_height_slice_has_the_nearest_point_of_each_bearing(tmp_path: Path) -> None:
     points = np.array(
         [[2.0, 0.1, 0.5], [4.0, 0.2, 0.5], [1.0, 0.0, 1.5], [-0.1, 3.0, 0.6], [math.nan, 0.0, 0.5], [60.0, 0.1, 0.5]]
     )
-    path = ros2_bag(tmp_path / "a", [("/points", CLOUD, 5, cloud(ROS2, points))])
+    path = ROS2.write(tmp_path / "a", [("/points", CLOUD, 5, cloud(ROS2, points))])
     cut = CloudSlice(low_m=0.0, high_m=1.0, beams=36)
     (scan,) = open_recording(path, topic="/points", cloud_slice=cut).scans()
     angles = scan.angle_min + scan.angle_increment * np.arange(36)
@@ -272,7 +226,7 @@ def test_a_cloud_is_cut_at_a_height_to_the_nearest_point_of_each_bearing(tmp_pat
 
 
 def test_a_bearing_without_points_is_free_or_unknown(tmp_path: Path) -> None:
-    path = ros2_bag(tmp_path / "a", [("/points", CLOUD, 5, cloud(ROS2, np.array([[2.0, 0.1, 0.5]])))])
+    path = ROS2.write(tmp_path / "a", [("/points", CLOUD, 5, cloud(ROS2, np.array([[2.0, 0.1, 0.5]])))])
     seen = {}
     for empty in ("free", "unknown"):
         cut = CloudSlice(low_m=0.0, high_m=1.0, beams=36, range_max_m=6.0, empty=empty)
@@ -284,8 +238,8 @@ def test_a_bearing_without_points_is_free_or_unknown(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fields", [True, False])
-def test_an_empty_cloud_says_nothing_and_costs_no_other(fields: bool, tmp_path: Path) -> None:
-    """As a filter writes it that lets no point pass; some drivers write no row_step."""
+def test_an_empty_cloud_is_a_scan_without_information(fields: bool, tmp_path: Path) -> None:
+    """As written by a filter that passes no point; some drivers write no row_step."""
     whole = replace(cloud(ROS2, np.array([[2.0, 0.1, 0.5]])), row_step=0)
     empty = replace(whole, width=0, data=np.empty(0, np.uint8), fields=whole.fields if fields else [])
     messages = [
@@ -294,24 +248,22 @@ def test_an_empty_cloud_says_nothing_and_costs_no_other(fields: bool, tmp_path: 
         for at in (10**8 * (k + 1),)
     ]
     cut = CloudSlice(low_m=0.0, high_m=1.0, beams=36)
-    found = list(open_recording(ros2_bag(tmp_path / "a", messages), topic="/points", cloud_slice=cut).scans())
+    found = list(open_recording(ROS2.write(tmp_path / "a", messages), topic="/points", cloud_slice=cut).scans())
     assert len(found) == 5
     assert [bool(np.isnan(scan.ranges).all()) for scan in found] == [False, False, True, False, False]
 
 
-def test_ranges_without_an_end_are_read_and_told(tmp_path: Path, scans: list[Scan]) -> None:
-    """`pointcloud_to_laserscan` writes the largest double by default, which is infinite in the message."""
+def test_an_infinite_maximum_range_is_a_warning(tmp_path: Path, scans: list[Scan]) -> None:
+    """`pointcloud_to_laserscan` writes the largest double by default, which is infinite in a message."""
     path = MAKERS["ros2 bag, sqlite"](tmp_path, [replace(scan, range_max=math.inf) for scan in scans])
     recording = open_recording(path)
     assert {scan.range_max for scan in recording.scans()} == {MAX_RANGE_M}
-    assert any("whose range_max is infinite, taken as 1e+06 m: 40 of them" in line for line in recording.warnings)
+    assert any("with an infinite range_max, taken as 1e+06 m: 20 of them" in line for line in recording.warnings)
 
 
 @pytest.mark.parametrize("limits", [{"range_max": 0.0}, {"range_min": math.nan}, {"angle_increment": math.inf}])
-def test_one_scan_of_impossible_geometry_costs_that_scan(
-    limits: dict[str, float], tmp_path: Path, scans: list[Scan]
-) -> None:
-    damaged = [replace(scan, **limits) if k == 20 else scan for k, scan in enumerate(scans)]
+def test_a_scan_of_impossible_geometry_is_left_out(limits: dict[str, float], tmp_path: Path, scans: list[Scan]) -> None:
+    damaged = [replace(scan, **limits) if k == 10 else scan for k, scan in enumerate(scans)]
     recording = open_recording(MAKERS["ros2 bag, sqlite"](tmp_path, damaged))
     assert len(list(recording.scans())) == len(scans) - 1
     assert any(
@@ -331,15 +283,15 @@ def test_an_import_into_the_folder_of_its_source_is_refused(name: str, tmp_path:
     assert {path.name: path.read_bytes() for path in bag.iterdir()} == before
 
 
-def test_a_channel_without_a_schema_costs_nothing(tmp_path: Path, scans: list[Scan], same_scans) -> None:
-    """MCAP allows the schema 0, for JSON that describes itself; a ROS file may have one before its first scan."""
+def test_a_channel_without_a_schema_is_ignored(tmp_path: Path, scans: list[Scan], same_scans) -> None:
+    """MCAP allows schema 0 for JSON; a ROS file may have such a channel before its first scan."""
     path = tmp_path / "a.mcap"
     ros1_mcap(path, messages_of(ROS1, scans), before=[("/diagnostics", b"{}")])
     same_scans(open_recording(path).scans(), scans)
 
 
 def test_a_cloud_needs_its_topic_and_its_heights(tmp_path: Path) -> None:
-    path = ros1_bag(tmp_path / "a.bag", [("/points", CLOUD, 5, cloud(ROS1, np.ones((3, 3))))])
+    path = ROS1.write(tmp_path / "a.bag", [("/points", CLOUD, 5, cloud(ROS1, np.ones((3, 3))))])
     with pytest.raises(RecordingError, match=r"no scans; topics: /points \(sensor_msgs/msg/PointCloud2\)"):
         list(open_recording(path).scans())
     with pytest.raises(RecordingError, match="point cloud: give the heights"):
@@ -348,15 +300,13 @@ def test_a_cloud_needs_its_topic_and_its_heights(tmp_path: Path) -> None:
 
 def test_a_cloud_that_declares_more_points_than_it_has_is_refused(tmp_path: Path) -> None:
     message = replace(cloud(ROS1, np.ones((3, 3))), width=1000)
-    path = ros1_bag(tmp_path / "a.bag", [("/points", CLOUD, 5, message)])
+    path = ROS1.write(tmp_path / "a.bag", [("/points", CLOUD, 5, message)])
     with pytest.raises(RecordingError, match="1 x 1000 points in 96 bytes"):
         list(open_recording(path, topic="/points", cloud_slice=CloudSlice(low_m=0, high_m=2)).scans())
 
 
 def test_without_rosbags_the_extra_is_named(tmp_path: Path, scans: list[Scan], monkeypatch: pytest.MonkeyPatch) -> None:
     path = MAKERS["ros1 bag"](tmp_path, scans)
-    monkeypatch.delattr("gridtrack.recordings.ros_decoding", raising=False)
-    monkeypatch.delitem(sys.modules, "gridtrack.recordings.ros_decoding", raising=False)
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     with pytest.raises(RecordingError, match=r"pip install 'gridtrack\[ros\]'"):
         open_recording(path)

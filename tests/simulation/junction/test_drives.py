@@ -1,10 +1,8 @@
-"""Drives through the junction: who carries the laser and when, and where a laser stands beside the way."""
+"""Drives through the junction: the choice of the carrier, its laser, and a laser standing beside its path."""
 
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +10,8 @@ import pytest
 
 from gridtrack.common.geometry import same_pose
 from gridtrack.recordings import RecordingInfo, open_recording, packaged_recording
+from gridtrack.simulation import junction
+from gridtrack.simulation import traffic as checks
 from gridtrack.simulation.junction import TWO_CORNERS, drives, layout, seen, simulate_junction
 from gridtrack.simulation.junction.drives import (
     CARRIERS,
@@ -23,29 +23,24 @@ from gridtrack.simulation.junction.drives import (
 )
 from gridtrack.simulation.sumo import SimulationError
 from gridtrack.simulation.tracks import Tracks, TracksInfo
-from gridtrack.simulation.tracks_file import read_tracks, write_tracks
+from gridtrack.simulation.tracks_file import read_tracks, write_recording
 from gridtrack.simulation.traffic import check_traffic, inside
-from gridtrack.simulation.writing import write_recording
 
+pytestmark = pytest.mark.usefixtures("own_cache")
 CAR = layout.JUNCTION_CLASSES.index("car")
 FRAMES = 160
 LASER_ANGLES = layout.LASER.angle_min + layout.LASER.angle_increment * np.arange(layout.LASER.beams)
 
 
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-
-
 def straight(track: int, first: int, metres: float, x: float, speed: float, y: float = -2.1) -> np.ndarray:
-    """Rows frame, track, x, y, heading of a road user who drives so many metres east, from x on."""
+    """Rows frame, track, x, y, heading of a road user that drives `metres` to the east from `x`."""
     steps = np.arange(round(metres / speed * layout.RATE_HZ) + 1)
     columns = [first + steps, np.full(len(steps), track), x + steps * speed / layout.RATE_HZ]
     return np.column_stack([*columns, np.full(len(steps), y), np.zeros(len(steps))])
 
 
 def traffic(*rows: np.ndarray, label: int = CAR, size: tuple[float, float] = (4.5, 1.82)) -> Tracks:
-    """Road users of one class in the junction; no simulator is needed."""
+    """Road users of one class in the junction, without a simulator."""
     table = np.concatenate(rows)
     table = table[np.lexsort((table[:, 1], table[:, 0]))]
     info = TracksInfo(
@@ -61,11 +56,11 @@ def traffic(*rows: np.ndarray, label: int = CAR, size: tuple[float, float] = (4.
     return Tracks(info, frame, track, np.full(n, label), table[:, 2:], np.tile(size, (n, 1))).rounded()
 
 
-def test_the_carrier_is_the_one_that_moves_furthest_of_those_that_go_through() -> None:
+def test_the_carrier_moves_furthest_of_those_that_pass_the_middle() -> None:
     through, faster = straight(0, 0, 90.0, -50.0, 6.0), straight(1, 0, 95.0, -50.0, 8.0)
     turned_back, beyond = straight(2, 0, 120.0, -130.0, 9.0), straight(3, 0, 120.0, 20.0, 9.0)
     assert furthest(traffic(through, faster, turned_back, beyond), CAR, 80, 8.0) == (1, 0)
-    # 0.75 m a frame: from -44 m on, the 80th frame is the first that is more than 15 m behind the middle.
+    # 0.75 m per frame: from -44 m, the 80th frame is the first one more than 15 m behind the middle
     assert furthest(traffic(through), CAR, 80, 8.0) == (0, 8)
     assert furthest(traffic(turned_back, beyond), CAR, 80, 8.0) is None
     assert furthest(traffic(through), CAR, 140, 8.0) is None
@@ -73,7 +68,7 @@ def test_the_carrier_is_the_one_that_moves_furthest_of_those_that_go_through() -
 
 
 def drive(carrier: str = "car") -> Drive:
-    """A car that goes through at 6 m/s with another 12 m behind it, and one that waits in another street."""
+    """A car at 6 m/s with another one 12 m behind it, and a waiting car in another street."""
     waiting = np.column_stack([np.arange(FRAMES), np.full(FRAMES, 9), *np.tile([2.1, -14.0, np.pi / 2], (FRAMES, 1)).T])
     cars = traffic(straight(0, 0, 119.3, -50.0, 6.0), straight(1, 0, 119.3, -62.0, 6.0), waiting)
     return Drive(cars, 0, carrier, "gridtrack simulate junction --minutes 1")
@@ -103,12 +98,12 @@ def test_odometry_noise_moves_the_recorded_poses_and_nothing_else() -> None:
     assert abs(errors[0]) > 1e-3
 
 
-def test_the_wheels_of_a_car_are_further_apart_than_those_of_a_robot() -> None:
+def test_a_car_has_a_wider_track_than_a_robot() -> None:
     widths = [drive(carrier).carried(1.0).info.carrier.odometry.track_width_m for carrier in CARRIERS]
     assert widths == [1.5, 0.4]
 
 
-def test_a_laser_stands_beside_the_place_at_half_time_and_faces_it() -> None:
+def test_a_standing_laser_is_beside_the_position_at_half_time_and_faces_it() -> None:
     beside = drive().beside()
     laser = beside.info.lasers["scan"]
     half = drive().traffic.pose[drive().traffic.track == 0][80]
@@ -121,7 +116,7 @@ def test_a_laser_stands_beside_the_place_at_half_time_and_faces_it() -> None:
     assert check_traffic(beside).faults == ()
 
 
-def test_a_laser_that_stands_keeps_clear_of_walls_and_of_everybody() -> None:
+def test_a_standing_laser_is_clear_of_walls_and_road_users() -> None:
     lane = straight(0, 0, 119.3, -50.0, 6.0)
     alone = standing_beside(traffic(lane), 0.0, -5.5)
     walkers = np.column_stack([np.arange(FRAMES), np.full(FRAMES, 5), *np.tile([0.3, -5.2, 0.0], (FRAMES, 1)).T])
@@ -135,7 +130,7 @@ def test_a_laser_that_stands_keeps_clear_of_walls_and_of_everybody() -> None:
         standing_beside(traffic(lane), 26.0, 26.0)
 
 
-def test_the_further_houses_stand_beside_the_streets_and_not_in_each_other() -> None:
+def test_the_further_houses_are_beside_the_streets_and_do_not_overlap() -> None:
     outlines = [np.array(outline) for outline in layout.street_outlines()]
     assert len(outlines) == len(layout.static_outlines()) + 40
     for outline in outlines:
@@ -148,7 +143,7 @@ def test_the_further_houses_stand_beside_the_streets_and_not_in_each_other() -> 
         assert not any(inside(house.mean(axis=0)[None], other)[0] for other in outlines if other is not house)
 
 
-def test_two_lasers_stand_on_opposite_corners_beside_the_streets() -> None:
+def test_two_lasers_are_on_opposite_corners_beside_the_streets() -> None:
     cars = drive().traffic
     both = seen(cars, TWO_CORNERS, "")
     assert both.info.recording.grid == layout.JUNCTION_GRID
@@ -167,17 +162,35 @@ def test_two_lasers_stand_on_opposite_corners_beside_the_streets() -> None:
     assert all((a.ranges == b.ranges).all() for a, b in zip(alone, scans[::2], strict=True))
 
 
-@pytest.mark.skipif(importlib.util.find_spec("sumo") is None, reason="SUMO is not installed")
-def test_the_same_seed_gives_the_same_drive() -> None:
-    files = []
-    for _ in range(2):
-        file = BytesIO()
-        found = simulate_drive(0.4, 3, 60.0, "robot").carried(1.0)
-        write_tracks(file, found)
-        files.append(file.getvalue())
-    assert files[0] == files[1]
+def test_no_drive_of_the_duration_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drives, "simulate_traffic", lambda frames, seed, start_s: drive().traffic)
+    assert simulate_drive(0.15, 3, 60.0, "car").track == 0
+    with pytest.raises(SimulationError, match=r"no car drives through .* for 0\.4 minutes with seed 3"):
+        simulate_drive(0.4, 3, 60.0, "car")
+
+
+def test_nobody_walks_through_the_lasers_on_two_corners(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checks, "STRIDE", 240)  # moving cells are not checked here
+    for name in ("test-102", "test-111", "test-120"):
+        recorded = read_tracks(packaged_recording(f"junction/{name}"))
+        assert checks.check_traffic(seen(recorded, TWO_CORNERS, "")).faults == ()
+
+
+# ---- with SUMO
+
+
+@pytest.fixture(scope="module")
+def simulated() -> Tracks:
+    """The traffic of a robot's drive."""
+    pytest.importorskip("sumo", reason="SUMO is not installed")
+    return junction.simulate_traffic(round(60.0 * layout.RATE_HZ), 3, 20.0)
+
+
+def test_a_robot_drives_in_the_traffic_of_sumo(simulated: Tracks, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drives, "simulate_traffic", lambda frames, seed, start_s: simulated)
+    found = simulate_drive(0.4, 3, 20.0, "robot").carried(1.0)
     assert found.info.recording.command == (
-        "gridtrack simulate junction --minutes 0.4 --seed 3 --start 60s --carrier robot --sensor drive"
+        "gridtrack simulate junction --minutes 0.4 --seed 3 --start 20s --carrier robot --sensor drive"
         " --odometry-noise 1"
     )
     poses = found.sensor_poses("scan")
@@ -186,25 +199,14 @@ def test_the_same_seed_gives_the_same_drive() -> None:
     assert check_traffic(found).faults == ()
 
 
-def test_nobody_who_drives_for_so_long_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(drives, "simulate_traffic", lambda frames, seed, start_s: drive().traffic)
-    assert simulate_drive(0.15, 3, 60.0, "car").track == 0
-    with pytest.raises(SimulationError, match=r"no car goes through .* in a stretch of 0\.4 minutes with seed 3"):
-        simulate_drive(0.4, 3, 60.0, "car")
-
-
-@pytest.mark.skipif(importlib.util.find_spec("sumo") is None, reason="SUMO is not installed")
-def test_two_corners_have_the_traffic_of_one() -> None:
+def test_two_corners_have_the_traffic_of_one(simulated: Tracks, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = simulated.where(simulated.frame < 48)
+    part = dataclasses.replace(first, info=first.info.model_copy(update={"frames": 48}))
+    monkeypatch.setattr(junction, "simulate_traffic", lambda frames, seed, start_s: part)
     one, two = simulate_junction(0.1, 1, 60.0), simulate_junction(0.1, 1, 60.0, TWO_CORNERS)
     assert two.info.recording.command.endswith("--seed 1 --start 60s --sensor corners")
-    first = [scan for scan in two.scans() if scan.sensor == "north-west"]
+    north_west = [scan for scan in two.scans() if scan.sensor == "north-west"]
     post = abs(LASER_ANGLES - np.arctan2(-15.87, 15.87)) < 0.01
-    for alone, beside in zip(one.scans(), first, strict=True):
+    for alone, beside in zip(one.scans(), north_west, strict=True):
         near = (alone.ranges < 29.0) & ~post
         assert (alone.ranges[near] == beside.ranges[near]).all()
-
-
-def test_nobody_walks_through_the_lasers_on_two_corners_in_the_test_minutes() -> None:
-    for name in ("test-102", "test-111", "test-120"):
-        traffic = read_tracks(packaged_recording(f"junction/{name}"))
-        assert check_traffic(seen(traffic, TWO_CORNERS, "")).faults == ()

@@ -1,4 +1,4 @@
-"""The junction: its layout keeps the streets free, its demand has the stated rates, the packaged set follows both."""
+"""The junction: its layout keeps the streets free, its demand has the stated rates, as has the packaged set."""
 
 from __future__ import annotations
 
@@ -14,18 +14,17 @@ import pytest
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec
 from gridtrack.recordings import open_recording, packaged_recording
-from gridtrack.simulation import junction, sumo
-from gridtrack.simulation.junction import JUNCTION_SET, demand, layout, simulate_junction
-from gridtrack.simulation.junction.patience import Patience
+from gridtrack.simulation import junction, sumo, traffic
+from gridtrack.simulation.junction import JUNCTION_SET, layout, road_users, simulate_junction
+from gridtrack.simulation.junction.road_users import Patience
 from gridtrack.simulation.tracks_file import read_tracks, write_tracks
-from gridtrack.simulation.traffic import check_traffic
 
 NETWORK = Path(junction.__file__).with_name("network.net.xml")
 TESTS = [name for name in JUNCTION_SET if name.startswith("test-")]
 
 
 def street_points() -> np.ndarray:
-    """Points all over the lanes, pavements, crossings and waiting areas of the network, 5 cm apart across them."""
+    """Points on the lanes, pavements, crossings and waiting areas of the network."""
     points = []
     for lane in ET.parse(NETWORK).getroot().iter("lane"):
         shape = np.array([tuple(map(float, corner.split(","))) for corner in lane.get("shape").split()])
@@ -60,29 +59,29 @@ def test_the_laser_is_beside_the_streets_and_outside_the_houses() -> None:
     assert np.linalg.norm(street_points() - at, axis=1).min() > 0.3
 
 
-def test_the_window_is_twenty_metres_with_the_middle_of_the_junction_in_it() -> None:
+def test_the_window_is_twenty_metres_and_contains_the_middle_of_the_junction() -> None:
     grid = GridSpec.parse(layout.JUNCTION_GRID)
     assert (grid.size, grid.cell_m) == (100, 0.2)
     middle = layout.LASER.pose.inverse().apply(np.zeros((1, 2)))
     assert grid.cells_of(middle)[1].all()
 
 
-def test_the_signals_repeat_in_the_cycle_that_the_recording_names() -> None:
+def test_the_signals_have_the_cycle_of_the_recording() -> None:
     phases = ET.parse(NETWORK.with_name("signals.add.xml")).getroot().iter("phase")
     assert sum(float(phase.get("duration")) for phase in phases) == layout.CYCLE_S
 
 
 def test_the_demand_sums_to_its_rates() -> None:
-    root = ET.fromstring(demand.routes())
+    root = ET.fromstring(road_users.routes())
     rates = dict.fromkeys(("car", "bus", "cyclist", "pedestrian"), 0.0)
     for flow in (*root.iter("flow"), *root.iter("personFlow")):
         rates[flow.get("type")] += float(flow.get("period")[4:-1])
     assert rates == pytest.approx(
         {
-            "car": demand.CARS,
-            "bus": demand.BUSES,
-            "cyclist": demand.CYCLISTS,
-            "pedestrian": demand.PEDESTRIANS,
+            "car": road_users.CARS,
+            "bus": road_users.BUSES,
+            "cyclist": road_users.CYCLISTS,
+            "pedestrian": road_users.PEDESTRIANS,
         },
         abs=1e-4,
     )
@@ -90,7 +89,7 @@ def test_the_demand_sums_to_its_rates() -> None:
         assert sum(float(kind.get("probability")) for kind in distribution) == pytest.approx(1.0)
 
 
-def test_the_test_recordings_start_all_over_the_signal_cycle() -> None:
+def test_the_test_recordings_start_at_all_times_of_the_signal_cycle() -> None:
     begins = sorted(start_s % layout.CYCLE_S for name, (_, _, start_s) in JUNCTION_SET.items() if name in TESTS)
     assert np.diff([*begins, begins[0] + layout.CYCLE_S]).max() <= 6.0
 
@@ -103,18 +102,17 @@ def test_the_packaged_set_is_complete_and_small() -> None:
         info = read_tracks(path).info
         minutes, seed, _ = JUNCTION_SET[name]
         assert (info.frames, info.noise_seed, info.recording.site) == (minutes * 480, seed, "junction")
-        assert (info.recording.classes, info.recording.grid) == (
-            layout.JUNCTION_CLASSES,
-            str(GridSpec.parse(layout.JUNCTION_GRID)),
-        )
+        assert info.recording.classes == layout.JUNCTION_CLASSES
+        assert info.recording.grid == str(GridSpec.parse(layout.JUNCTION_GRID))
 
 
-def test_the_test_recordings_have_no_faults_and_enough_motion_to_be_scored() -> None:
+def test_the_test_recordings_have_no_faults_and_enough_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(traffic, "STRIDE", 240)  # moving cells are not checked here
     shares = []
     for name in TESTS:
-        traffic = check_traffic(read_tracks(packaged_recording(f"junction/{name}")))
-        assert traffic.faults == ()
-        shares.append([kind.moving for kind in traffic.classes])
+        found = traffic.check_traffic(read_tracks(packaged_recording(f"junction/{name}")))
+        assert found.faults == ()
+        shares.append([kind.moving for kind in found.classes])
     pedestrian, cyclist, car, bus = np.mean(shares, axis=0)
     assert min(pedestrian, cyclist, car) >= 0.3
     assert bus >= 0.05
@@ -124,16 +122,12 @@ def test_a_packaged_recording_renders_with_truth(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     recording = open_recording(packaged_recording("junction/test-101"))
     summary = recording.overview().sensors["scan"]
-    assert (summary.scans, summary.labelled_scans, summary.scans_with_truth, summary.beams) == (
-        480,
-        480,
-        480,
-        (1081,) * 2,
-    )
+    assert summary.scans == summary.labelled_scans == summary.scans_with_truth == 480
+    assert summary.beams == (1081, 1081)
     assert not recording.warnings
 
 
-def test_without_sumo_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_sumo_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "sumo", None)
     with pytest.raises(ConfigurationError, match=r"pip install 'gridtrack\[sim\]'"):
         simulate_junction(0.1, 1)
@@ -150,7 +144,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_other_traffic() -> 
     files = []
     for seed in (1, 1, 2):
         file = BytesIO()
-        write_tracks(file, simulate_junction(0.1, seed, start_s=60.0))
+        write_tracks(file, simulate_junction(0.05, seed, start_s=30.0))
         files.append(file.getvalue())
     assert files[0] == files[1]
     assert files[0] != files[2]

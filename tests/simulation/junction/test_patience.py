@@ -1,4 +1,4 @@
-"""Drivers give way to walking pedestrians, and after one and a half signal cycles no longer to standing ones."""
+"""After one and a half signal cycles drivers no longer give way to standing pedestrians."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gridtrack.simulation import junction
-from gridtrack.simulation.junction import JUNCTION_SET, MARGIN_S, layout, patience
-from gridtrack.simulation.junction.patience import FROM_S, PATIENCE_S, Patience
+from gridtrack.simulation.junction import JUNCTION_SET, MARGIN_S, layout, road_users
+from gridtrack.simulation.junction.road_users import FROM_S, PATIENCE_S, Patience
 from gridtrack.simulation.sumo import Movements, run_sumo
 
 pytest.importorskip("traci", reason="SUMO is not installed")
@@ -25,11 +25,11 @@ SNAIL = """
  <flow id="car" type="car" begin="0" end="200" period="60" from="NC" to="CS" departLane="best"/>
 </routes>
 """
-"""A pedestrian who crosses at 3 cm a second blocks the northern arm for two green phases."""
+"""A pedestrian who crosses at 3 cm per second blocks the northern arm for two green phases."""
 
 
 class Traffic:
-    """A scripted TraCI connection: the vehicles' waiting times and the pedestrians' positions at each observation."""
+    """A scripted TraCI connection: waiting times of vehicles and positions of pedestrians at each observation."""
 
     def __init__(self, time_s: float = FROM_S) -> None:
         self.junction, self.vehicle, self.simulation = self, self, self
@@ -53,7 +53,7 @@ class Traffic:
         self.ignored[vehicle] = value
 
     def observe(self, waited_s: dict[str, float], people: dict[str, tuple[float, float]]) -> dict[str, str]:
-        """The parameters of the vehicles that were set at this observation."""
+        """The parameters of vehicles that this observation sets."""
         from traci import constants
 
         self.values = {name: {constants.VAR_WAITING_TIME: value} for name, value in waited_s.items()}
@@ -77,7 +77,7 @@ def test_the_short_packaged_recordings_end_before_patience_starts() -> None:
     assert traffic.observe({"car": 400.0}, {"anna": CORNER}) == {}
 
 
-def test_drivers_ignore_standing_pedestrians_after_a_cycle_and_a_half_but_not_walking_ones_or_those_ahead() -> None:
+def test_after_a_cycle_and_a_half_drivers_ignore_standing_pedestrians_outside_their_path() -> None:
     traffic = Traffic()
     traffic.observe({"car": 156.0}, {"anna": CORNER, "ben": OTHER_CORNER, "carl": MIDDLE})
     walked = (OTHER_CORNER[0] + 1.5, OTHER_CORNER[1])
@@ -109,11 +109,11 @@ def longest_wait_s(movements: Movements) -> float:
 
 def test_drivers_of_sumo_follow_the_parameters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("sumo", reason="SUMO is not installed")
-    monkeypatch.setattr(patience, "CORNER_M", 0.0)  # the snail stands in the way
-    monkeypatch.setattr(patience, "FROM_S", 0.0)
+    monkeypatch.setattr(road_users, "CORNER_M", 0.0)  # the snail stands in the way
+    monkeypatch.setattr(road_users, "FROM_S", 0.0)
     waits = []
     for limit_s in (60.0, 1000.0):
-        monkeypatch.setattr(patience, "PATIENCE_S", limit_s)
+        monkeypatch.setattr(road_users, "PATIENCE_S", limit_s)
         folder = tmp_path / str(limit_s)
         folder.mkdir()
         signals = (HERE / "signals.add.xml",)

@@ -1,4 +1,4 @@
-"""The worlds in the package: as many as said, with seeds of their own, small, and each can be used."""
+"""The packaged worlds: number, seeds, size, variety, and rendering."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def shipped() -> dict[Path, Tracks]:
     return {path: read_tracks(path) for path in (*TEST, *VALIDATION)}
 
 
-def test_there_are_as_many_as_said_half_of_them_indoors_and_small() -> None:
+def test_the_set_has_its_seeds_half_of_it_indoors_and_is_small() -> None:
     assert sorted(map(seed_of, TEST)) == list(range(1002, 1022))
     assert sorted(map(seed_of, VALIDATION)) == list(range(2003, 2013))
     for paths in (TEST, VALIDATION):
@@ -35,14 +35,14 @@ def test_there_are_as_many_as_said_half_of_them_indoors_and_small() -> None:
     assert sum(path.stat().st_size for path in (*TEST, *VALIDATION)) < 8e6
 
 
-def test_each_is_a_site_of_its_own_and_tells_how_it_was_made(shipped: dict[Path, Tracks]) -> None:
+def test_each_is_its_own_site_with_its_command(shipped: dict[Path, Tracks]) -> None:
     for path, tracks in shipped.items():
         assert tracks.info.recording.site == f"world-{seed_of(path)}"
         assert tracks.info.recording.command.endswith(f"--count 1 --minutes 1 --seed {seed_of(path)}")
         assert tracks.info.frames == round(60.0 * tracks.info.rate_hz)
 
 
-def test_their_lasers_are_as_various_as_said(shipped: dict[Path, Tracks]) -> None:
+def test_their_lasers_vary(shipped: dict[Path, Tracks]) -> None:
     infos = [tracks.info for tracks in shipped.values()]
     lasers = [info.lasers["scan"] for info in infos]
     assert len({laser.model_dump_json() for laser in lasers}) == len(lasers)
@@ -56,11 +56,8 @@ def test_their_lasers_are_as_various_as_said(shipped: dict[Path, Tracks]) -> Non
     assert sum(plane < 0.5 for plane in planes) > 20
 
 
-@pytest.mark.parametrize("kind", ["indoors-room", "outdoors-crossing"])
-def test_a_world_renders_to_scans_of_those_who_move_in_it(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+@pytest.mark.parametrize("kind", ["indoors-room", "outdoors-street"])
+def test_a_world_renders_to_scans_of_its_road_users(kind: str, own_cache: Path) -> None:
     recording = open_recording(next(path for path in TEST if path.stem.startswith(kind)))
     static = recording.info.classes.index("static")
     seen = frames = 0
@@ -75,7 +72,7 @@ def test_a_world_renders_to_scans_of_those_who_move_in_it(
 
 @pytest.mark.skipif(importlib.util.find_spec("jupedsim") is None, reason="JuPedSim is not installed")
 @pytest.mark.parametrize("kind", ["indoors-office", "outdoors-street"])
-def test_a_world_that_is_made_again_has_the_same_bytes(kind: str, shipped: dict[Path, Tracks]) -> None:
+def test_a_world_simulated_again_has_the_same_bytes(kind: str, shipped: dict[Path, Tracks]) -> None:
     from gridtrack.simulation import worlds
 
     path, tracks = next((path, tracks) for path, tracks in shipped.items() if path.stem.startswith(kind))

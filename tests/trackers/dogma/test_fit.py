@@ -9,22 +9,27 @@ pytest.importorskip("optuna")
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Shift
-from gridtrack.trackers import searched_fit
-from gridtrack.trackers.card import card_for
-from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
-from gridtrack.trackers.dogma import tuning
+from gridtrack.trackers.contract import FitTask, StreamSpec
 from gridtrack.trackers.dogma.settings import DogmaSettings
-from gridtrack.trackers.dogma.tracker import DogmaTracker
-from gridtrack.trackers.excerpts import CachedSource
-from gridtrack.trackers.site_rate import count_frames
-from gridtrack.trackers.tuning import FINALISTS
-from gridtrack.trackers.weights import load_weights, read_card, save_weights
+from gridtrack.trackers.dogma.tracker import DogmaTracker, count_occupancy_rate
+from gridtrack.trackers.site_map import count_frames
+from gridtrack.trackers.training import searched_fit
+from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.excerpts import CachedSource
+from gridtrack.trackers.training.search import FINALISTS
+from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
+from tests.trackers.scores import of_every_stratum
 
 from scenes.scrolling import scrolled
 
 GRID = GridSpec(3, 0.2)
 PERIOD_S = 0.125
 WALL, DOOR = (0, 0), (1, 1)
+
+
+def task(out, objective, options, source=None, **more):
+    source = source or Source()
+    return FitTask([source], [source], objective, out, options, out.parent / "log", 3, "gridtrack train dogma", **more)
 
 
 class Source:
@@ -46,7 +51,7 @@ class Source:
 
 
 def test_the_occupancy_rate_is_the_share_of_each_cell_shrunk_to_the_base_rate() -> None:
-    rate, moves = tuning.count_occupancy_rate([Source(), Source()])
+    rate, moves = count_occupancy_rate([Source(), Source()])
     assert not moves
     base_rate = (40 + 20) / (6 * 40)
     assert rate[WALL] == pytest.approx((80 + 20 * base_rate) / 100)
@@ -68,15 +73,12 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
 
     def score(tracker, source, steps):
         asked.append(tracker.options)
-        loss = np.full(steps + 1, abs(np.log(tracker.options.acceleration / 1.3)))  # of F1 too: the search maximises it
-        return StretchScore(
-            {"dynamic": 1 - loss, "in-motion": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss}
-        )
+        loss = abs(np.log(tracker.options.acceleration / 1.3))
+        return of_every_stratum(1.0 - loss, loss, steps)
 
     paths = [tmp_path / run / "yard.toml" for run in ("one", "two")]
     for path in paths:
-        out = FitOutput(path, "gridtrack train dogma", 3, path.parent / "log", report=lambda line: None)
-        DogmaTracker.fit([Source()], [Source()], score, out, DogmaSettings(particles=800, free_decay_s=4.0))
+        DogmaTracker.fit(task(path, score, DogmaSettings(particles=800, free_decay_s=4.0)))
     one, two = (read_card(path) for path in paths)
     assert one == two
     assert all(settings.free_decay_s == 4.0 for settings in asked)
@@ -86,9 +88,7 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
     assert one.settings["acceleration"] == asked[int(np.argmin(losses))].acceleration
     assert len(set(losses)) == 11
     stream = StreamSpec(GRID, PERIOD_S, "yard", weights=paths[0])
-    assert np.array_equal(
-        load_weights(stream, "dogma").arrays["occupancy_rate"], tuning.count_occupancy_rate([Source()])[0]
-    )
+    assert np.array_equal(load_weights(stream, "dogma").arrays["occupancy_rate"], count_occupancy_rate([Source()])[0])
     tracker = DogmaTracker(stream, DogmaSettings(acceleration=0.2))
     assert tracker._settings == DogmaSettings(**one.settings | {"acceleration": 0.2})
 
@@ -97,10 +97,10 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
 def general(tmp_path):
     """The card of general weights, whose time constant of free cells is outside the range of the search."""
     settings = DogmaSettings(particles=1200, acceleration=0.7, birth_speed=3.0, free_decay_s=30.0)
-    out = FitOutput(tmp_path / "general" / "general.toml", "gridtrack train dogma --general", 3, tmp_path, general=True)
-    card = card_for("dogma", out, [Source()], [], settings.model_dump())
-    save_weights(out.path, card, {"occupancy_rate": np.full((1, 1), 0.1, np.float32)})
-    return out.path
+    path = tmp_path / "general" / "general.toml"
+    card = card_for("dogma", task(path, None, settings, general=True), settings.model_dump())
+    save_weights(path, card, {"occupancy_rate": np.full((1, 1), 0.1, np.float32)})
+    return path
 
 
 @pytest.mark.parametrize(("best_s", "found_s"), [(2.0, (0.5, 20.0)), (300.0, (30.0, 30.0))])
@@ -113,32 +113,28 @@ def test_a_site_starts_from_general_settings_and_searches_near_them(
 
     def score(tracker, source, steps):
         asked.append(tracker.options)
-        loss = np.full(steps + 1, abs(np.log(tracker.options.free_decay_s / best_s)) / 10)
-        return StretchScore(
-            {"dynamic": 1 - loss, "in-motion": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss}
-        )
+        loss = abs(np.log(tracker.options.free_decay_s / best_s)) / 10
+        return of_every_stratum(1.0 - loss, loss, steps)
 
-    out = FitOutput(
-        tmp_path / "yard.toml", "gridtrack train dogma", 3, tmp_path / "log", lambda line: None, start=general
-    )
-    DogmaTracker.fit([Source()], [Source()], score, out, DogmaSettings(birth_speed=2.5))
+    out = tmp_path / "yard.toml"
+    DogmaTracker.fit(task(out, score, DogmaSettings(birth_speed=2.5), start=general))
     assert {settings.birth_speed for settings in asked} == {2.5}, "was given"
     assert len({settings.acceleration for settings in asked}) > 3
     assert all(0.35 <= settings.acceleration <= 1.4 for settings in asked)
     assert [settings.particles for settings in asked[:6]] == [300] * 6
     assert asked[0].free_decay_s == 20.0
-    settings = read_card(out.path).settings
+    settings = read_card(out).settings
     assert found_s[0] <= settings["free_decay_s"] <= found_s[1]
     assert abs(np.log(settings["free_decay_s"] / best_s)) == min(abs(np.log(s.free_decay_s / best_s)) for s in asked)
-    arrays = load_weights(StreamSpec(GRID, PERIOD_S, "yard", weights=out.path), "dogma").arrays
-    assert np.array_equal(arrays["occupancy_rate"], tuning.count_occupancy_rate([Source()])[0])
+    arrays = load_weights(StreamSpec(GRID, PERIOD_S, "yard", weights=out), "dogma").arrays
+    assert np.array_equal(arrays["occupancy_rate"], count_occupancy_rate([Source()])[0])
 
 
 def test_weights_of_another_site_are_no_start(general, tmp_path) -> None:
-    out = FitOutput(tmp_path / "yard.toml", "gridtrack train dogma", 3, tmp_path / "log", start=general)
-    save_weights(general, card_for("dogma", out, [Source()], [], {}), {})
+    from_site = task(tmp_path / "yard.toml", None, DogmaSettings(), start=general)
+    save_weights(general, card_for("dogma", from_site, {}), {})
     with pytest.raises(WeightsError, match="weights of dogma for yard, expected general ones of dogma"):
-        DogmaTracker.fit([Source()], [Source()], lambda *_: None, out, DogmaSettings())
+        DogmaTracker.fit(from_site)
 
 
 class Driven(Source):
@@ -152,13 +148,12 @@ class Driven(Source):
 
 def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(searched_fit, "SEARCH_ITERATIONS", 1)
-    flat = np.full(17, 0.5)
     told: list[str] = []
-    out = FitOutput(tmp_path / "yard.toml", "gridtrack train dogma", 3, tmp_path / "log", report=told.append)
-    both = StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
-    DogmaTracker.fit([Driven()], [Driven()], lambda *_: both, out, DogmaSettings(particles=800))
+    out = tmp_path / "yard.toml"
+    both = of_every_stratum(0.5, 0.5, 16)
+    DogmaTracker.fit(task(out, lambda *_: both, DogmaSettings(particles=800), Driven(), report=told.append))
     assert any("the sensor moves: no map of the place is learned" in line for line in told)
-    stream = StreamSpec(GRID, PERIOD_S, "yard", weights=out.path)
+    stream = StreamSpec(GRID, PERIOD_S, "yard", weights=out)
     rate = load_weights(stream, "dogma").arrays["occupancy_rate"]
     assert rate.min() == rate.max() > 0.0
     tracker = DogmaTracker(stream, DogmaSettings())

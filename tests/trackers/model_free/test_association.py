@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.stats import chi2
 
-pytest.importorskip("filterpy")
 from gridtrack.trackers.model_free.association import (
     assign,
     assign_returns,

@@ -2,42 +2,35 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-pytest.importorskip("filterpy")
-pytest.importorskip("sklearn")
-
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import LabelledFrame
-from gridtrack.trackers import searched_fit
-from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of
-from gridtrack.trackers.labelled_scans import LabelledScans
-from gridtrack.trackers.model_free.class_training import count_cells
+from gridtrack.trackers.contract import FitTask, stream_of
 from gridtrack.trackers.model_free.classes import ClassModel
 from gridtrack.trackers.model_free.factor_graph import FactorGraphTracker
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import ModelFreeSettings
-from gridtrack.trackers.weights import load_weights, read_card, save_weights
+from gridtrack.trackers.model_free.training import count_labelled_cells
+from gridtrack.trackers.training import searched_fit
+from gridtrack.trackers.training.labelled_scans import LabelledScans
+from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
+from tests.trackers.scores import of_every_stratum
 
 from scenes.street import GRID, Street, frame_of
 
 
 def no_score(tracker, source, steps):
-    flat = np.zeros(steps + 1)
-    return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat})
+    return of_every_stratum(0.0, 0.0, steps)
 
 
 def fit(folder, tracker=KalmanTracker, street=None, **options):
     street = street or Street()
-    out = FitOutput(folder / "street.toml", f"gridtrack train {options}", 3, folder / "log", lambda line: None)
+    out, command = folder / "street.toml", f"gridtrack train {options}"
     settings = ModelFreeSettings(**({"labelled_scans": 80, "link_m": 0.5} | options))
-    tracker.fit([street], [street], no_score, out, settings)
-    return out.path
+    tracker.fit(FitTask([street], [street], no_score, out, settings, folder / "log", 3, command))
+    return out
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -68,37 +61,6 @@ def test_trained_classes_are_right_for_cells_and_objects_at_all_steps(path):
     assert {(one.label, one.box[0] > 6.0) for one in forecast.objects} == {("pedestrian", False), ("car", True)}
     before = forecast.semantics.copy()
     assert (tracker.predict(4).semantics == before).all()
-
-
-SCENES = Path(__file__).parents[2]
-STARTED_AND_FED = """
-import sys
-from pathlib import Path
-from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.model_free import classes, rasterise, semantics
-from gridtrack.trackers.model_free.kalman import KalmanTracker
-from gridtrack.trackers.model_free.settings import ModelFreeSettings
-
-sys.path.append(sys.argv[1])
-from scenes.street import Street
-
-def compiled():
-    kernels = rasterise.draw_tracks, classes._features, classes._log_densities, semantics._normalise
-    return [len(kernel.signatures) for kernel in kernels]
-
-tracker = KalmanTracker(stream_of(Street(), Path(sys.argv[2])), ModelFreeSettings())
-before = compiled()
-for frame in Street(30):
-    tracker.update(frame)
-tracker.predict(20)
-print(before, compiled())
-"""
-
-
-def test_kernels_are_compiled_when_the_tracker_starts(path):
-    command = [sys.executable, "-c", STARTED_AND_FED, str(SCENES), str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout == "[1, 1, 1, 1] [1, 1, 1, 1]\n"
 
 
 def test_the_card_describes_the_training_of_classes(path):
@@ -198,7 +160,7 @@ def test_only_labelled_cells_of_the_trained_classes_are_counted():
                 yield LabelledFrame(frame_of([]), np.array([3, 3600 - 1]), np.array(labels, np.uint8))
 
     labelled = LabelledScans((Labelled(),), (np.array([0, 2]),), ("horse", "pedestrian"))
-    count = count_cells(labelled, ("horse", "pedestrian"))
+    count = count_labelled_cells(labelled, ("horse", "pedestrian"))
     assert count.sum() == 4.0
     assert (count[1, 0, 3], count[0, 59, 59], count[1, 59, 59]) == (2.0, 1.0, 1.0)
     assert ClassModel._fields == ("mixture_weights", "means", "whitening", "frequency", "powers", "cell_prior")

@@ -7,16 +7,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("filterpy")
-pytest.importorskip("sklearn")
 from scipy.stats import multivariate_normal
 
-from gridtrack.trackers.model_free.class_training import TrackSamples, cell_log_loss, cell_prior_of, fit_mixtures
 from gridtrack.trackers.model_free.classes import FEATURES, ClassFilter, features_of, mean_log_prior
+from gridtrack.trackers.model_free.forecast import attribute, normalise, weight_by_cell_prior
 from gridtrack.trackers.model_free.rasterise import draw_track
-from gridtrack.trackers.model_free.semantics import attribute, normalise, weight_by_cell_prior
-from gridtrack.trackers.model_free.window import Window
+from gridtrack.trackers.model_free.tracks import Window
+from gridtrack.trackers.model_free.training import TrackSamples, cell_log_loss, cell_prior_of, fit_mixtures
 
 from scenes.street import CAR, GRID, PEDESTRIAN, box, frame_of, legs
 

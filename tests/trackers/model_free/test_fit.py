@@ -8,20 +8,18 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-pytest.importorskip("filterpy")
 from gridtrack.common.errors import RecordingError, WeightsError
 from gridtrack.common.grid import GridSpec, Shift
-from gridtrack.trackers import searched_fit
-from gridtrack.trackers.card import card_for
-from gridtrack.trackers.contract import FitOutput, StreamSpec, StretchScore
+from gridtrack.trackers.contract import FitTask, StreamSpec
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP
 from gridtrack.trackers.model_free.kalman import KalmanTracker
-from gridtrack.trackers.model_free.open_cells import OpenOnMap
 from gridtrack.trackers.model_free.residence import fit_residence, resampled
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
-from gridtrack.trackers.site_map import SiteMap
-from gridtrack.trackers.tuning import FINALISTS
-from gridtrack.trackers.weights import load_weights, read_card, save_weights
+from gridtrack.trackers.training import searched_fit
+from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.search import FINALISTS
+from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
+from tests.trackers.scores import of_every_stratum
 
 from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
 from scenes.scrolling import scrolled
@@ -54,6 +52,15 @@ def test_weights_with_an_unknown_setting_are_refused(tmp_path):
         KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
 
 
+def fit(out, objective, options=None, train=None, validation=None, **more):
+    """Train `kalman`; returns the card."""
+    sources, options = (train or [Source()], [validation or Source()]), options or ModelFreeSettings()
+    KalmanTracker.fit(
+        FitTask(*sources, objective, out, options, out.parent / "log", 3, "gridtrack train kalman", **more)
+    )
+    return out
+
+
 class Source:
     """A source of 30 frames."""
 
@@ -77,15 +84,11 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
         settings = tracker._settings
         asked.append(settings)
         far = abs(np.log(settings.acceleration / 0.3))
-        loss = np.full(steps + 1, far)
-        return StretchScore(
-            {"dynamic": 1 - loss, "in-motion": 1 - loss, "visible": 1 - loss}, {"dynamic": loss, "visible": loss}
-        )
+        return of_every_stratum(1.0 - far, far, steps)
 
     paths = [tmp_path / run / "hall.toml" for run in ("one", "two")]
     for path in paths:
-        out = FitOutput(path, "gridtrack train kalman", 3, path.parent / "log", report=lambda line: None)
-        KalmanTracker.fit([Source()], [Source()], score, out, ModelFreeSettings(link_m=0.77))
+        fit(path, score, ModelFreeSettings(link_m=0.77))
     one, two = (read_card(path) for path in paths)
     assert one == two
     assert all(settings.link_m == 0.77 for settings in asked)
@@ -99,8 +102,7 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
 
 
 def fit_hall(tmp_path, score, told, validation=None):
-    out = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", report=told.append)
-    KalmanTracker.fit([Source()], [validation or Source()], score, out, ModelFreeSettings())
+    fit(tmp_path / "hall.toml", score, validation=validation, report=told.append)
 
 
 def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, monkeypatch):
@@ -112,8 +114,7 @@ def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, mo
         """In training, more acceleration is better; in validation, less."""
         value = tracker._settings.acceleration
         (compared if source is validation else searched).append(value)
-        flat = np.full(steps + 1, value if source is not validation else 1.0 - value)
-        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+        return of_every_stratum(value if source is not validation else 1.0 - value, 0.0, steps)
 
     told = []
     fit_hall(tmp_path, score, told, validation)
@@ -125,11 +126,7 @@ def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, mo
 
 def test_a_stretch_without_scores_is_refused_in_one_line(tmp_path):
     def score(tracker, source, steps):
-        undefined = np.full(steps + 1, np.nan)
-        return StretchScore(
-            {"dynamic": undefined, "in-motion": undefined, "visible": undefined},
-            {"dynamic": undefined, "visible": undefined},
-        )
+        return of_every_stratum(np.nan, np.nan, steps)
 
     with pytest.raises(RecordingError, match=r"F1 is not defined on the training recordings: .*use a longer stretch"):
         fit_hall(tmp_path, score, [])
@@ -146,12 +143,11 @@ class Scores:
         if self.calls == self.interrupt_after:
             raise KeyboardInterrupt
         self.calls += 1
-        flat = np.full(steps + 1, 1.0 / (1.0 + tracker._settings.acceleration))
-        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+        return of_every_stratum(1.0 / (1.0 + tracker._settings.acceleration), 0.0, steps)
 
 
 def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_been(tmp_path, caplog, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 6)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 6)
     fit_hall(tmp_path / "whole", Scores(), [])
     with pytest.raises(KeyboardInterrupt):
         fit_hall(tmp_path, Scores(interrupt_after=4), [])
@@ -168,7 +164,7 @@ def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_bee
 
 
 def test_an_interrupted_search_keeps_the_weights_of_an_earlier_training(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 3)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 3)
     fit_hall(tmp_path, Scores(), [])
     earlier = (tmp_path / "hall.toml").read_bytes()
     with pytest.raises(KeyboardInterrupt):
@@ -185,12 +181,11 @@ class Driven(Source):
 
 
 def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 1)
     told = []
-    out = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", report=told.append)
-    KalmanTracker.fit([Driven()], [Driven()], Scores(), out, ModelFreeSettings())
+    out = fit(tmp_path / "hall.toml", Scores(), train=[Driven()], validation=Driven(), report=told.append)
     assert any("the sensor moves: no map of the place is learned" in line for line in told)
-    stream = StreamSpec(GRID, PERIOD_S, "hall", weights=out.path)
+    stream = StreamSpec(GRID, PERIOD_S, "hall", weights=out)
     arrays = load_weights(stream, "kalman").arrays
     assert np.ptp(arrays["occupancy_rate"]) == 0.0
     assert (arrays["neighbourhood_rate"] == OUTSIDE_MAP).all()
@@ -218,13 +213,12 @@ CELLS = np.ones((2, 2), bool)
 
 
 def test_a_general_training_learns_no_map_and_runs_on_any_grid_and_period(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
-    out = FitOutput(tmp_path / "general.toml", "gridtrack train kalman", 3, tmp_path / "log", general=True)
-    KalmanTracker.fit([Source(), Fine()], [Fine()], Scores(), out, ModelFreeSettings())
-    card = read_card(out.path)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 1)
+    out = fit(tmp_path / "general.toml", Scores(), train=[Source(), Fine()], validation=Fine(), general=True)
+    card = read_card(out)
     assert (card.general, card.cells_m) == (True, (Fine.grid.cell_m, GRID.cell_m))
     for source in (Source(), Fine()):
-        stream = StreamSpec(source.grid, source.period_s, "elsewhere", weights=out.path)
+        stream = StreamSpec(source.grid, source.period_s, "elsewhere", weights=out)
         assert load_weights(stream, "kalman").arrays["occupancy_rate"].shape == (1, 1)
         tracker = KalmanTracker(stream, PipelineSettings())
         for frame in source:
@@ -236,25 +230,23 @@ def test_a_general_training_learns_no_map_and_runs_on_any_grid_and_period(tmp_pa
 def general_weights(folder):
     """General weights of which a training at a site takes the settings."""
     path = folder / "general.toml"
-    out = FitOutput(path, "gridtrack train kalman --general", 3, folder / "log", general=True)
     settings = PipelineSettings(acceleration=0.31, link_m=0.6)
-    save_weights(path, card_for("kalman", out, [Source()], [], settings.model_dump()), {})
+    task = FitTask([Source()], [], None, path, settings, folder / "log", general=True)
+    save_weights(path, card_for("kalman", task, settings.model_dump()), {})
     return path
 
 
 def test_at_a_site_settings_are_searched_near_the_general_ones_and_those_of_its_map_everywhere(tmp_path, monkeypatch):
     """The map of the place is what general weights do not know; classes are added to weights of the site."""
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 9)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 9)
     general = general_weights(tmp_path)
     asked = []
 
     def score(tracker, source, steps):
         asked.append(tracker._settings)
-        flat = np.full(steps + 1, 0.5)
-        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+        return of_every_stratum(0.5, 0.0, steps)
 
-    at_site = FitOutput(tmp_path / "hall.toml", "gridtrack train kalman", 3, tmp_path / "log", start=general)
-    KalmanTracker.fit([Source()], [Source()], score, at_site, ModelFreeSettings(link_m=0.7))
+    fit(tmp_path / "hall.toml", score, ModelFreeSettings(link_m=0.7), start=general)
     assert {one.link_m for one in asked} == {0.7}, "was given"
     assert asked[0].acceleration == 0.31
     assert len({one.acceleration for one in asked}) == 9
@@ -273,33 +265,31 @@ def test_the_validation_recordings_decide_whether_the_map_of_the_place_serves(
     tmp_path, monkeypatch, source, with_map, chosen
 ):
     """What stands for the whole of a short training is a wall on its map; what is hidden only a map knows."""
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 3)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 3)
     general, validation, told = general_weights(tmp_path), source(), []
     validation.name = "hall@3s-6s"
 
     def score(tracker, scored, steps):
         without = tracker._settings.background == "none"
         assert not (without and scored is not validation and not told), "the search itself counts with the map"
-        flat = np.full(steps + 1, 0.5 if without else with_map)
-        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+        return of_every_stratum(0.5 if without else with_map, 0.0, steps)
 
-    at_site = FitOutput(tmp_path / "hall.toml", "train", 3, tmp_path / "log", report=told.append, start=general)
-    KalmanTracker.fit([source()], [validation], score, at_site, ModelFreeSettings())
-    assert read_card(at_site.path).settings["background"] == chosen
+    more = {"report": told.append, "start": general}
+    at_site = fit(tmp_path / "hall.toml", score, train=[source()], validation=validation, **more)
+    assert read_card(at_site).settings["background"] == chosen
     assert any("the map is not used" in line for line in told) == (chosen == "none")
 
 
 def test_a_background_that_is_given_is_not_chosen(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridtrack.trackers.searched_fit.SEARCH_ITERATIONS", 1)
+    monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 1)
     asked = []
 
     def score(tracker, source, steps):
         asked.append(tracker._settings.background)
-        flat = np.full(steps + 1, 0.5)
-        return StretchScore({"dynamic": flat, "in-motion": flat, "visible": flat}, {"dynamic": flat, "visible": flat})
+        return of_every_stratum(0.5, 0.0, steps)
 
-    at_site = FitOutput(tmp_path / "hall.toml", "train", 3, tmp_path / "log", start=general_weights(tmp_path))
-    KalmanTracker.fit([Source()], [Source()], score, at_site, ModelFreeSettings(background="fitted"))
+    options = ModelFreeSettings(background="fitted")
+    fit(tmp_path / "hall.toml", score, options, start=general_weights(tmp_path))
     assert set(asked) == {"fitted"}
 
 
@@ -313,7 +303,7 @@ def test_a_life_table_of_another_period_has_the_probabilities_of_its_times():
 
 
 def open_everywhere():
-    return OpenOnMap(SiteMap(np.ones(GRID.shape, bool), True, GRID.cell_m))
+    return lambda frame: np.ones(GRID.shape, bool)
 
 
 def test_residence_and_calibration_are_counted_in_the_world():

@@ -7,14 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("filterpy")
-pytest.importorskip("gtsam")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Shift, rolled
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP, BackgroundMap, fit_background
+from gridtrack.trackers.model_free.factor_graph import FactorGraphEstimator
 from gridtrack.trackers.model_free.forecast import objects
-from gridtrack.trackers.model_free.motion.factor_graph import FactorGraphEstimator
-from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.kalman import KalmanEstimator
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip("filterpy")
-pytest.importorskip("gtsam")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
 from gridtrack.trackers.model_free.background import BackgroundMap
-from gridtrack.trackers.model_free.motion.factor_graph import FactorGraphEstimator
-from gridtrack.trackers.model_free.motion.kalman import KalmanEstimator
+from gridtrack.trackers.model_free.factor_graph import FactorGraphEstimator
+from gridtrack.trackers.model_free.kalman import KalmanEstimator
 from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings

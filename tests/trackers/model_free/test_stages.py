@@ -1,4 +1,4 @@
-"""Each stage of the model-free pipeline against a hand-computed case or an independent implementation."""
+"""Stages of the pipeline against hand-computed cases: background, residence, existence, concatenated arrays."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ import math
 import numpy as np
 import pytest
 
-pytest.importorskip("filterpy")
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
+from gridtrack.trackers.model_free.arrays import bounds_of, means_of, owners_of, spans_of, split
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP, Background, BackgroundMap, fit_background
-from gridtrack.trackers.model_free.open_cells import OpenOnMap
 from gridtrack.trackers.model_free.residence import (
     NOT_OCCUPIED,
     PRIOR_RETURNS,
@@ -21,8 +20,7 @@ from gridtrack.trackers.model_free.residence import (
 )
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import existence_when_detected, existence_when_missed
-from gridtrack.trackers.site_map import SiteMap
-from gridtrack.trackers.site_rate import PRIOR_FRAMES
+from gridtrack.trackers.site_map import PRIOR_FRAMES
 
 
 def frame_of(visible, occupied):
@@ -179,7 +177,7 @@ def test_the_age_of_a_return_continues_in_a_neighbour_cell_and_restarts_elsewher
 def test_the_life_table_counts_returns_in_place_in_visible_cells():
     seen, hidden = np.ones((5, 5), bool), np.zeros((5, 5), bool)
     frames = [frame_of(seen, cells_at((1, 1))), frame_of(seen, cells_at((1, 1))), frame_of(hidden, cells_at())]
-    table = fit_residence([frames] * 100, lambda: OpenOnMap(SiteMap(np.ones((5, 5), bool), True, 0.2)), (3, 3), 0.2)
+    table = fit_residence([frames] * 100, lambda: lambda frame: np.ones((5, 5), bool), (3, 3), 0.2)
     known = 1.0 / (1.0 + PRIOR_RETURNS / 100)
     assert table[0] == pytest.approx([known, known, 0.0])  # after two steps nothing is seen: the prior stands
     assert table[1] == pytest.approx([known, 0.0, 0.0])
@@ -205,3 +203,24 @@ def test_existence_follows_bayes_rule():
 
 def test_a_miss_of_a_hidden_object_is_uninformative():
     assert existence_when_missed(0.7, 0.0) == 0.7
+
+
+PARTS = [np.array([(0.0, 0.0), (3.0, 1.0)]), np.array([(5.0, 5.0)]), np.array([(1.0, 0.0), (1.0, 4.0), (4.0, 2.0)])]
+ROWS, BOUNDS = np.concatenate(PARTS), bounds_of(PARTS)
+
+
+def test_parts_keep_their_order():
+    assert BOUNDS.tolist() == [0, 2, 3, 6]
+    assert owners_of(BOUNDS).tolist() == [0, 0, 1, 2, 2, 2]
+    assert [part.tolist() for part in split(ROWS, PARTS)] == [part.tolist() for part in PARTS]
+
+
+def test_each_part_has_a_span_and_a_mean():
+    assert spans_of(ROWS, BOUNDS).tolist() == [3.0, 0.0, 4.0]
+    assert means_of(ROWS, BOUNDS).tolist() == [[1.5, 0.5], [5.0, 5.0], [2.0, 2.0]]
+    assert means_of(ROWS > 2.0, BOUNDS).tolist() == [[0.5, 0.0], [1.0, 1.0], [1 / 3, 1 / 3]]
+
+
+def test_without_parts_there_are_no_rows():
+    assert bounds_of([]).tolist() == [0]
+    assert split(np.empty((0, 2)), []) == []

@@ -1,6 +1,8 @@
-"""General weights of the networks: trained on unlike grids and periods, used on any."""
+"""General weights: trained on different grids and periods, used on any, and the start of a training at a site."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,194 +10,109 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
+from safetensors.numpy import load_file  # noqa: E402
+
 from gridtrack.common.config import validated  # noqa: E402
-from gridtrack.common.errors import ConfigurationError  # noqa: E402
-from gridtrack.common.geometry import SE2  # noqa: E402
-from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame  # noqa: E402
-from gridtrack.trackers import cell_training  # noqa: E402
-from gridtrack.trackers.contract import FitOutput, StretchScore, stream_of  # noqa: E402
-from gridtrack.trackers.excerpts import VALIDATED_S, excerpts_of_places  # noqa: E402
-from gridtrack.trackers.label_settings import ClassifierSettings  # noqa: E402
-from gridtrack.trackers.one_shot.tracker import OneShotTracker  # noqa: E402
+from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
+from gridtrack.trackers.contract import StretchScore, stream_of  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.network import channels_last  # noqa: E402
-from gridtrack.trackers.recurrent.resolution_input import resolution_of, set_resolution  # noqa: E402
-from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
-from gridtrack.trackers.recurrent.sequences import SequenceDataset  # noqa: E402
-from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
-from gridtrack.trackers.recurrent.training import validation_scores  # noqa: E402
-from gridtrack.trackers.weights import read_card  # noqa: E402
+from gridtrack.trackers.recurrent.fit import settings_from_general, validation_scores  # noqa: E402
+from gridtrack.trackers.recurrent.network import resolution_of, set_resolution  # noqa: E402
+from gridtrack.trackers.training.excerpts import VALIDATED_S, excerpts_of_places  # noqa: E402
+from gridtrack.trackers.training.weights import load_start, read_card  # noqa: E402
+from tests.trackers.recurrent.sources import (  # noqa: E402
+    SMALL,
+    TRACKERS,
+    Walk,
+    constant,
+    convgru,
+    fit,
+    forecast_of,
+    rnn,
+    trained,
+)
 from tests.trackers.scores import of_every_stratum  # noqa: E402
 
-TRACKERS = [DilatedConvGRUTracker, DeepTrackingRNNTracker]
-SMALL = {
-    DilatedConvGRUTracker: {"channels": 4, "stage": "occupancy"},
-    DeepTrackingRNNTracker: {"variant": "paper"},
-}
+BRIEF = {"observed_frames": 5, "blank_frames": 3, "repetitions": 1}
 
 
-class Walk:
-    """A dot walks to and fro at 2 m/s along a row; the first `unseen` rows are never visible."""
-
-    sha256, site, classes = "0" * 64, "", ()
-
-    def __init__(
-        self, size: int, cell_m: float, period_s: float, frames: int = 90, drift: int = 0, unseen: int = 3
-    ) -> None:
-        self.grid, self.period_s, self.frames, self.drift = GridSpec(size, cell_m), period_s, frames, drift
-        self.unseen = unseen
-        self.name = f"walk {size}x{cell_m}"
-
-    def __len__(self) -> int:
-        return self.frames
-
-    def __iter__(self):
-        size, cells_a_frame = self.grid.size, 2.0 * self.period_s / self.grid.cell_m
-        for t in range(self.frames):
-            visible, occupied = np.ones((size, size), bool), np.zeros((size, size), bool)
-            visible[: self.unseen] = False
-            column = int(t * cells_a_frame) % (2 * size)
-            occupied[(self.unseen + size) // 2, min(column, 2 * size - 1 - column)] = True
-            yield GridFrame(
-                round(t * self.period_s * 1e9), visible, occupied, SE2(t * self.drift * self.grid.cell_m, 0.0),
-                np.zeros((1, 2), np.float32), self.grid.cell_centres(occupied), np.zeros(int(occupied.sum()), np.uint8),
-            )  # fmt: skip
-
-
-def no_score(tracker, source, steps):
-    tracker.reset(0)
-    for frame in source:
-        tracker.update(frame)
-    shape = tracker.predict(steps).occupancy.shape
-    assert shape == (steps + 1, *source.grid.shape)
-    return of_every_stratum(1.0, 0.1, steps)
-
-
-HELD_OUT = (Walk(20, 0.1, 0.1), Walk(9, 0.3, 0.25))
-
-
-def fit(tracker, folder, sources, held_out=HELD_OUT, **options):
-    given = {"batch": 2, "warm_up": 0, "precision": "32-true", **SMALL[tracker], **options}
-    lines: list[str] = []
-    out = FitOutput(folder / "general.toml", "gridtrack train ...", 7, folder / "log", lines.append, general=True)
-    tracker.fit(sources, held_out, no_score, out, validated(tracker.Options, given, "test"))
-    return out.path, lines
-
-
-def items(*sources, **options):
-    """Windows of eight steps, five of them observed."""
-    step_s = options.pop("step_s", 0.0)
-    settings = TrainingSettings(observed_frames=5, blank_frames=3, repetitions=1, **options)
-    return SequenceDataset(sources, settings, seed=1, step_s=step_s, general=True)
-
-
-@pytest.mark.parametrize("tracker", TRACKERS)
-def test_a_general_training_takes_unlike_grids_and_periods_and_its_weights_run_on_any(tracker, tmp_path):
+@pytest.fixture(scope="module", params=TRACKERS)
+def general(request, tmp_path_factory):
+    """A tracker, the card of its general weights, whose shifts by resolution are not zero, and the training's lines."""
+    card = tmp_path_factory.mktemp("general") / "general.toml"
     sources = [Walk(16, 0.2, 0.125), Walk(24, 0.05, 0.05), Walk(10, 0.1, 0.2, drift=1)]
-    path, lines = fit(tracker, tmp_path, sources, updates=2, validate_every=1)
-    card = read_card(path)
-    assert (card.general, card.cells_m, card.periods_s) == (True, (0.05, 0.2), (0.05, 0.2))
-    assert card.settings["resolution_input"]
+    options = {"updates": 10, "validate_every": 10, "learning_rate": 0.02, "unseen_weight": 0.1}
+    lines = fit(request.param, card, sources, [Walk(9, 0.3, 0.25)], general=True, **options, **BRIEF)
+    shifts = [value for name, value in load_file(card.with_suffix(".safetensors")).items() if "shift" in name]
+    assert max(np.abs(value).max() for value in shifts) > 0
+    return request.param, card, lines
+
+
+def arrays_of(card):
+    return load_file(card.with_suffix(".safetensors"))
+
+
+# General weights
+
+
+def test_general_weights_run_on_any_grid_and_period_and_their_card_has_the_ranges(general):
+    tracker, card, lines = general
+    written = read_card(card)
+    assert (written.general, written.cells_m, written.periods_s) == (True, (0.05, 0.2), (0.05, 0.2))
+    assert written.settings["resolution_input"]
     if tracker is DilatedConvGRUTracker:
-        assert card.settings["static_gates"] == []
+        assert written.settings["static_gates"] == []
         assert any("general weights know no place: trained without static memory" in line for line in lines)
     for source in (Walk(16, 0.2, 0.125), Walk(33, 0.07, 0.03, drift=2)):
-        made = tracker(stream_of(source, path), tracker.Options())
-        no_score(made, source, 3)
+        constant(trained(tracker, card, source), source, 3)
 
 
-def test_a_map_of_a_place_that_was_asked_for_is_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"general weights know no place.*static_gates=\[\]"):
-        fit(DilatedConvGRUTracker, tmp_path, [Walk(12, 0.2, 0.1)], static_gates=["keep"])
-
-
-def test_frames_of_unlike_places_are_not_superposed():
-    with pytest.raises(ConfigurationError, match="superposition=false"):
-        items(Walk(12, 0.2, 0.1), superposition=True)
-
-
-def test_items_have_one_size_and_the_resolution_of_their_recording():
-    """Larger grids are cut and smaller ones padded, at random places; nothing outside was observed."""
-    data = items(Walk(140, 0.05, 0.1, unseen=60), Walk(40, 0.2, 0.1, unseen=10))
-    rows = {0.05: set(), 0.2: set()}
-    for number in range(30):
-        window, resolution = data[number]
-        assert window.shape == (8, 2, 64, 64)
-        cell_m = min(rows, key=lambda cell: float((resolution_of(cell, 0.1) - resolution).abs().sum()))
-        seen = window[4, 0].any(dim=1).nonzero().flatten().tolist()
-        rows[cell_m].add(seen[0])
-        assert window[4, 0].sum() == (len(seen) * 64 if cell_m == 0.05 else 30 * 40)
-    assert all(len(found) > 5 for found in rows.values())
-
-
-def test_every_recording_is_drawn_by_its_duration_and_not_by_its_number_of_frames():
-    data = items(Walk(8, 0.2, 0.05, frames=407), Walk(8, 0.1, 0.2, frames=107))
-    cells = [float(data[number].resolution[0]) for number in range(200)]
-    assert 70 < sum(cell == 0.0 for cell in cells) < 130
-
-
-def test_the_window_of_a_sensor_that_moves_is_that_of_the_last_observed_frame():
-    window = items(Walk(12, 0.2, 0.1, drift=1))[0].window
-    unseen = [int((~window[t, 0].bool()).all(dim=0).sum()) for t in range(8)]
-    assert unseen == [4, 3, 2, 1, 0, 1, 2, 3]
-
-
-def randomised(tracker, size, **options):
-    settings = (
-        validated(tracker.Options, {"static_gates": [], "channels": 4, **options}, "test")
-        if (tracker is DilatedConvGRUTracker)
-        else validated(tracker.Options, {"variant": "paper", **options}, "test")
+def network_of(tracker, size=12):
+    return (
+        convgru(size, static_gates=(), resolution_input=True)
+        if tracker is DilatedConvGRUTracker
+        else rnn(size, resolution_input=True)
     )
-    network, generator = tracker.build(size, settings, 0), torch.Generator().manual_seed(5)
-    for parameter in network.parameters():
-        parameter.data = 0.3 * torch.randn(parameter.shape, generator=generator)
-    return channels_last(network), settings
 
 
 @pytest.mark.parametrize("size", [64, 130])
 @pytest.mark.parametrize("tracker", TRACKERS)
 def test_inference_on_any_grid_equals_the_differentiable_network_there(tracker, size):
-    network, settings = randomised(tracker, 20, resolution_input=True)
-    source = Walk(size, 0.05, 0.2)
-    inference = tracker.inference_for(network, stream_of(source), settings)
+    network, source = network_of(tracker), Walk(size, 0.05, 0.2)
+    inference = tracker.inference_for(network, stream_of(source), tracker.Options())
     state, expected = inference.initial(1), network.initial(1)
     draw = torch.Generator().manual_seed(1)
-    with torch.no_grad():
-        for t in range(4):
-            x = (torch.rand((1, 2, size, size), generator=draw) > 0.7).float()
-            x = None if t > 2 else x.contiguous(memory_format=torch.channels_last)
-            state, expected = inference.step(x, state), network.step(x, expected)
-        logits = inference.occupancy(inference.features(state))
-        torch.testing.assert_close(logits, network.occupancy(network.features(expected)), rtol=0, atol=1e-4)
+    for t in range(4):
+        x = (torch.rand((1, 2, size, size), generator=draw) > 0.7).float()
+        x = None if t > 2 else x.contiguous(memory_format=torch.channels_last)
+        state, expected = inference.step(x, state), network.step(x, expected)
+    logits = inference.occupancy(inference.features(state))
+    torch.testing.assert_close(logits, network.occupancy(network.features(expected)), rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)
 def test_the_network_reads_cell_size_and_period(tracker):
-    network, _ = randomised(tracker, 12, resolution_input=True)
-    answers = []
+    network, answers = network_of(tracker), []
     for cell_m, period_s in ((0.1, 0.1), (0.1, 0.2), (0.2, 0.1)):
         set_resolution(network, resolution_of(cell_m, period_s))
-        answers.append(network.occupancy(network.features(network.step(None, network.initial(1)))).detach())
+        answers.append(network.occupancy(network.features(network.step(None, network.initial(1)))))
     assert not torch.equal(answers[0], answers[1])
     assert not torch.equal(answers[0], answers[2])
-    without, _ = randomised(tracker, 12)
-    assert len(network.state_dict()) > len(without.state_dict())
 
 
 def test_a_validation_recording_in_which_nothing_moves_has_no_part_in_the_score():
-    f1 = {Walk: [0.5, 0.5], None: [np.nan, 0.7]}
-    sources = [Walk(8, 0.1, 1.0), Walk(9, 0.1, 1.0)]
+    moves, stands = Walk(8, 0.1, 1.0), Walk(9, 0.1, 1.0)
 
     def score(source):
-        dynamic, visible = f1[Walk if source is sources[0] else None]
+        dynamic, visible = (0.5, 0.5) if source is moves else (np.nan, 0.7)
         of = {"dynamic": np.full(3, dynamic), "in-motion": np.full(3, dynamic), "visible": np.full(3, visible)}
         return StretchScore(of, {name: 1.0 - values for name, values in of.items()})
 
-    found = validation_scores(score, sources, (1.0,))
+    found = validation_scores(score, [moves, stands], (1.0,))
     assert (found["dynamic_f1_1s"], found["visible_f1_1s"]) == (0.5, pytest.approx(0.6))
     assert found["log_loss"] == pytest.approx(0.45), "the mean of 0.5, 0.5, 0.5 and 0.3"
-    alone = validation_scores(score, sources[1:], (1.0,))
-    assert alone["score"] == pytest.approx(0.7), "what is defined chooses between updates, not nothing"
+    alone = validation_scores(score, [stands], (1.0,))
+    assert alone["score"] == pytest.approx(0.7), "the defined scores choose between updates"
 
 
 def test_a_general_network_is_validated_on_the_middle_minute_of_a_long_recording():
@@ -205,120 +122,144 @@ def test_a_general_network_is_validated_on_the_middle_minute_of_a_long_recording
     assert [one.stamp_ns / 1e9 for one in found[1]][:: len(found[1]) - 1] == [70.0, 129.5]
 
 
-def test_where_no_beam_reached_in_training_the_network_says_the_occupied_rate(tmp_path):
+def test_where_no_beam_reached_in_training_the_network_forecasts_the_occupied_rate(tmp_path):
     """Also long after, and at every horizon, in a place where nothing was ever observed."""
-    source = Walk(16, 0.2, 0.125, unseen=11)
-    path, _ = fit(
-        DilatedConvGRUTracker, tmp_path, [source], updates=150, validate_every=150, learning_rate=0.01,
-        unseen_weight=1.0, burn_in=15, observed_frames=5, blank_frames=5,
-    )  # fmt: skip
-    made = DilatedConvGRUTracker(stream_of(source, path), DilatedConvGRUTracker.Options())
-    for frame in Walk(16, 0.2, 0.125, frames=300, unseen=11):
-        made.update(frame)
-    unseen = made.predict(20).occupancy[:, 1:7]
-    rate = 1 / (16 * 5)
+    card, source = tmp_path / "general.toml", Walk(12, 0.2, 0.125, unseen=8)
+    shape = {"burn_in": 15, "observed_frames": 5, "blank_frames": 5, "repetitions": 1}
+    options = {"updates": 60, "validate_every": 60, "learning_rate": 0.02, "unseen_weight": 1.0}
+    fit(DilatedConvGRUTracker, card, [source], general=True, **shape, **options)
+    long = Walk(12, 0.2, 0.125, frames=300, unseen=8)
+    unseen = forecast_of(trained(DilatedConvGRUTracker, card, long), long, 20)[:, 1:5]
+    rate = 1 / (12 * 4)
     assert rate / 5 < unseen.min() < unseen.max() < 5 * rate
 
 
-class LabelledWalk(Walk):
-    """The dot is a walker; in fine cells it is a wide car."""
+# A training that starts from them
 
-    def __init__(self, *arguments, classes=("walker",), **options):
-        super().__init__(*arguments, **options)
-        self.classes = classes
-
-    def labelled(self):
-        for frame in self:
-            cells = np.flatnonzero(frame.occupied)
-            yield LabelledFrame(frame, cells, np.zeros(len(cells), np.uint8))
+SITE = Walk(18, 0.15, 0.16, unseen=4)
+"""Another number and size of cells, and another period than those of the general weights."""
 
 
-FINE, COARSE = LabelledWalk(20, 0.05, 0.1, classes=("car",)), LabelledWalk(14, 0.2, 0.2)
+class Place(Walk):
+    """The walk at a site."""
+
+    site = "yard"
+
+
+class Scores:
+    """An objective that keeps the forecast after each frame; the n-th network has `f1[n]` and `log_loss[n]`.
+
+    Later networks have the last ones.
+    """
+
+    def __init__(self, *f1, log_loss=(0.1,)):
+        self.f1, self.log_loss, self.forecasts = f1, log_loss, []
+
+    def __call__(self, tracker, source, steps):
+        f1, log_loss = (of[min(len(self.forecasts), len(of) - 1)] for of in (self.f1, self.log_loss))
+        self.forecasts.append(forecasts_of(tracker, source))
+        return of_every_stratum(f1, log_loss, steps)
+
+
+def forecasts_of(tracker, source):
+    tracker.reset(0)
+    found = []
+    for frame in source:
+        tracker.update(frame)
+        found.append(tracker.predict(2).occupancy)
+    return np.stack(found)
+
+
+def fit_at_site(tracker, start, folder, scores, drift=0, **options):
+    """A training at a site of another number and size of cells, and another period; its card and lines."""
+    card, place = folder / "yard.toml", Place(18, 0.15, 0.16, frames=30, unseen=4, drift=drift)
+    given = {"updates": 2, "validate_every": 2, "learning_rate": 0.1, **BRIEF, **options}
+    return card, fit(tracker, card, [place], objective=scores, start=start, **given)
+
+
+def test_a_training_begins_with_the_forecasts_of_the_general_weights_and_adds_what_the_place_has(general, tmp_path):
+    tracker, start, _ = general
+    score = Scores(0.1, 0.9)
+    card, _ = fit_at_site(tracker, start, tmp_path, score)
+    place = Place(18, 0.15, 0.16, frames=30, unseen=4)
+    expected = forecasts_of(trained(tracker, start, place), place)
+    np.testing.assert_array_equal(score.forecasts[0], expected)
+    assert np.abs(score.forecasts[1] - expected).max() > 1e-3
+    np.testing.assert_array_equal(forecasts_of(trained(tracker, card, place), place), score.forecasts[1])
+    assert (read_card(card).site, read_card(card).settings["resolution_input"]) == ("yard", True)
+    if tracker is DilatedConvGRUTracker:
+        maps = arrays_of(card)["layers.0.biases.candidate"]
+        assert maps.shape == (4, 18, 18)
+        assert np.ptp(maps, axis=(1, 2)).max() > 1e-3, "the static memory differs from cell to cell"
+
+
+def test_a_general_training_goes_on_with_the_same_network(general, tmp_path):
+    """Of further places, in cells of other sizes: the network gets no map, and runs on any grid as before."""
+    tracker, start, _ = general
+    score, card = Scores(0.5, 0.5, 0.9), tmp_path / "general.toml"
+    options = {"updates": 2, "learning_rate": 0.05, **BRIEF}
+    fit(tracker, card, [SITE, Walk(24, 0.05, 0.05)], objective=score, general=True, start=start, **options)
+    np.testing.assert_array_equal(score.forecasts[0], forecasts_of(trained(tracker, start, SITE), SITE))
+    arrays, theirs = arrays_of(card), arrays_of(start)
+    assert {name: value.shape for name, value in arrays.items()} == {n: theirs[n].shape for n in arrays}
+    assert any(np.abs(value - theirs[name]).max() > 1e-3 for name, value in arrays.items())
+    assert read_card(card).general
 
 
 @pytest.mark.parametrize(
-    ("tracker", "options"),
-    [
-        (OneShotTracker, {"channels": 8}),
-        (DilatedConvGRUTracker, {"channels": 4, "warm_up": 0, "updates": 1, "validate_every": 1, "class_channels": 8}),
-    ],
+    ("f1", "log_loss", "kept"),
+    [((0.9, 0.2), (0.1,), True), ((0.5, 0.5005), (0.15, 0.2), True), ((0.5, 0.4995), (0.15, 0.1), False)],
+    ids=["worse", "nearly equal f1 and more log loss", "nearly equal f1 and less log loss"],
 )
-def test_classes_are_learned_from_all_recordings_and_a_dot_is_told_by_the_size_of_its_cells(
-    tracker, options, tmp_path, monkeypatch
-):
-    """The classes of the card are those of all recordings together."""
-    short = {"learning_rate": 0.01, "updates": 150, "batch": 32}
-    monkeypatch.setattr(
-        cell_training, "candidate_settings", lambda given, seed: [ClassifierSettings(**(short | dict(given)))]
+def test_general_weights_that_no_update_improves_are_kept(general, tmp_path, f1, log_loss, kept):
+    tracker, start, _ = general
+    card, lines = fit_at_site(tracker, start, tmp_path, Scores(*f1, log_loss=log_loss))
+    theirs = arrays_of(start)
+    equal = [np.array_equal(value, np.broadcast_to(theirs[n], value.shape)) for n, value in arrays_of(card).items()]
+    assert all(equal) == kept
+    assert any("they are kept" in line for line in lines) == kept
+    results = read_card(card).results
+    chosen = 0 if kept else -1
+    assert (results["score"], results["log_loss"]) == pytest.approx((f1[chosen], log_loss[chosen]))
+
+
+def test_settings_are_those_of_the_general_weights_but_for_the_length_of_the_training(general):
+    tracker, start, _ = general
+    weights = load_start(start, tracker_name(start))
+    of_accelerator = replace(
+        weights,
+        card=weights.card.model_copy(update={"settings": {**weights.card.settings, "batch": 32, "burn_in": 80}}),
     )
-    settings = validated(tracker.Options, {"labelled_scans": 40, **options}, "test")
-    out = FitOutput(tmp_path / "general.toml", "gridtrack train", 3, tmp_path / "log", lambda line: None, general=True)
-    tracker.fit([FINE, COARSE], [FINE, COARSE], no_score, out, settings)
-    assert set(read_card(out.path).classes) == {"walker", "car"}
-    for source, expected in ((FINE, "car"), (COARSE, "walker")):
-        made = tracker(stream_of(source, out.path), tracker.Options())
-        for frame in source:
-            made.update(frame)
-        ((row, column),) = np.argwhere(frame.occupied)
-        semantics = made.predict(2).semantics[0]
-        assert semantics.shape[1:] == source.grid.shape
-        assert made.classes[semantics[:, row, column].argmax()] == expected
+    for general_weights, burn_in in ((weights, 0), (of_accelerator, 20)):
+        settings = settings_from_general(tracker, tracker.Options(), general_weights).model_dump()
+        assert [settings[key] for key in ("updates", "learning_rate", "batch", "burn_in")] == [600, 1e-3, 2, burn_in]
+        assert settings["unseen_weight"] == 0.1
+        shape = SMALL[tracker].keys() - {"stage"}
+        assert {name: settings[name] for name in shape} == {name: weights.card.settings[name] for name in shape}
+    given = validated(tracker.Options, {"batch": 4, "updates": 9}, "test")
+    assert settings_from_general(tracker, given, weights).batch == 4
 
 
-def dots_of(window):
-    """The number of occupied cells in each frame of a window (T, 2, M, M)."""
-    return window[:, 1].flatten(1).sum(dim=1).tolist()
+def tracker_name(card):
+    return read_card(card).tracker
 
 
-def test_a_window_in_which_nothing_moves_is_drawn_anew():
-    """As long of a dot that stands as of one that walks: nearly every window has the walk."""
-
-    class Stands(Walk):
-        sha256 = "1" * 64
-
-        def __iter__(self):
-            first = next(super().__iter__())
-            for t in range(self.frames):
-                yield GridFrame(
-                    round(t * self.period_s * 1e9), first.visible, first.occupied, first.world_T_grid, first.origins,
-                    first.points, first.point_origin,
-                )  # fmt: skip
-
-    sources = Stands(40, 0.2, 0.1, frames=200), Walk(40, 0.2, 0.1, frames=200)
-    shape = {"observed_frames": 20, "blank_frames": 20, "repetitions": 1}
-    shares = []
-    for moving in (False, True):
-        settings = TrainingSettings(**shape, moving_windows=moving)
-        data = SequenceDataset(sources, settings, seed=1, general=True)
-        moves = [bool((data[number].window[0] != data[number].window[-1]).any()) for number in range(60)]
-        shares.append(sum(moves) / 60)
-    assert 0.3 < shares[0] < 0.7
-    assert shares[1] > 0.95
+def test_another_shape_is_refused(general, tmp_path):
+    tracker, start, _ = general
+    other = {"channels": 5} if tracker is DilatedConvGRUTracker else {"variant": "code"}
+    with pytest.raises(WeightsError, match="leave the option out, or train with --from-scratch"):
+        fit_at_site(tracker, start, tmp_path, Scores(0.5), **other)
 
 
-def test_the_first_updates_are_on_moving_shapes_and_a_share_of_the_others_has_some_added():
-    settings = {"shape_updates": 3, "batch": 2, "shape_share": 0.5}
-    data = items(Walk(40, 0.2, 0.1, unseen=10), **settings)
-    plain = items(Walk(40, 0.2, 0.1, unseen=10))
-    for number in range(6):
-        window, resolution = data[number]
-        assert not (window[:, 1] & ~window[:, 0]).any()
-        assert max(dots_of(window)) > 5
-        assert torch.equal(resolution, resolution_of(0.2, 0.1))
-    added = 0
-    for number in range(6, 106):
-        window, own = data[number].window, plain[number].window
-        assert not (window[:, 0] & ~own[:, 0]).any(), "shapes hide, and show nothing"
-        assert not (window[:, 1] & ~window[:, 0]).any(), "only visible cells are occupied"
-        assert (window[:, 1] >= own[:, 1] & window[:, 0]).all()
-        added += bool((window != own).any())
-    assert 35 < added < 65
+def test_where_the_sensor_moves_there_is_no_static_memory(general, tmp_path):
+    tracker, start, _ = general
+    card, _ = fit_at_site(tracker, start, tmp_path, Scores(0.1, 0.9), drift=1, updates=1)
+    shapes, theirs = ({name: value.shape for name, value in arrays_of(each).items()} for each in (card, start))
+    assert shapes == theirs
 
 
-def test_slow_frames_are_the_input_of_every_second_step_and_fast_ones_are_taken_in_turn():
-    slow = items(Walk(40, 0.2, 0.2, unseen=10), step_s=0.1)[0]
-    assert [bool(frame.any()) for frame in slow.window[:, 0]] == [False, True] * 4
-    fast = items(Walk(40, 0.2, 0.05, unseen=10), step_s=0.1)[0]
-    columns = fast.window[:, 1].any(dim=1).float().argmax(dim=1)
-    assert {abs(int(step)) for step in columns.diff()} <= {0, 1, 2}, "a walk of 2 m/s: a cell of 0.2 m a step"
-    assert all(torch.equal(each.resolution, resolution_of(0.2, 0.1)) for each in (slow, fast))
+def test_checkpoints_of_a_start_from_other_weights_are_refused(general, tmp_path):
+    tracker, start, _ = general
+    card, _ = fit_at_site(tracker, start, tmp_path, Scores(0.5))
+    with pytest.raises(ConfigurationError, match="checkpoints of a training with other settings, data or seed"):
+        fit_at_site(tracker, None, tmp_path, Scores(0.5), **read_card(card).settings)

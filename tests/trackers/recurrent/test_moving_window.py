@@ -1,4 +1,4 @@
-"""Where the window moves, the latent state and the maps of a recurrent network stay at their places in the world."""
+"""The state of a tracker follows its stream: a window that moves, maps at their places, and frames that were missed."""
 
 from __future__ import annotations
 
@@ -8,58 +8,31 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from gridtrack.common.geometry import SE2  # noqa: E402
-from gridtrack.common.grid import GridFrame, GridSpec, Shift, rolled  # noqa: E402
+from gridtrack.common.grid import GridSpec, Shift, rolled  # noqa: E402
 from gridtrack.trackers.contract import StreamSpec  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN  # noqa: E402
-from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU  # noqa: E402
-from gridtrack.trackers.recurrent.network import as_cells, as_tensor, channels_last  # noqa: E402
-from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
-from gridtrack.trackers.recurrent.settings import (  # noqa: E402
-    DeepTrackingRNNOptions,
-    DeepTrackingRNNSettings,
-    DilatedConvGRUOptions,
-    DilatedConvGRUSettings,
-)
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNTracker  # noqa: E402
+from gridtrack.trackers.recurrent.network import as_cells, as_tensor  # noqa: E402
+from gridtrack.trackers.recurrent.recurrent_tracker import MOST_MISSED  # noqa: E402
+from gridtrack.trackers.recurrent.transfer import PastStates  # noqa: E402
+from tests.trackers.recurrent.sources import convgru, frame_of, rnn  # noqa: E402
 
-CELL_M = 0.5
+PERIOD_S = 0.25
 NO_MAP = {"static_gates": ()}
-
-
-def randomised(network, scale=0.3):
-    """The network with random parameters, the same ones for every size of the grid that have no map."""
-    generator = torch.Generator().manual_seed(3)
-    with torch.no_grad():
-        for parameter in network.parameters():
-            parameter.copy_(scale * torch.randn(parameter.shape, generator=generator))
-    return channels_last(network.eval()).requires_grad_(requires_grad=False)
-
-
-def convgru(size, **settings):
-    return randomised(DilatedConvGRU(size, DilatedConvGRUSettings(channels=4, **settings)))
-
-
-def rnn(size):
-    return randomised(DeepTrackingRNN(size, DeepTrackingRNNSettings(variant="paper")))
 
 
 def tracker_of(network, place=None):
     """The tracker with a trained network, whose maps lie at `place`."""
-    stream = StreamSpec(GridSpec(network.size, CELL_M), 0.1)
-    if isinstance(network, DeepTrackingRNN):
-        kind, options = DeepTrackingRNNTracker, DeepTrackingRNNOptions(variant="paper")
-    else:
-        cell = "gru" if len(network.layers[0].gates) == 3 else "plain"
-        kind, options = DilatedConvGRUTracker, DilatedConvGRUOptions(cell=cell)
+    kind = DeepTrackingRNNTracker if isinstance(network, DeepTrackingRNN) else DilatedConvGRUTracker
+    options = kind.Options()
+    stream = StreamSpec(GridSpec(network.size, 0.5), PERIOD_S)
     return kind(stream, options, kind.prepare_inference(network, options), place)
 
 
-def frame(planes, row=0, column=0):
+def frame(planes, row=0, column=0, number=0):
     """A frame with the `planes` (2, M, M), whose window lies at a cell of the world."""
-    none = np.zeros((0, 2), np.float32)
-    visible, occupied = (np.asarray(plane, bool) for plane in planes)
-    pose = SE2(column * CELL_M, row * CELL_M)
-    return GridFrame(0, visible, visible & occupied, pose, none, none, np.zeros(0, np.uint8))
+    visible, occupied = planes
+    return frame_of(visible, np.logical_and(visible, occupied), stamp_s=number * PERIOD_S, row=row, column=column)
 
 
 def random_world(frames, size):
@@ -71,9 +44,9 @@ def random_world(frames, size):
     [(lambda n: convgru(n, **NO_MAP), 7), (lambda n: convgru(n, cell="plain", **NO_MAP), 7), (rnn, 5)],
     ids=["convgru", "plain", "rnn"],
 )
-@pytest.mark.parametrize("windows", [[(0, 0), (0, 60), (1, 61)], [(61, 0), (1, 2), (0, 0)]])
+@pytest.mark.parametrize("windows", [[(0, 0), (1, 50)], [(51, 0), (0, 1)]])
 def test_a_window_that_moves_has_the_state_of_one_that_held_every_frame_from_the_start(build, reach, windows):
-    size, held = 121, 182
+    size, held = 97, 148
     world = random_world(len(windows), held)
     moving, standing = tracker_of(build(size)), tracker_of(build(held))
     far = np.ones((held, held), bool)
@@ -172,3 +145,40 @@ def test_a_state_that_was_rolled_lies_in_memory_as_one_that_a_convolution_made()
     assert again.data_ptr() == state.data_ptr()
     assert again.stride() == state.stride()
     assert torch.cat([again, again], dim=1).is_contiguous(memory_format=torch.channels_last)
+
+
+def test_the_past_states_of_a_tracker_are_in_the_window_of_its_last_frame():
+    size = 12
+    tracker = tracker_of(rnn(size))
+    past, kept = PastStates(tracker), []
+    for number, planes in enumerate(random_world(6, size)):
+        past.update(frame(planes, column=2 * number, number=number))
+        kept.append(tracker.state[0].clone())
+    assert past.before(6) is None
+    for lead in range(6):
+        (found,), earlier = past.before(lead), kept[-1 - lead]
+        assert torch.equal(found[..., : size - 2 * lead], earlier[..., 2 * lead :])
+        if lead:
+            (unseen,) = tracker.network.unseen(6 - lead)
+            assert np.array_equal(found[0, :, 3, -1].numpy(), unseen)
+
+
+def forecast_after(frames):
+    tracker = tracker_of(convgru())
+    for one in frames:
+        tracker.update(one)
+    return tracker.predict(3).occupancy
+
+
+def test_missed_frames_are_steps_without_input():
+    stream = [frame(planes, number=k) for k, planes in enumerate(random_world(8, 12))]
+    emptied = [frame(np.zeros((2, 12, 12)), number=k) if k in (2, 3, 6) else f for k, f in enumerate(stream)]
+    received = [f for k, f in enumerate(stream) if k not in (2, 3, 6)]
+    np.testing.assert_array_equal(forecast_after(received), forecast_after(emptied))
+    assert abs(forecast_after(received) - forecast_after(stream)).max() > 1e-3
+
+
+def test_a_tracker_that_is_too_slow_for_its_stream_makes_up_for_a_bounded_number_of_frames():
+    first, last = random_world(2, 12)
+    late, near = (frame(last, number=k) for k in (3 * MOST_MISSED, MOST_MISSED + 1))
+    np.testing.assert_array_equal(forecast_after([frame(first), late]), forecast_after([frame(first), near]))

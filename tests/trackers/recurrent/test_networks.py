@@ -8,27 +8,18 @@ torch = pytest.importorskip("torch")
 from torch.nn.functional import conv2d  # noqa: E402
 
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN  # noqa: E402
-from gridtrack.trackers.recurrent.differentiable import StaticMemory, differentiable_gates  # noqa: E402
-from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU, convgru_gates  # noqa: E402
-from gridtrack.trackers.recurrent.network import channels_last, start_from_rate  # noqa: E402
+from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU  # noqa: E402
+from gridtrack.trackers.recurrent.fit import start_from_rate  # noqa: E402
 from gridtrack.trackers.recurrent.settings import (  # noqa: E402
-    GATES,
     DeepTrackingRNNSettings,
     DilatedConvGRUSettings,
     TrainingSettings,
 )
+from tests.trackers.recurrent.sources import convgru, rnn  # noqa: E402
 
 
 def parameters(network) -> int:
     return sum(p.numel() for p in network.parameters())
-
-
-def randomised(network):
-    generator = torch.Generator().manual_seed(3)
-    with torch.no_grad():
-        for parameter in network.parameters():
-            parameter.copy_(0.3 * torch.randn(parameter.shape, generator=generator))
-    return network
 
 
 def test_convgru_has_the_number_of_parameters_of_its_equations():
@@ -46,8 +37,7 @@ def test_only_static_gates_have_a_static_memory():
 
 
 def test_a_convgru_layer_equals_its_equations_with_six_separate_convolutions():
-    network = randomised(DilatedConvGRU(11, DilatedConvGRUSettings(layers=2, channels=3)))
-    layer = network.layers[1]
+    layer = convgru(11, channels=3, layers=2).layers[1]
     x, h = torch.randn(2, 3, 11, 11), torch.randn(2, 3, 11, 11)
     wxz, wxr, wxh = layer.input_weight.split(3)
     whz, whr, whh = layer.state_weight.split(3)
@@ -63,7 +53,7 @@ def test_a_convgru_layer_equals_its_equations_with_six_separate_convolutions():
 
 
 def test_a_cell_without_gates_is_the_candidate():
-    layer = randomised(DilatedConvGRU(7, DilatedConvGRUSettings(layers=2, channels=3, cell="plain"))).layers[1]
+    layer = convgru(7, channels=3, layers=2, cell="plain").layers[1]
     x, h = torch.randn(2, 3, 7, 7), torch.randn(2, 3, 7, 7)
     x_conv, h_conv = (
         conv2d(image, weight, padding=2, dilation=2)
@@ -72,56 +62,17 @@ def test_a_cell_without_gates_is_the_candidate():
     torch.testing.assert_close(layer(x, h), torch.tanh(x_conv + h_conv + layer.biases["candidate"]))
 
 
-def test_without_dilation_the_receptive_field_is_seven_cells_square():
-    assert receptive_field(DilatedConvGRUSettings(dilated=False)) == (12, 18, 12, 18)
-
-
-@pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
-@pytest.mark.parametrize("static_gates", [("keep", "reset", "candidate"), ("reset",)])
-@pytest.mark.parametrize("with_input", [True, False])
-def test_the_differentiable_gates_equal_the_gates_and_their_gradient(with_input, static_gates, precision):
-    settings = DilatedConvGRUSettings(channels=5, static_gates=static_gates)
-    layer = channels_last(randomised(DilatedConvGRU(9, settings))).layers[0]
-    biases = tuple(layer.biases[gate] for gate in GATES)
-    x, h_conv, h, above = (torch.randn(2, c, 9, 9, requires_grad=True) for c in (15, 15, 5, 5))
-    x_conv = x.to(precision) if with_input else None
-    leaves = (*biases, h, h_conv, x)[: None if with_input else -1]
-
-    expected = convgru_gates(x_conv, h_conv.to(precision), biases, h)
-    found, rounded = differentiable_gates(x_conv, h_conv.to(precision), StaticMemory(biases, 9), h)
-
-    torch.testing.assert_close(found, expected, rtol=0, atol=2e-6)
-    assert rounded is None if precision == torch.float32 else torch.equal(rounded, found.bfloat16())
-    tolerance = {"rtol": 1e-5, "atol": 1e-5} if precision == torch.float32 else {"rtol": 2**-7, "atol": 1e-4}
-    for found_gradient, expected_gradient in zip(
-        torch.autograd.grad(found, leaves, above), torch.autograd.grad(expected, leaves, above), strict=True
-    ):
-        torch.testing.assert_close(found_gradient, expected_gradient, **tolerance)
-
-
-def receptive_field(settings):
-    network = randomised(DilatedConvGRU(31, settings))
+@pytest.mark.parametrize(("dilated", "first", "last"), [(True, 8, 22), (False, 12, 18)])
+def test_the_receptive_field_of_one_step_is_fifteen_cells_square_and_seven_without_dilation(dilated, first, last):
+    network = convgru(31, dilated=dilated)
     x = torch.zeros(1, 2, 31, 31, requires_grad=True)
     network.features(network.step(x, network.initial(1)))[0, :, 15, 15].sum().backward()
     rows, columns = torch.nonzero(x.grad[0, 0], as_tuple=True)
-    return rows.min(), rows.max(), columns.min(), columns.max()
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (first, last, first, last)
 
 
-def test_the_receptive_field_of_one_step_is_fifteen_cells_square():
-    assert receptive_field(DilatedConvGRUSettings()) == (8, 22, 8, 22)
-
-
-@pytest.mark.parametrize(
-    "network",
-    [
-        DilatedConvGRU(12, DilatedConvGRUSettings(channels=4)),
-        DilatedConvGRU(12, DilatedConvGRUSettings(channels=4, cell="plain")),
-        DeepTrackingRNN(12, DeepTrackingRNNSettings(variant="paper")),
-    ],
-    ids=["convgru", "plain", "rnn"],
-)
+@pytest.mark.parametrize("network", [convgru(), convgru(cell="plain"), rnn()], ids=["convgru", "plain", "rnn"])
 def test_the_empty_input_equals_two_zero_planes(network):
-    randomised(network)
     state = network.step((torch.rand(1, 2, 12, 12) < 0.3).float(), network.initial(1))
     for skipped, computed in zip(
         network.step(None, state), network.step(torch.zeros(1, 2, 12, 12), state), strict=True
@@ -130,7 +81,7 @@ def test_the_empty_input_equals_two_zero_planes(network):
 
 
 def test_the_deep_tracking_rnn_equals_its_equations():
-    network = randomised(DeepTrackingRNN(9, DeepTrackingRNNSettings(variant="paper")))
+    network = rnn(9)
     x, h = torch.rand(1, 2, 9, 9), torch.rand(1, 16, 9, 9)
     e = torch.sigmoid(conv2d(x, network.encode.weight, network.encode.bias, padding=3))
     expected = torch.sigmoid(conv2d(torch.cat([e, h], 1), network.recur.weight, network.recur.bias, padding=2))
@@ -139,16 +90,16 @@ def test_the_deep_tracking_rnn_equals_its_equations():
 
 def test_an_untrained_network_forecasts_the_occupied_rate():
     network = DilatedConvGRU(10, DilatedConvGRUSettings(channels=4))
-    start_from_rate(network.decode_occupancy, 0.02)
+    start_from_rate(network, 0.02)
     occupancy = torch.sigmoid(network.occupancy(network.features(network.initial(1))))
     torch.testing.assert_close(occupancy, torch.full((1, 10, 10), 0.02))
 
 
 @pytest.mark.parametrize("variant", ["code", "paper"])
-def test_an_untrained_deep_tracking_rnn_holds_what_it_saw_last(variant):
+def test_an_untrained_deep_tracking_rnn_remembers_cells_as_last_seen(variant):
     torch.manual_seed(0)
     network = DeepTrackingRNN(21, DeepTrackingRNNSettings(variant=variant))
-    start_from_rate(network.decode, 0.02)
+    start_from_rate(network, 0.02)
     hidden_since, left_since = (6, 6), (14, 14)
     x = torch.zeros(1, 2, 21, 21)
     x[:, 0] = 1.0

@@ -1,4 +1,4 @@
-"""A network whose steps last as long at every period: substeps between slow frames, fast frames taken in turns."""
+"""A network whose steps have the same duration at every period: substeps for slow frames, phases for fast ones."""
 
 from __future__ import annotations
 
@@ -7,11 +7,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gridtrack.common.config import validated  # noqa: E402
-from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.network import channels_last  # noqa: E402
 from gridtrack.trackers.recurrent.pacing import StepPace, paced  # noqa: E402
-from gridtrack.trackers.recurrent.rnn_tracker import DeepTrackingRNNTracker  # noqa: E402
+from tests.trackers.recurrent.sources import TRACKERS, convgru, rnn  # noqa: E402
 
 SIZE = 12
 
@@ -50,17 +47,15 @@ def test_the_frames_of_a_training_window_lie_at_the_steps_that_take_them_in_a_st
 
 
 def networks(tracker, pace):
-    torch.manual_seed(3)
-    options = validated(tracker.Options, {"static_gates": []} if tracker is DilatedConvGRUTracker else {}, "test")
-    network = channels_last(tracker.build(SIZE, options, classes=0).eval())
-    one = tracker.prepare_inference(network, options)
+    network = convgru(static_gates=()) if tracker is TRACKERS[0] else rnn()
+    one = tracker.prepare_inference(network, tracker.Options())
     return one, paced(one, pace)
 
 
 def frames(count):
     draw = torch.Generator().manual_seed(1)
     planes = (torch.rand(count, 1, 2, SIZE, SIZE, generator=draw) < 0.3).float()
-    return list(planes.contiguous().unbind())
+    return [plane.contiguous(memory_format=torch.channels_last) for plane in planes]
 
 
 def run(network, planes, state=None):
@@ -70,13 +65,10 @@ def run(network, planes, state=None):
     return state
 
 
-TRACKERS = [DilatedConvGRUTracker, DeepTrackingRNNTracker]
-
-
 @pytest.mark.parametrize("tracker", TRACKERS)
 def test_between_slow_frames_are_steps_without_input(tracker):
     one, substeps = networks(tracker, StepPace(3, 1))
-    x = [plane.contiguous(memory_format=torch.channels_last) for plane in frames(2)]
+    x = frames(2)
     with torch.inference_mode():
         expected = run(one, [None, None, x[0], None, None, x[1], None, None, None])
         found = run(substeps, [*x, None])
@@ -86,26 +78,24 @@ def test_between_slow_frames_are_steps_without_input(tracker):
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)
-def test_fast_frames_are_taken_in_turns_and_each_forecast_is_of_the_state_whose_turn_it_is(tracker):
-    one, turns = networks(tracker, StepPace(1, 2))
-    x = [plane.contiguous(memory_format=torch.channels_last) for plane in frames(5)]
+def test_two_phases_alternate_and_each_forecast_is_of_the_state_that_would_take_its_frame(tracker):
+    one, phases = networks(tracker, StepPace(1, 2))
+    x = frames(5)
     with torch.inference_mode():
         even, odd = run(one, x[0::2]), run(one, x[1::2])  # the last frame, number 4, is of the first one
-        state = run(turns, x)
-        assert torch.equal(turns.features(state), one.features(even))
+        state = run(phases, x)
+        assert torch.equal(phases.features(state), one.features(even))
         for step in range(1, 5):
-            state = turns.step(None, state)
+            state = phases.step(None, state)
             own, count = (even, step // 2) if step % 2 == 0 else (odd, (step + 1) // 2)
             expected = run(one, [None] * count, own)
-            assert torch.equal(turns.features(state), one.features(expected)), step
-            assert all(torch.equal(a, b) for a, b in zip(turns.current(state), expected, strict=True))
+            assert torch.equal(phases.features(state), one.features(expected)), step
+            assert all(torch.equal(a, b) for a, b in zip(state[-1], expected, strict=True))
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)
 def test_a_cell_that_no_frame_has_seen_has_the_state_of_its_phase(tracker):
-    one, turns = networks(tracker, StepPace(1, 2))
-    layers = len(one.initial(1))
-    unseen = turns.unseen(5)  # of five frames the older state had two, the newer one three
-    assert len(unseen) == 2 * layers
-    for part, steps in ((unseen[:layers], 2), (unseen[layers:], 3)):
-        assert all(np.array_equal(a, b) for a, b in zip(part, one.unseen(steps), strict=True))
+    """After five frames the older state had two, the newer one three."""
+    one, phases = networks(tracker, StepPace(1, 2))
+    for found, steps in zip(phases.unseen(5), (2, 3), strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(found, one.unseen(steps), strict=True))

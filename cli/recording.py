@@ -1,0 +1,126 @@
+"""`recording info | import | view | layout`: the content of a recording, its import as a native one, and viewing it."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from gridtrack.cli.options import (
+    GridOption,
+    JsonOption,
+    RateOption,
+    RecordingArgument,
+    WholeRecordingArgument,
+    print_note,
+    settings_options,
+)
+from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, printable
+from gridtrack.common.grid import GridSpec
+from gridtrack.recordings import ReadOptions, Recording, import_recording, open_recording
+from gridtrack.recordings.stream import open_stream
+from gridtrack.recordings.stretches import parse_named_stretch
+
+app = typer.Typer(add_completion=False, no_args_is_help=True)
+
+
+@app.command("info")
+@settings_options(ReadOptions)
+def recording_info(values: dict[str, Any], recording: WholeRecordingArgument, as_json: JsonOption = False) -> None:
+    """The content of a recording: topics, sensors, rate, gaps, range limits, and warnings."""
+    _print_overview(open_recording(recording, **values), as_json)
+
+
+def _print_overview(recording: Recording, as_json: bool) -> None:
+    overview = recording.overview()
+    typer.echo(overview.model_dump_json(indent=1) if as_json else "\n".join(map(printable, str(overview).split("\n"))))
+
+
+@app.command("import")
+@settings_options(ReadOptions)
+def recording_import(
+    values: dict[str, Any],
+    source: WholeRecordingArgument,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The .mcap to write")],
+    site: Annotated[str | None, typer.Option(metavar="SITE", help="The site of the sensor")] = None,
+    grid: GridOption = None,
+    rate: RateOption = None,
+    stretch: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=RANGE", help="Stretch, such as train=0s-75s; repeat for several")
+    ] = None,
+    licence: Annotated[str, typer.Option(metavar="TEXT", help="Licence of the recording")] = "",
+    credit: Annotated[str, typer.Option(metavar="TEXT", help="Authors of the recording")] = "",
+    labels: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV of the class of each beam")] = None,
+    ego_motion: Annotated[
+        Literal["recorded", "kiss-icp", "refined"],
+        typer.Option(
+            metavar="SOURCE",
+            help="Source of the poses: recorded; kiss-icp, from the scans alone; refined, from the scans with the"
+            " recorded motion as a prior",
+        ),
+    ] = "recorded",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file OUT if it exists")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a recording of any format (ROS 1 or 2 bag, ROS or Foxglove MCAP, CARMEN log, ...) as a native one."""
+    try:
+        recording = import_recording(
+            Path(source),
+            out,
+            site=site,
+            grid=grid,
+            rate_hz=rate,
+            stretches=dict(parse_named_stretch(text) for text in stretch or ()),
+            licence=licence,
+            credit=credit,
+            labels=labels,
+            ego_motion=ego_motion,
+            overwrite=overwrite,
+            **values,
+        )
+    except KeyboardInterrupt:
+        print_note(f"interrupted: {out} is as it was before, or written whole")
+        raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
+    _print_overview(recording, as_json)
+
+
+@app.command("view")
+def recording_view(
+    recording: RecordingArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The .rrd to write; default: named as the recording, here")
+    ] = None,
+    grid: GridOption = None,
+    rate: RateOption = None,
+    foreign_format: Annotated[
+        str | None,
+        typer.Option("--format", metavar="NAME", help="Recording format of another package, loaded only by this name"),
+    ] = None,
+) -> None:
+    """Write frames, poses of the sensors and ground truth as a file for the Rerun viewer. It starts no viewer."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from gridtrack.reports.viewers import default_name, write_rerun_recording
+
+    stream = open_stream(recording, grid=GridSpec.parse(grid) if grid else None, rate_hz=rate, format=foreign_format)
+    path = out or Path(default_name(recording))
+    if path.suffix != ".rrd":
+        raise ConfigurationError(f"{path}: a Rerun recording is written as .rrd")
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bars:
+        bar = bars.add_task("frames", total=len(stream))
+        write_rerun_recording(stream, path, lambda: bars.advance(bar))
+    for warning in stream.recording.warnings:
+        print_note(warning)
+    typer.echo(f"{len(stream)} frames; open them with: {shlex.join(['rerun', printable(str(path))])}")
+
+
+@app.command("layout")
+def recording_layout() -> None:
+    """Print a layout of Foxglove, JSON, for native recordings and the forecasts.mcap of a run."""
+    from gridtrack.reports.viewers import foxglove_layout
+
+    typer.echo(foxglove_layout(), nl=False)

@@ -1,0 +1,493 @@
+"""Paired comparisons of the rows of a run: each with the reference, all pairs, and trackers by their trainings."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from gridtrack.evaluation.referee.splits import ORACLE
+from gridtrack.evaluation.referee.strata import OCCLUDED
+from gridtrack.evaluation.runs.estimates import Estimated, Selected, estimate_of, estimated, selected
+from gridtrack.evaluation.runs.finished import HEADLINE_STRATA, FinishedTrial, RunTrials, headline_steps
+from gridtrack.evaluation.runs.result_files import rounded, rounded_p
+from gridtrack.evaluation.runs.summary import (
+    ALL_RECORDINGS,
+    Estimates,
+    HeadlineTest,
+    PairFamily,
+    PairTest,
+    PointEstimate,
+    TrackerDifference,
+    TrackerTrainings,
+    TrainingsScore,
+)
+from gridtrack.evaluation.scores.definition import Floats, Output, ScoreDefinition
+from gridtrack.evaluation.statistics.jackknife import (
+    LEAST_UNITS,
+    IntervalEstimate,
+    Replicates,
+    difference,
+    holm,
+    verdict_of,
+)
+from gridtrack.evaluation.statistics.trainings import LEAST_TRAININGS, Trainings, spread_between, training_differences
+
+TESTED_STRATA = (*HEADLINE_STRATA, OCCLUDED)
+"""The strata in which trackers are compared with the reference."""
+OTHER_FRAMES = "no frames in common: it was delivered other frames than the reference"
+OTHER_RETURNS = (
+    "not compared: a row of raw returns and one of the centres of cells receive other frames, so they are not paired"
+)
+FEW_TRAININGS = f"fewer than {LEAST_TRAININGS} trainings: the spread between them is hardly known"
+
+
+class Place(NamedTuple):
+    """A stratum and step of the headline tests, with the horizon of the step."""
+
+    stratum: str
+    horizon_s: float
+    step: int
+
+
+class Comparisons:
+    """The comparisons of a run by its `scores`; `headline` is the score and output that decides."""
+
+    def __init__(
+        self, run: RunTrials, scores: Sequence[ScoreDefinition], headline: tuple[ScoreDefinition, Output]
+    ) -> None:
+        self._run, self._headline = run, headline
+        self._scores = [score for score in scores if score.tested]
+        self._estimated: dict[tuple[object, ...], dict[str, Estimated]] = {}
+
+    def differences(self) -> list[TrackerDifference]:
+        """Each tracker against the reference: over all recordings where they are pooled, else on each.
+
+        Class scores have a reference of their own. The tests of the headline score are one family of Holm's correction.
+        Raises ScoresError.
+        """
+        found = [one for names in self._run.groups for one in self._against_reference(names)]
+        p = iter(holm(np.array([p for one in found for p in one.p])).tolist())
+        return [one.summarised(self._run.horizons_of(one.names), self._headline, p) for one in found]
+
+    def _against_reference(self, names: list[str]) -> Iterator[_Comparison]:
+        for part in ("occupancy", "classes"):
+            scores = [score for score in self._scores if score.compared_with == part]
+            rows = self._rows_with(scores, names)
+            reference = self._run.reference_for("occupancy") if part == "occupancy" else self._class_reference(rows)
+            if reference is None:
+                continue
+            labels = self._run.labels if part == "occupancy" else list(rows)
+            others = [label for label in labels if label != reference and not self._is_oracle(label)]
+            yield from (self._compared(label, reference, names, scores, part == "occupancy") for label in others)
+
+    def _rows_with(self, scores: Sequence[ScoreDefinition], names: list[str]) -> dict[str, list[FinishedTrial]]:
+        """The comparable rows that have any of these scores on every recording."""
+        wanted = {score.name for score in scores}
+        rows = {label: self._run.comparable(label, names) for label in self._run.labels if not self._is_oracle(label)}
+        return {
+            label: trials
+            for label, trials in rows.items()
+            if len(trials) == len(names) and all(wanted & set(self._run.sums(trial).scores) for trial in trials)
+        }
+
+    def _class_reference(self, rows: Mapping[str, Sequence[FinishedTrial]]) -> str | None:
+        return self._run.reference_for("classes", rows) if len(rows) > 1 else None
+
+    def _is_oracle(self, label: str) -> bool:
+        return any(trial.tracker == ORACLE for trial in self._run.all if trial.record.label == label)
+
+    def _compared(
+        self, label: str, reference: str, names: list[str], scores: Sequence[ScoreDefinition], headline: bool
+    ) -> _Comparison:
+        """`label` against the reference on `names`; both must be comparable on every one of them."""
+        why = self._run.why_not_compared(reference, names) or self._run.why_not_compared(label, names)
+        if why:
+            return _Comparison(tuple(names), label, reference, why=f"not compared: {why}")
+        own, others = (self._run.comparable(row, names) for row in (label, reference))
+        if own[0].points != others[0].points:
+            return _Comparison(tuple(names), label, reference, why=OTHER_RETURNS)
+        mine, theirs = self._paired([own, others], names)
+        frames = sum(int((units >= 0).sum()) for units in mine.units)
+        if not frames:
+            return _Comparison(tuple(names), label, reference, why=OTHER_FRAMES)
+        short = self._run.unit_rule(names).too_short(mine.number) if mine.number < LEAST_UNITS else ""
+        found = _differences(self._all(mine), self._all(theirs), scores)
+        places = self._places(names, [*own, *others]) if headline else ()
+        return _Comparison(tuple(names), label, reference, mine.number, frames, short, found, places, self._headline)
+
+    def _paired(self, rows: Sequence[Sequence[FinishedTrial]], names: Sequence[str]) -> list[Selected]:
+        """The rows on the frames that all of them have, in the same units."""
+        frames = [[self._run.frames(trial) for trial in trials] for trials in rows]
+        common = [
+            reduce(lambda one, other: one.at(one.common_with(other)), of_recording)
+            for of_recording in zip(*frames, strict=True)
+        ]
+        units = self._run.unit_rule(names).units_of([one.stamps_ns for one in common])
+        chosen = []
+        for trials, own in zip(rows, frames, strict=True):
+            numbers = [np.full(len(one.stamps_ns), -1) for one in own]
+            for number, one, shared, unit in zip(numbers, own, common, units, strict=True):
+                number[np.searchsorted(one.stamps_ns, shared.stamps_ns)] = unit
+            chosen.append(Selected(tuple(trials), tuple(numbers)))
+        return chosen
+
+    def keep(self, chosen: Selected, found: Mapping[str, Estimated]) -> None:
+        """Keep the tested scores of a row for its comparisons."""
+        tested = ((score, found.get(score.name)) for score in self._scores)
+        self._estimated[chosen.key] = {score.name: _tested(one, score) for score, one in tested if one is not None}
+
+    def _all(self, chosen: Selected) -> dict[str, Estimated]:
+        """The tested scores of a row over the chosen frames. Raises ScoresError."""
+        if chosen.key not in self._estimated:
+            found = {score.name: estimated(self._run, chosen, score) for score in self._scores}
+            self.keep(chosen, {name: one for name, one in found.items() if one is not None})
+        return self._estimated[chosen.key]
+
+    def _places(self, names: Sequence[str], trials: Sequence[FinishedTrial]) -> tuple[Place, ...]:
+        """Strata and steps of the headline tests that all `trials` have."""
+        strata = [name for name in HEADLINE_STRATA if all(name in trial.strata for trial in trials)]
+        steps = headline_steps(self._run.horizons_of(names))
+        return tuple(Place(stratum, horizon_s, step) for stratum in strata for horizon_s, step in steps)
+
+    def families(self) -> list[PairFamily]:
+        """All pairs of comparable rows: a family for each tested score, stratum and horizon of the headline.
+
+        Rows of raw returns are compared among themselves. Nothing with fewer than LEAST_UNITS units. Raises
+        ScoresError.
+        """
+        return [family for names in self._run.groups for family in self._families_on(names)]
+
+    def _families_on(self, names: list[str]) -> Iterator[PairFamily]:
+        rows = self._rows_with(self._scores, names)
+        for points in dict.fromkeys(trials[0].points for trials in rows.values()):
+            alike = {label: trials for label, trials in rows.items() if trials[0].points == points}
+            if len(alike) > 1:
+                yield from self._families_among(alike, names)
+
+    def _families_among(self, rows: Mapping[str, list[FinishedTrial]], names: list[str]) -> Iterator[PairFamily]:
+        chosen = dict(zip(rows, self._paired(list(rows.values()), names), strict=True))
+        number = next(iter(chosen.values())).number
+        if number < LEAST_UNITS:
+            return
+        found = {label: self._all(one) for label, one in chosen.items()}
+        places = self._places(names, [trial for trials in rows.values() for trial in trials])
+        recordings = ALL_RECORDINGS if len(names) > 1 else names[0]
+        for score in self._scores:
+            for place in places:
+                replicates = {label: _at(one, score, score.lead, place) for label, one in found.items()}
+                known = {label: one for label, one in replicates.items() if one is not None}
+                if tested := tuple(_pair_tests(known, score.lead)):
+                    yield PairFamily(
+                        recordings=recordings,
+                        score=score.name,
+                        output=score.lead.name,
+                        stratum=place.stratum,
+                        horizon_s=round(place.horizon_s, 6),
+                        step=place.step,
+                        units=number,
+                        pairs=tested,
+                    )
+
+    def trainings(self) -> list[TrackerTrainings]:
+        """Every tracker with its trainings, where a tracker has several: over all recordings if pooled, else on each.
+
+        Rows of the same tracker, options and points that differ in their weights are trainings of one tracker. Raises
+        ScoresError.
+        """
+        rows = [one for names in self._run.groups for one in training_rows(self._run, names)]
+        compared = [self._trained(one) for one in rows]
+        ends = np.cumsum([0, *(len(one.difference.p) for one in compared)]).tolist()
+        p = holm(np.concatenate([np.zeros(0), *(one.difference.p for one in compared)]))
+        return [
+            one.summarised(of, p[start:end], self._headline[1])
+            for of, one, start, end in zip(rows, compared, ends, ends[1:], strict=False)
+        ]
+
+    def _trained(self, rows: TrainingRows) -> _Trained:
+        """The headline score of the trainings, and their difference from the reference's."""
+        places = self._places(rows.names, [*rows.own[0], *rows.reference[0]])
+        own, why = self._each(rows.own, places, rows.names), rows.why_partial or self._why_unpaired(rows)
+        if why or rows.own is rows.reference:
+            nothing = np.full(len(places), np.nan)
+            return _Trained(places, own, IntervalEstimate(*(nothing.copy() for _ in range(4))), why)
+        reference = self._each(rows.reference, places, rows.names)
+        if own.each[0].units < LEAST_UNITS:
+            why = self._run.unit_rule(rows.names).too_short(own.each[0].units)
+        elif not (own.spread_known and reference.spread_known):
+            why = FEW_TRAININGS
+        return _Trained(places, own, training_differences(own, reference), why)
+
+    def _each(
+        self, rows: Sequence[Sequence[FinishedTrial]], places: Sequence[Place], names: Sequence[str]
+    ) -> Trainings:
+        score, output = self._headline
+        each = []
+        for trials in rows:
+            chosen = selected(self._run, trials, self._run.unit_rule(names))
+            found = self._all(chosen)[score.name]
+            each.append(_stacked(found, output.name, places, chosen.number))
+        return Trainings(tuple(each), learned=any(_weights(rows[0])))
+
+    def _why_unpaired(self, rows: TrainingRows) -> str:
+        if rows.own[0][0].points != rows.reference[0][0].points:
+            return OTHER_RETURNS
+        return OTHER_FRAMES if len({self._frames_key(one) for one in (*rows.own, *rows.reference)}) > 1 else ""
+
+    def _frames_key(self, trials: Sequence[FinishedTrial]) -> tuple[bytes, ...]:
+        """Equal for two rows that were scored on the same frames."""
+        frames = map(self._run.frames, trials)
+        return tuple(one.stamps_ns.tobytes() + one.delivered.tobytes() for one in frames)
+
+
+@dataclass(frozen=True, slots=True)
+class _Comparison:
+    """One tracker against the reference: differences (S,) by stratum, score and output, and the places of its tests."""
+
+    names: tuple[str, ...]
+    tracker: str
+    reference: str
+    units: int = 0
+    frames: int = 0
+    why: str = ""
+    found: Mapping[tuple[str, str, str], IntervalEstimate] | None = None
+    places: tuple[Place, ...] = ()
+    headline: tuple[ScoreDefinition, Output] | None = None
+
+    @property
+    def tests(self) -> list[tuple[Place, IntervalEstimate]]:
+        """The differences of the headline score at each place."""
+        if self.headline is None or self.found is None:
+            return []
+        score, output = self.headline
+        keys = ((place, (place.stratum, score.name, output.name)) for place in self.places)
+        return [(place, self.found[key].at(place.step)) for place, key in keys if key in self.found]
+
+    @property
+    def p(self) -> list[float]:
+        """The uncorrected p-values of the tests."""
+        return [float(one.p) for _, one in self.tests]
+
+    def summarised(
+        self, horizons_s: Sequence[float], headline: tuple[ScoreDefinition, Output], p_holm: Iterator[float]
+    ) -> TrackerDifference:
+        """The comparison for the summary; `p_holm` gives the corrected p-values, one for each test."""
+        tests = []
+        for (place, one), p in zip(self.tests, p_holm, strict=False):
+            verdict = verdict_of(headline[1].direction * float(one.value), p)
+            test = HeadlineTest(
+                stratum=place.stratum,
+                horizon_s=round(place.horizon_s, 6),
+                step=place.step,
+                p_holm=rounded_p(p),
+                verdict=verdict,
+            )
+            tests.append(test)
+        strata: dict[str, Estimates] = {}
+        for (stratum, score, output), one in (self.found or {}).items():
+            strata.setdefault(stratum, {}).setdefault(score, {})[output] = estimate_of(one)
+        return TrackerDifference(
+            recordings=ALL_RECORDINGS if len(self.names) > 1 else self.names[0],
+            tracker=self.tracker,
+            reference=self.reference,
+            units=self.units,
+            frames=self.frames,
+            interval=self.why,
+            strata=strata,
+            tests=tuple(tests),
+        )
+
+
+def _tested(found: Estimated, score: ScoreDefinition) -> Estimated:
+    """The tested outputs of a score in the tested strata: a run of many recordings has gigabytes of all."""
+    strata = tuple(name for name in TESTED_STRATA if name in found.strata)
+    k, names = [found.strata.index(name) for name in strata], [output.name for output in score.tested]
+    values = {name: found.values[name][:, k] for name in names}
+    kept = {name: found.replicates[name] for name in names if name in found.replicates}
+    replicates = {
+        name: Replicates(one.value[:, k], one.without[:, :, k], one.size[:, :, k]) for name, one in kept.items()
+    }
+    return Estimated(strata, values, replicates)
+
+
+def _differences(
+    own: Mapping[str, Estimated], reference: Mapping[str, Estimated], scores: Iterable[ScoreDefinition]
+) -> dict[tuple[str, str, str], IntervalEstimate]:
+    """The differences (S,) of the tested outputs that both rows have, by stratum, score and output."""
+    found: dict[tuple[str, str, str], IntervalEstimate] = {}
+    for score in scores:
+        if score.name not in own or score.name not in reference:
+            continue
+        mine, theirs = own[score.name], reference[score.name]
+        strata = [name for name in mine.strata if name in theirs.strata]
+        for output in score.tested:
+            for stratum in strata:
+                less = _difference_in(mine, theirs, output.name, stratum)
+                found[stratum, score.name, output.name] = less
+    return found
+
+
+def _difference_in(own: Estimated, reference: Estimated, output: str, stratum: str) -> IntervalEstimate:
+    """The difference (S,) in one stratum; without intervals where there are too few units."""
+    k, n = own.strata.index(stratum), reference.strata.index(stratum)
+    if output in own.replicates and output in reference.replicates:
+        return difference(_column(own.replicates[output], k), _column(reference.replicates[output], n))
+    value = own.values[output][:, k] - reference.values[output][:, n]
+    nothing = np.full_like(value, np.nan)
+    return IntervalEstimate(value, nothing, nothing, nothing)
+
+
+def _column(found: Replicates, k: int) -> Replicates:
+    return Replicates(found.value[:, k], found.without[:, :, k], found.size[:, :, k])
+
+
+def _at(found: Mapping[str, Estimated], score: ScoreDefinition, output: Output, place: Place) -> Replicates | None:
+    """The replicates of a score at one place; None where the row has none."""
+    one = found.get(score.name)
+    if one is None or place.stratum not in one.strata or output.name not in one.replicates:
+        return None
+    own, k = one.replicates[output.name], one.strata.index(place.stratum)
+    return Replicates(own.value[place.step, k], own.without[:, place.step, k], own.size[:, place.step, k])
+
+
+def _stacked(found: Estimated, output: str, places: Sequence[Place], units: int) -> Replicates:
+    """The replicates (R,) of an output at the places; with too few units only its values."""
+    at = [place.step for place in places], [found.strata.index(place.stratum) for place in places]
+    value: Floats = found.values[output][at]
+    if output not in found.replicates:
+        nothing = np.full((units, len(places)), np.nan)
+        return Replicates(value, nothing, nothing)
+    own = found.replicates[output]
+    return Replicates(value, own.without[:, *at], own.size[:, *at])
+
+
+def _pair_tests(rows: Mapping[str, Replicates], output: Output) -> Iterator[PairTest]:
+    """The test of each pair of rows with a result, corrected over the pairs."""
+    pairs = list(combinations(rows, 2))
+    found = [difference(rows[one], rows[other]) for one, other in pairs]
+    adjusted = holm(np.array([one.p for one in found])).tolist() if found else []
+    for (tracker, other), one, p in zip(pairs, found, adjusted, strict=True):
+        if not np.isnan(p):
+            yield PairTest(
+                tracker=tracker,
+                other=other,
+                difference=point_of(one),
+                p_holm=rounded_p(p),
+                verdict=verdict_of(output.direction * float(one.value), p),
+            )
+
+
+def point_of(found: IntervalEstimate) -> PointEstimate:
+    """An estimate () as the summary holds it."""
+    value, low, high = (rounded(float(one)) for one in (found.value, found.low, found.high))
+    return PointEstimate(value=value, low=low, high=high, p=rounded_p(float(found.p)))
+
+
+_ByWeights = dict[tuple[str, ...], list[FinishedTrial]]
+"""Rows of one tracker by the hashes of their weights on each recording."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Tracker:
+    """What all trainings of one tracker have in common."""
+
+    name: str
+    options: str
+    points: str
+
+    @classmethod
+    def of(cls, trial: FinishedTrial) -> _Tracker:
+        return cls(trial.tracker, json.dumps(dict(trial.options), sort_keys=True, default=str), trial.points)
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingRows:
+    """The rows of one tracker on the recordings `names`, and those of the reference: the trials of each training.
+
+    `why_partial`: one of the two has trainings that did not complete these recordings, and they may be its worse ones.
+    """
+
+    names: tuple[str, ...]
+    own: Sequence[Sequence[FinishedTrial]]
+    reference: Sequence[Sequence[FinishedTrial]]
+    why_partial: str
+
+
+def training_rows(run: RunTrials, names: Sequence[str]) -> list[TrainingRows]:
+    """The trackers on these recordings by their trainings; none where no tracker has several."""
+    groups: dict[tuple[_Tracker, str], _ByWeights] = {}
+    group_of: dict[str | None, tuple[_Tracker, str]] = {}
+    for label in run.labels:
+        trials = run.comparable(label, names)
+        if len(trials) == len(names) and trials[0].tracker != ORACLE:
+            group = group_of[label] = _Tracker.of(trials[0]), trials[0].record.card
+            groups.setdefault(group, {}).setdefault(_weights(trials), trials)
+    of_reference = group_of.get(run.reference_for("occupancy"))
+    if of_reference is None or all(len(one) == 1 for one in groups.values()):
+        return []
+    incomplete = [run.of(label, names) for label in run.labels]
+    failed = Counter(_Tracker.of(trials[0]) for trials in incomplete if trials and not all(t.complete for t in trials))
+    rows = {group: list(of_group.values()) for group, of_group in groups.items()}
+    why = {group: _why_partial(group[0].name, len(rows[group]), failed[group[0]]) for group in groups}
+    return [
+        TrainingRows(tuple(names), own, rows[of_reference], why[group] or why[of_reference])
+        for group, own in rows.items()
+    ]
+
+
+def _why_partial(tracker: str, complete: int, failed: int) -> str:
+    """Why a tracker with `failed` trainings is not compared; empty where all are complete."""
+    if not failed:
+        return ""
+    return f"{complete} of {complete + failed} trainings of {tracker} are complete, and the others may be worse"
+
+
+def _weights(trials: Sequence[FinishedTrial]) -> tuple[str, ...]:
+    """The hash of the weights of each trial of a row; empty texts of a tracker without weights."""
+    return tuple(trial.record.weights_sha256 for trial in trials)
+
+
+@dataclass(frozen=True, slots=True)
+class _Trained:
+    """The trainings of one tracker at the places, their difference from the reference's, and why there is none."""
+
+    places: tuple[Place, ...]
+    own: Trainings
+    difference: IntervalEstimate
+    why: str
+
+    def summarised(self, rows: TrainingRows, p_holm: Floats, output: Output) -> TrackerTrainings:
+        """The trainings for the summary, with corrected p-values (R,)."""
+        values = np.stack([one.value for one in self.own.each])
+        spread = spread_between(self.own.each).deviation if len(values) > 1 else np.full(values.shape[1], np.nan)
+        is_reference = rows.own is rows.reference
+        return TrackerTrainings(
+            recordings=ALL_RECORDINGS if len(rows.names) > 1 else rows.names[0],
+            tracker=rows.own[0][0].tracker,
+            labels=tuple(trials[0].record.label for trials in rows.own),
+            reference=rows.reference[0][0].record.label,
+            units=self.own.each[0].units,
+            interval=self.why,
+            scores=tuple(
+                TrainingsScore(
+                    stratum=place.stratum,
+                    horizon_s=round(place.horizon_s, 6),
+                    step=place.step,
+                    values=tuple(rounded(float(value)) for value in values[:, i]),
+                    mean=rounded(float(values[:, i].mean())),
+                    spread=rounded(float(spread[i])),
+                    difference=point_of(self.difference.at(i)),
+                    p_holm=rounded_p(float(p_holm[i])),
+                    verdict=""
+                    if is_reference
+                    else verdict_of(output.direction * float(self.difference.value[i]), float(p_holm[i])),
+                )
+                for i, place in enumerate(self.places)
+            ),
+        )

@@ -1,0 +1,399 @@
+"""The jobs of a run: the scores of a trial or of the oracle, and the measurements that follow the scores.
+
+A job can be sent to a process on another machine as an order, in JSON. The order names recordings, weights and programs
+by their paths, which host and machine share, with their hashes: a machine that finds another recording, card or library
+there refuses the job.
+"""
+
+from __future__ import annotations
+
+import platform
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from pathlib import Path
+from typing import Literal, Protocol
+
+from pydantic import ValidationError
+
+from gridtrack.common.config import Settings
+from gridtrack.common.errors import GridtrackError
+from gridtrack.evaluation.engines.engine import EngineError, Monitor
+from gridtrack.evaluation.engines.task import TaskFolder, run_task
+from gridtrack.evaluation.hosting.limits import Limits
+from gridtrack.evaluation.hosting.outcome import TrialEnded
+from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitRegions, plan_split
+from gridtrack.evaluation.runs.learned import read_weights
+from gridtrack.evaluation.runs.oracle import ORACLE_REPLACES, oracle_validation, run_oracle
+from gridtrack.evaluation.runs.plan import Trial, sampling_of, segmented
+from gridtrack.evaluation.runs.prior_pass import PRIOR_FILE, PriorRun
+from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
+from gridtrack.evaluation.runs.run_folder import versions
+from gridtrack.evaluation.runs.run_record import RecordingIdentity, TrialIdentity, identity_of
+from gridtrack.evaluation.runs.settings import CompareSettings
+from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds, oracle_key, trial_key
+from gridtrack.evaluation.runs.trial import REPLACED, TrialRun, error_with_location, failed
+from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, TrialRecord, hashes_of, read_trial_record
+from gridtrack.evaluation.scores.registry import scores
+from gridtrack.recordings.stretches import parse_stretch
+from gridtrack.trackers.selection import Launch, Selection, launch
+
+JobKind = Literal["scores", "oracle", "prior", "robustness"]
+
+
+class SharedInputs:
+    """The settings of a run, and regions and thresholds, made by the first job of a process that needs them.
+
+    Thread-safe. `note` receives a line for the user where that takes a while.
+    """
+
+    def __init__(self, settings: CompareSettings, note: Callable[[str], None], folder: Path, jobs: int = 1) -> None:
+        """`folder` is that of `SharedThresholds`; `jobs` run at the same time.
+
+        The regions of as many recordings are kept: they are megabytes, and a run may have thousands of recordings.
+        """
+        self.settings, self.folder = settings, folder
+        self.thresholds = SharedThresholds(folder)
+        self._note, self._jobs = note, jobs
+        self._guard = threading.Lock()
+        self._regions: dict[str, Future[SplitRegions]] = {}
+        """By the name of the whole split, the last used at the end."""
+
+    def regions_of(self, split: EvaluationSplit, check: Callable[[], None] = lambda: None) -> SplitRegions:
+        """The regions of a split; finding them calls `check()` now and then. Raises its errors, RecordingError."""
+        with self._guard:
+            known = self._regions.pop(split.whole, None)
+            found = self._regions[split.whole] = known or Future()
+            while len(self._regions) > self._jobs:
+                del self._regions[next(iter(self._regions))]
+        if known is None:
+            self._find(split, found, check)
+        return found.result()
+
+    def _find(self, split: EvaluationSplit, found: Future[SplitRegions], check: Callable[[], None]) -> None:
+        """Set the regions of a split, or the error for all jobs that wait for them."""
+        self._note(f"{split.whole}: finding its static cells")
+        try:
+            found.set_result(split.regions(check))
+        except Exception as error:  # noqa: BLE001 all jobs that wait for the regions raise it
+            found.set_exception(error)
+
+
+class _Interruptible(Protocol):
+    def interrupt(self) -> None: ...
+
+
+class _RunJob:
+    """A job with the name of a trial, whose result is the record in the trial's folder."""
+
+    kind: JobKind
+    replaces: tuple[str, ...] = ()
+    result_file = OUTCOME_FILE
+    record: TrialRecord | None = None
+    """The record to which a measurement is added."""
+
+    def __init__(self, name: str, subject: Trial | EvaluationSplit, folder: Path, shared: SharedInputs) -> None:
+        """`folder`: the folder for the files of the trial."""
+        self.name = name
+        self._subject, self._folder, self._shared = subject, folder, shared
+        self._running: _Interruptible | None = None
+        self._interrupted = False
+
+    def order(self) -> str:
+        """Its description as JSON."""
+        return JobOrder.of(self.kind, self._subject, self._shared, self.record).model_dump_json(by_alias=True)
+
+    def result(self) -> TrialRecord:
+        """The record in the trial's folder. Raises EngineError without one, RunError."""
+        record = read_trial_record(self._folder)
+        if record is None:
+            raise EngineError(f"it left no {OUTCOME_FILE}")
+        return record
+
+    def interrupt(self) -> None:
+        """End it from another thread, also before it has begun."""
+        self._interrupted = True
+        if self._running is not None:
+            self._running.interrupt()
+
+    def _begin(self, run: _Interruptible) -> None:
+        """From now on an interrupt ends `run`."""
+        self._running = run
+        if self._interrupted:
+            run.interrupt()
+
+    def _write(self, record: TrialRecord) -> TrialRecord:
+        record.write(self._folder)
+        return record
+
+
+class TrialJob(_RunJob):
+    """The scores of a trial. An error outside its tracker gives the outcome `failed`."""
+
+    kind: JobKind = "scores"
+    replaces = REPLACED
+
+    def __init__(self, trial: Trial, folder: Path, shared: SharedInputs) -> None:
+        super().__init__(trial.name, trial, folder, shared)
+        self.trial, self.split, self.validation = trial, trial.split, trial.split.validation
+
+    @property
+    def thresholds_key(self) -> str:
+        """Identifies its thresholds in the run."""
+        return trial_key(self.trial)
+
+    def run(self, monitor: Monitor) -> TrialRecord:
+        """Run the trial to its end, successful or not."""
+        regions = self._shared.regions_of(self.split, monitor.check)
+        run = TrialRun(self.trial, regions, self._folder, monitor.next_frame, self._shared.thresholds)
+        monitor.started(run.frames)
+        self._begin(run)
+        return run.run()
+
+    def on_error(self, error: Exception) -> TrialRecord:
+        """The record of a trial that could not write one."""
+        return self._write_if_possible(failed(self.trial, _reason(error)))
+
+    def accepted(self, record: TrialRecord) -> TrialRecord:
+        """`record` with the advice on training for the whole run: another machine knows only this trial of it.
+
+        A changed record is written again.
+        """
+        if record.outcome != "untrained" or record.reason == self.trial.how_to_train:
+            return record
+        return self._write_if_possible(record.model_copy(update={"reason": self.trial.how_to_train}))
+
+    def _write_if_possible(self, record: TrialRecord) -> TrialRecord:
+        with suppress(OSError):
+            self._folder.mkdir(parents=True, exist_ok=True)
+            record.write(self._folder)
+        return record
+
+
+class OracleJob(_RunJob):
+    """The scores of the oracle on one recording; if that fails, the run continues without it."""
+
+    kind: JobKind = "oracle"
+    replaces = ORACLE_REPLACES
+
+    def __init__(self, split: EvaluationSplit, folder: Path, shared: SharedInputs) -> None:
+        super().__init__(split.oracle_name, split, folder, shared)
+        self.split, self.validation = split, oracle_validation(split)
+
+    @property
+    def thresholds_key(self) -> str:
+        """Identifies its thresholds in the run."""
+        return oracle_key(self.split)
+
+    def run(self, monitor: Monitor) -> TrialRecord:
+        """Score the oracle. Raises Interrupted: it waits for no other process, so the next frame ends it."""
+        split, thresholds = self.split, self._shared.thresholds
+        validation = () if thresholds.known(self.thresholds_key) else self.validation or ()
+        monitor.started(len(split.test) + len(validation))
+        regions, by = self._shared.regions_of(split, monitor.check), scores(self._shared.settings.scores)
+        return run_oracle(split, regions, self._folder, monitor.next_frame, thresholds, by)
+
+    def on_error(self, error: Exception) -> str:
+        """The notice for the user."""
+        return f"{self.split.name}: no oracle: {_reason(error)}"
+
+
+class _MeasurementJob(_RunJob):
+    """A measurement that follows the scores of a trial, added to the trial's record."""
+
+    measurement: str
+    """Its name in notices."""
+    record: TrialRecord
+
+    def __init__(self, trial: Trial, record: TrialRecord, folder: Path, shared: SharedInputs) -> None:
+        super().__init__(trial.name, trial, folder, shared)
+        self.trial, self.record = trial, record
+
+    def on_error(self, error: Exception) -> str:
+        """The notice for the user."""
+        return not_measured(self.trial, self.measurement, error)
+
+
+class PriorJob(_MeasurementJob):
+    """The expectation of a tracker with weights for a place."""
+
+    kind: JobKind = "prior"
+    measurement = "its prior"
+
+    def run(self, monitor: Monitor) -> TrialRecord:
+        """Measure the prior. Raises Interrupted, TrialEnded."""
+        monitor.note(f"{self.name}: {self.measurement}")
+        run = PriorRun(self.trial, self._folder)
+        self._begin(run)
+        run.run(monitor.check)
+        files = {**self.record.files, **hashes_of(self._folder, (PRIOR_FILE,))}
+        return self._write(self.record.model_copy(update={"files": files}))
+
+
+class RobustnessJob(_MeasurementJob):
+    """The scores of a trial on the degraded input that the settings of the run request."""
+
+    kind: JobKind = "robustness"
+    measurement = "degraded input"
+
+    def run(self, monitor: Monitor) -> TrialRecord:
+        """Run the pass. Raises Interrupted, TrialEnded."""
+        monitor.note(f"{self.name}: {self.measurement}")
+        degradation = self._shared.settings.degrade
+        assert degradation is not None, "the run requests no degraded input"
+        run = RobustnessRun(self.trial, degradation, self._folder)
+        self._begin(run)
+        regions = self._shared.regions_of(self.trial.split, monitor.check)
+        robustness = run.run(regions, self.record.thresholds, monitor.check)
+        return self._write(self.record.model_copy(update={"robustness": robustness}))
+
+
+RunJob = TrialJob | OracleJob | PriorJob | RobustnessJob
+
+
+def not_measured(trial: Trial, measurement: str, error: Exception) -> str:
+    """The notice about a missing measurement of a complete trial."""
+    return f"{trial.name}: no measurement of {measurement}: {_reason(error)}"
+
+
+def _reason(error: Exception) -> str:
+    return str(error) if isinstance(error, TrialEnded | GridtrackError) else error_with_location(error)
+
+
+class RowOrder(Settings):
+    """A row of the comparison on one recording: the tracker, its program, and its weights."""
+
+    selection: Selection
+    launch: Launch
+    """A registered tracker is started by each machine as its own."""
+    weights: Path | None
+    weights_from: Path | None
+    """The folder that the weights were copied from, for messages."""
+    weights_sha256: str
+    identity: TrialIdentity
+    """The trial must have this identity on the machine."""
+
+    @classmethod
+    def of(cls, trial: Trial) -> RowOrder:
+        """The row of a trial."""
+        weights = trial.weights
+        return cls(
+            selection=trial.selection,
+            launch=trial.launch,
+            weights=weights and weights.path.absolute(),
+            weights_from=weights and weights.original.absolute(),
+            weights_sha256=weights.sha256 if weights else "",
+            identity=trial.identity(),
+        )
+
+    def trial(self, split: EvaluationSplit, seed: int, limits: Limits) -> Trial:
+        """The trial on this machine. Raises a GridtrackError if it is a different one here."""
+        start = self.launch if self.launch.external else launch(self.selection.name)
+        weights = read_weights(self.weights, self.weights_from or self.weights.parent) if self.weights else None
+        trial = Trial(self.selection, start, split, weights, seed, limits)
+        _require_equal(f"{trial.label}: its weights", weights.sha256 if weights else "", self.weights_sha256)
+        _require_equal(f"{trial.label}: its settings", trial.identity(), self.identity)
+        return trial
+
+
+class JobOrder(Settings):
+    """The description of one job."""
+
+    kind: JobKind
+    settings: CompareSettings
+    """The settings of the run, with the recording of this job alone."""
+    name: str
+    """The name of the split."""
+    identity: RecordingIdentity
+    """The recording and its stretches must have this identity on the machine."""
+    row: RowOrder | None = None
+    """None for the oracle."""
+    record: TrialRecord | None = None
+    """The record of a complete trial that is measured."""
+    thresholds: Path
+    """The folder with the thresholds chosen so far in the run."""
+    versions: dict[str, str]
+    """Versions on the host of everything that can change a score."""
+
+    @classmethod
+    def of(
+        cls,
+        kind: JobKind,
+        subject: Trial | EvaluationSplit,
+        shared: SharedInputs,
+        record: TrialRecord | None = None,
+    ) -> JobOrder:
+        """The order of a job on a trial, or of the oracle on a split."""
+        split = subject.split if isinstance(subject, Trial) else subject
+        settings = shared.settings
+        alone = {
+            "recordings": (f"{split.path.absolute()}{split.whole.removeprefix(split.path.stem)}",),
+            "trackers": (),
+            "validation": settings.validation and _with_absolute_path(settings.validation),
+        }
+        return cls(
+            kind=kind,
+            settings=settings.model_copy(update=alone),
+            name=split.name,
+            identity=identity_of(split),
+            row=RowOrder.of(subject) if isinstance(subject, Trial) else None,
+            record=record,
+            thresholds=shared.folder,
+            versions=versions(),
+        )
+
+    @classmethod
+    def read(cls, text: str) -> JobOrder:
+        """Parse an order. Raises EngineError."""
+        try:
+            return cls.model_validate_json(text)
+        except ValidationError as error:
+            raise EngineError(f"not an order of this version of gridtrack ({error.error_count()} errors)") from None
+
+    def split(self) -> EvaluationSplit:
+        """The recording on this machine. Raises a GridtrackError if it, or a library, is a different one here."""
+        here = versions()
+        for name, version in self.versions.items():
+            _require_equal(name, here.get(name, "not installed"), version)
+        settings = self.settings
+        whole = plan_split(settings.recordings[0], settings.validation, sampling_of(settings))
+        split = next((one for one in segmented(whole, settings) if one.name == self.name), whole)
+        _require_equal(f"{split.path}", identity_of(split), self.identity)
+        return split
+
+
+def _require_equal(what: str, here: object, there: object) -> None:
+    if here != there:
+        raise EngineError(
+            f"{what}: {_short(here)} on this machine ({platform.node()}), {_short(there)} where the run was started:"
+            " every machine of an engine has the same recordings, weights and versions"
+        )
+
+
+def _short(value: object) -> str:
+    return str(value) if isinstance(value, str) else "another one"
+
+
+def _with_absolute_path(text: str) -> str:
+    path, stretch = parse_stretch(text)
+    return f"{path.absolute()}" if stretch is None else f"{path.absolute()}@{text.rpartition('@')[2]}"
+
+
+def execute(folder: str) -> bool:
+    """Execute the task in `folder`, in a process of a cluster. Returns whether nothing interrupted it."""
+    return run_task(Path(folder), ordered_job, error_with_location)
+
+
+def ordered_job(folder: TaskFolder, note: Callable[[str], None]) -> RunJob:
+    """The job that a task's order describes. Raises a GridtrackError if this machine differs from the host."""
+    order = JobOrder.read(folder.order())
+    split = order.split()
+    shared = SharedInputs(order.settings, note, order.thresholds)
+    if order.row is None:
+        return OracleJob(split, folder.files, shared)
+    trial = order.row.trial(split, order.settings.seed, order.settings.limits)
+    if order.record is None:
+        return TrialJob(trial, folder.files, shared)
+    measure = PriorJob if order.kind == "prior" else RobustnessJob
+    return measure(trial, order.record, folder.files, shared)

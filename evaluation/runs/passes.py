@@ -1,0 +1,125 @@
+"""What is measured of a tracker beside its scores: latencies, scores under deadlines, scores on degraded input."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from gridtrack.evaluation.hosting.timing import TWENTIETHS
+from gridtrack.evaluation.referee.deadline import Clock
+from gridtrack.evaluation.runs.result_files import Curves, ResultModel
+from gridtrack.recordings.degradation import Degradation
+
+HIGHEST = 1e6
+"""A rate, in Hz or as a multiple, or a strength of degradation above this is refused."""
+MOST_CONDITIONS = 20
+"""More rates, kinds or strengths than this are refused."""
+
+
+class Quantiles(ResultModel):
+    """50th, 95th and 99th percentile."""
+
+    p50: float
+    p95: float
+    p99: float
+
+
+class CallTimes(Quantiles):
+    """Milliseconds of calls of one kind."""
+
+    twentieths: Annotated[tuple[float, ...], Field(max_length=len(TWENTIETHS))] = ()
+    """Percentiles 0, 5, 10 to 100: each stretch between two holds a twentieth of the calls. Earlier runs have none."""
+
+    @model_validator(mode="after")
+    def _twentieths_increase(self) -> Self:
+        if self.twentieths and len(self.twentieths) != len(TWENTIETHS):
+            raise ValueError(f"twentieths: {len(self.twentieths)} percentiles where {len(TWENTIETHS)} belong")
+        if any(not 0.0 <= earlier <= later for earlier, later in pairwise(self.twentieths)):
+            raise ValueError("twentieths: the percentiles do not increase")
+        return self
+
+
+class Latency(ResultModel):
+    """Milliseconds of calls, alone on the machine."""
+
+    clock: Clock = "tracker"
+    """By the tracker's own clock; by the round trip (`host`) where that is far longer than the tracker reports."""
+
+    update: CallTimes
+    predict: CallTimes
+    predict_step: Quantiles
+    """A forecast's time divided by its number of steps."""
+
+
+class AtRate(ResultModel):
+    """Scores of a trial whose frames arrive at `rate` times the rate of the stream."""
+
+    rate: float = Field(gt=0.0, le=HIGHEST)
+    rate_hz: float = Field(gt=0.0, le=HIGHEST)
+    frames: int
+    """Of the test stretch."""
+    missed: int
+    """Frames that the tracker is not given, because it is busy."""
+    age_frames: Quantiles
+    """Age of the newest forecast at each frame, in frames."""
+    f1: Curves
+
+
+class Deadline(ResultModel):
+    """A trial on a simulated clock: the time of its calls, alone on the machine, and its scores in time."""
+
+    update_ms: CallTimes
+    predict_ms: CallTimes
+    busy_ms: Quantiles
+    """An update and the forecast after it."""
+    highest_rate_hz: float = Field(gt=0.0)
+    """The rate at which 99 of 100 frames are processed before the next one arrives."""
+    clock: Clock = "tracker"
+    """As of the latency."""
+    forecast_steps: int
+    """How many steps ahead the forecasts reach, for delays to be covered."""
+    rates: tuple[AtRate, ...] = Field(min_length=1, max_length=MOST_CONDITIONS)
+
+
+class Followed(ResultModel):
+    """A trial that followed its recording while it was written: its deadlines are real ones."""
+
+    frames: int
+    """Frames with a deadline: those that were written after the following began."""
+    missed: int
+    """Those of them that the tracker was not given, because it was busy."""
+    age_frames: Quantiles | None
+    """Age of the newest forecast in time at each of them, in frames; null where there are none."""
+    forecast_steps: int
+    """How many steps ahead the forecasts reach, for delays to be covered."""
+
+
+class AtStrength(ResultModel):
+    """Scores of a tracker that receives degraded frames, against the undegraded ones."""
+
+    strength: float = Field(ge=0.0, le=HIGHEST)
+    """Share of the requested degradation."""
+    value: float = Field(ge=0.0, le=HIGHEST)
+    """The degradation itself, in its unit of measurement."""
+    delivered: str
+    """Hash of the degraded frames; empty for strength 0."""
+    f1: Curves
+
+
+class Robustness(ResultModel):
+    """F1 under each kind of degradation by itself, in the order of its strength."""
+
+    degradation: Degradation
+    """As requested, at strength 1."""
+    kinds: dict[str, Annotated[tuple[AtStrength, ...], Field(min_length=2, max_length=MOST_CONDITIONS)]] = Field(
+        max_length=MOST_CONDITIONS
+    )
+
+    @model_validator(mode="after")
+    def _values_increase(self) -> Self:
+        for kind, points in self.kinds.items():
+            if any(later.value <= earlier.value for earlier, later in pairwise(points)):
+                raise ValueError(f"degradation {kind}: its values do not increase")
+        return self

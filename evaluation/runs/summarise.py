@@ -1,0 +1,367 @@
+"""The summary of a run, computed from the records and the sums of its trials."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import permutations
+from typing import TypeVar
+
+import numpy as np
+
+from gridtrack.evaluation.referee.splits import ORACLE
+from gridtrack.evaluation.runs.comparisons import Comparisons
+from gridtrack.evaluation.runs.estimates import (
+    estimated,
+    estimates_of,
+    selected,
+    thresholds_of_scope,
+)
+from gridtrack.evaluation.runs.finished import (
+    HEADLINE_STRATA,
+    FinishedTrial,
+    RunTrials,
+    headline_steps,
+    unlike_recordings,
+)
+from gridtrack.evaluation.runs.passes import AtStrength, Robustness
+from gridtrack.evaluation.runs.result_files import rounded_curve
+from gridtrack.evaluation.runs.run_record import RecordingDescription, RecordingSummary
+from gridtrack.evaluation.runs.summary import (
+    ALL_RECORDINGS,
+    Estimate,
+    Estimates,
+    PooledSummary,
+    RunSummary,
+    ScopeSummary,
+    ScoreDescription,
+    TrackerSummary,
+    TrialSummary,
+)
+from gridtrack.evaluation.runs.trial_record import TrialRecord
+from gridtrack.evaluation.scores.definition import CurvesByStratum, ScoreDefinition
+from gridtrack.evaluation.scores.registry import built_in, find_output
+from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
+from gridtrack.evaluation.statistics.units import UnitRule
+from gridtrack.trackers.contract import Role
+
+HEADLINE = "f1"
+"""The score that decides the headline tests."""
+LEAST_LEAD = 0.001
+"""A row is ahead of another by at least this much F1 at either threshold: less is not shown in a table."""
+
+
+def summarise(
+    recordings: Mapping[str, RecordingDescription],
+    trials: Iterable[FinishedTrial],
+    notices: Sequence[str],
+    interrupted: bool,
+    reference: str | None = None,
+    scores: Sequence[ScoreDefinition] | None = None,
+) -> RunSummary:
+    """The summary of `trials` on `recordings`; `notices` precede those of the trials.
+
+    `reference` is the label of the row that the others are compared with; None: the default one. `scores`: None are the
+    built-in ones. Raises ScoresError.
+    """
+    return _Summary(RunTrials(recordings, list(trials), reference), scores or built_in()).made(notices, interrupted)
+
+
+_Scope = TypeVar("_Scope", bound=ScopeSummary)
+
+
+class _Summary:
+    """Makes the summary of a run."""
+
+    def __init__(self, run: RunTrials, scores: Sequence[ScoreDefinition]) -> None:
+        self._run, self._scores = run, scores
+        self._headline = find_output(HEADLINE, scores)
+        self._comparisons = Comparisons(run, scores, self._headline)
+
+    def made(self, notices: Sequence[str], interrupted: bool) -> RunSummary:
+        run, comparisons = self._run, self._comparisons
+        rows = {label: self._row(label) for label in run.labels}
+        found = [*_notices(run), *_incomplete_floors(rows)]
+        if not run.pools and len(run.recordings) > 1:
+            found.append("the recordings have no horizons in common: no scores are pooled over them")
+        found += unlike_recordings(run.recordings) if run.pools else []
+        trackers = _related(rows, self._scores)
+        found += _reversed_rankings(run, trackers)
+        score, output = self._headline
+        shown = {
+            score for row in trackers.values() for scope in _scopes(row) for es in scope.strata.values() for score in es
+        }
+        return RunSummary(
+            interrupted=interrupted,
+            notices=(*notices, *found),
+            scores=tuple(ScoreDescription.of(one) for one in self._scores if one.name in shown),
+            headline=f"{score.name}.{output.name}",
+            pooled_horizons_s=run.horizons_s if run.pools else (),
+            recordings={
+                name: RecordingSummary.model_validate({**dict(described), "parity": not run.mismatched[name]})
+                for name, described in run.recordings.items()
+            },
+            trackers=trackers,
+            reference=run.reference_for("occupancy"),
+            differences=tuple(comparisons.differences()),
+            pairs=tuple(comparisons.families()),
+            trainings=tuple(comparisons.trainings()),
+        )
+
+    def _row(self, label: str) -> TrackerSummary:
+        """A row with the scores of each trial and those pooled, without values relative to other rows."""
+        own = self._run.of(label, list(self._run.recordings))
+        return TrackerSummary(
+            tracker=own[0].tracker,
+            role=_role(own),
+            options=dict(own[0].options),
+            points=own[0].points,
+            recordings={trial.record.recording: self._trial(trial) for trial in own},
+            pooled=self._pooled(label, own) if self._run.pools else None,
+        )
+
+    def _trial(self, trial: FinishedTrial) -> TrialSummary:
+        record = trial.record
+        summary = TrialSummary(
+            outcome=record.outcome,
+            reason=record.reason,
+            card=record.card,
+            leak=record.leak,
+            frames_scored=record.frames_scored,
+            frames_expected=record.frames_expected,
+            threshold_chosen_on=record.thresholds.chosen_on,
+            weights_sha256=record.weights_sha256,
+            recoveries=record.recoveries,
+            latency_ms=record.latency_ms,
+            deadline=record.deadline,
+            times=record.times,
+            peak_rss_mb=record.peak_rss_mb,
+        )
+        if record.frames_scored:
+            summary = self._scored(summary, [trial], self._run.unit_rule([record.recording]))
+        degraded = record.robustness and _with_undegraded(record.robustness, summary.strata)
+        return summary.model_copy(update={"robustness": degraded})
+
+    def _pooled(self, label: str, trials: Sequence[FinishedTrial]) -> PooledSummary:
+        """One tracker over all recordings together, of those that it completed.
+
+        In the units of all recordings, also where the one with the longest blocks is not among them.
+        """
+        names = list(self._run.recordings)
+        complete = self._run.together(trial for trial in trials if trial.complete)
+        chosen = {trial.record.thresholds.chosen_on for trial in complete}
+        whole = len(complete) == len(names)
+        summary = PooledSummary(
+            outcome="ok" if whole else "partial",
+            reason="" if whole else _why_partial(trials, len(names)),
+            recordings_complete=len(complete),
+            recordings_expected=len(names),
+            frames_scored=sum(trial.record.frames_scored for trial in complete),
+            frames_expected=sum(trial.record.frames_expected for trial in trials),
+            threshold_chosen_on=chosen.pop() if len(chosen) == 1 else "",
+            card=", ".join(sorted({trial.record.card for trial in trials} - {""})),
+            leak=next((trial.record.leak for trial in trials if trial.record.leak), ""),
+        )
+        if not complete:
+            return summary
+        return self._scored(summary, complete, self._run.unit_rule([t.record.recording for t in complete], names))
+
+    def _scored(self, summary: _Scope, trials: Sequence[FinishedTrial], rule: UnitRule) -> _Scope:
+        """`summary` with the scores of `trials` together."""
+        chosen = selected(self._run, trials, rule)
+        found = {score.name: one for score in self._scores if (one := estimated(self._run, chosen, score)) is not None}
+        if len(trials) == len(self._run.groups[0]):  # the comparisons of the row need them
+            self._comparisons.keep(chosen, found)
+        why = rule.too_short(chosen.number) if chosen.number < LEAST_UNITS else ""
+        strata = estimates_of(found, self._scores)
+        return summary.model_copy(update={"strata": strata, "thresholds": thresholds_of_scope(trials), "interval": why})
+
+
+def _role(trials: Sequence[FinishedTrial]) -> Role:
+    """The role in the description of the tracker; a trial that did not start has no description."""
+    return next((trial.record.role for trial in trials if trial.record.role != "tracker"), "tracker")
+
+
+def _why_partial(trials: Sequence[FinishedTrial], recordings: int) -> str:
+    missing = [f"{trial.record.recording}: {trial.record.outcome}" for trial in trials if not trial.complete]
+    complete = f"{len(trials) - len(missing)} of {recordings} recordings complete"
+    shown = "; ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
+    return f"{complete} ({shown})" if missing else complete
+
+
+def _with_undegraded(robustness: Robustness, strata: Mapping[str, Estimates]) -> Robustness:
+    """F1 of each kind by its strength; at strength 0 it is the trial's own, of `strata`."""
+    own = {name: scores["f1"]["f1"].value for name, scores in strata.items() if "f1" in scores}
+    undegraded = AtStrength(strength=0.0, value=0.0, delivered="", f1=own)
+    kinds = {kind: (undegraded, *points) for kind, points in robustness.kinds.items()}
+    return Robustness(degradation=robustness.degradation, kinds=kinds)
+
+
+def _scopes(row: TrackerSummary) -> Iterator[ScopeSummary]:
+    yield from row.recordings.values()
+    if row.pooled is not None:
+        yield row.pooled
+
+
+def _related(rows: Mapping[str, TrackerSummary], scores: Sequence[ScoreDefinition]) -> dict[str, TrackerSummary]:
+    """The rows with the outputs that need the floors, the oracle or other strata."""
+    oracle, floors = rows.get(ORACLE), [row for row in rows.values() if row.floor]
+    found = {}
+    for label, row in rows.items():
+        ceiling = None if label == ORACLE else oracle
+        trials = {
+            name: trial.model_copy(update={"strata": _related_strata(trial, scores, _of(ceiling, name), others)})
+            for name, trial in row.recordings.items()
+            for others in [[floor.recordings.get(name) for floor in floors]]
+        }
+        pooled = row.pooled
+        if pooled is not None:
+            others = [floor.pooled for floor in floors]
+            strata = _related_strata(pooled, scores, ceiling.pooled if ceiling else None, others)
+            pooled = pooled.model_copy(update={"strata": strata})
+        found[label] = row.model_copy(update={"recordings": trials, "pooled": pooled})
+    return found
+
+
+def _of(row: TrackerSummary | None, recording: str) -> TrialSummary | None:
+    return row.recordings.get(recording) if row else None
+
+
+def _related_strata(
+    own: ScopeSummary,
+    scores: Sequence[ScoreDefinition],
+    oracle: ScopeSummary | None,
+    floors: Sequence[ScopeSummary | None],
+) -> dict[str, Estimates]:
+    """The strata of a scope with the outputs of `ScoreDefinition.relate`.
+
+    A row that was scored in part was scored on other frames than the oracle. Without one of the floors none is known to
+    be the best.
+    """
+    strata = {name: dict(found) for name, found in own.strata.items()}
+    for score in scores:
+        if score.relate is None:
+            continue
+        bound = _lead_of(oracle, score) if own.outcome == "ok" else None
+        known = [floor for one in floors if (floor := _lead_of(one, score)) is not None]
+        related = score.relate(_curves(own, score), known if len(known) == len(floors) else [], bound)
+        for output, by_stratum in related.items():
+            for stratum, values in by_stratum.items():
+                added = {output: Estimate(value=rounded_curve(values))}
+                strata[stratum][score.name] = strata[stratum][score.name] | added
+    return strata
+
+
+def _lead_of(scope: ScopeSummary | None, score: ScoreDefinition) -> CurvesByStratum | None:
+    """The leading output of a scope that may be the floor or the ceiling of others; None where it is none."""
+    return _curves(scope, score) if scope is not None and scope.outcome == "ok" and not scope.leak else None
+
+
+def _curves(scope: ScopeSummary, score: ScoreDefinition) -> CurvesByStratum:
+    found = {
+        name: scores[score.name][score.lead.name].value for name, scores in scope.strata.items() if score.name in scores
+    }
+    return {name: np.array([np.nan if one is None else one for one in values]) for name, values in found.items()}
+
+
+def _incomplete_floors(rows: Mapping[str, TrackerSummary]) -> Iterator[str]:
+    """A line for each floor without which no share of the oracle is known, on some of the recordings or on all."""
+    for label, row in rows.items() if ORACLE in rows else ():
+        missing = sum(trial.outcome != "ok" or bool(trial.leak) for trial in row.recordings.values())
+        if row.floor and missing:
+            trials = len(row.recordings)
+            where = f" on {missing} of {trials} recordings, nor on all together" if trials > 1 else ""
+            yield f"no share of the oracle{where}: {label}, a floor, is not complete"
+
+
+def _notices(run: RunTrials) -> Iterator[str]:
+    """Facts to know before a comparison, a line each."""
+    for name, description in run.recordings.items():
+        trials = run.on(name)
+        yield from filter(None, (_unknown_classes(trial.record, description) for trial in trials))
+        for label in _mismatched_degradations((trial.points, trial.record) for trial in trials):
+            yield f"{label} on {name} was delivered other degraded frames: its robustness is not comparable"
+        for label in run.mismatched[name]:
+            yield f"{label} on {name} was delivered other frames than the rest: its scores are not comparable"
+    for record in (trial.record for trial in run.all):
+        where = f"{record.label} on {record.recording}"
+        if record.recoveries:
+            failures = f"{record.recoveries} failure{'s' * (record.recoveries > 1)}"
+            yield f"{where} continued after {failures} inside it, which it counted itself"
+        if "host" in {measured.clock for measured in (record.latency_ms, record.deadline) if measured}:
+            yield f"{where} reports far shorter times than the round trips of its calls: the round trips count"
+
+
+def _unknown_classes(record: TrialRecord, recording: RecordingDescription) -> str:
+    """A notice of the recording's classes that the tracker does not have; empty where there are none."""
+    missing = [name for name in recording.classes if name not in record.classes]
+    if not record.classes or not missing:
+        return ""
+    return (
+        f"{record.label} does not forecast the classes {', '.join(missing)} of {record.recording}: their cells count as"
+        " misclassified, with probability 0"
+    )
+
+
+def _mismatched_degradations(records: Iterable[tuple[str, TrialRecord]]) -> list[str]:
+    """Labels of the trials of one recording that received other degraded frames than most, at equal strength.
+
+    Each record comes with the returns that it requested: trials with other returns are compared among themselves.
+    """
+    received = [
+        (record.label, (points, kind, point.value), point.delivered)
+        for points, record in records
+        if record.robustness
+        for kind, curve in record.robustness.kinds.items()
+        for point in curve
+    ]
+    usual: dict[tuple[str, str, float], Counter[str]] = {}
+    for _, condition, digest in received:
+        usual.setdefault(condition, Counter())[digest] += 1
+    labels = (label for label, condition, digest in received if digest != usual[condition].most_common(1)[0][0])
+    return list(dict.fromkeys(labels))
+
+
+def _reversed_rankings(run: RunTrials, trackers: Mapping[str, TrackerSummary]) -> Iterator[str]:
+    """A line for each headline stratum in which the ranking by F1 reverses between the chosen thresholds and 0.5.
+
+    Over all recordings at the horizons of their pooled scores, on each where there are none. Ranked rows count, and the
+    floors; not the ceiling.
+    """
+    names = [ALL_RECORDINGS] if run.pools else list(run.recordings)
+    for name in names:
+        horizons_s = run.horizons_s if run.pools else run.recordings[name].horizons_s
+        scopes = {
+            label: scope
+            for label, row in trackers.items()
+            if not row.ceiling and (scope := row.pooled if run.pools else row.recordings.get(name)) and scope.ranked
+        }
+        for stratum in HEADLINE_STRATA:
+            pairs = sorted(_reversed_pairs(scopes, stratum, horizons_s), key=lambda pair: -pair[0])
+            if pairs:
+                pairs_of = "pair of rows and horizon" if len(pairs) == 2 else "pairs of rows and horizons"
+                more = f"; {len(pairs) - 1} more such {pairs_of}" if len(pairs) > 1 else ""
+                yield f"{name}: the order of trackers depends on the threshold: {pairs[0][1]}{more}"
+
+
+def _reversed_pairs(
+    scopes: Mapping[str, ScopeSummary], stratum: str, horizons_s: Sequence[float]
+) -> Iterator[tuple[float, str]]:
+    """Every pair of rows that reverses: the smaller of its two leads, and the pair in words."""
+    for horizon_s, step in headline_steps(horizons_s):
+        f1 = {
+            label: tuple(scope.at(stratum, "f1", output, step).value for output in ("f1", "at_half"))
+            for label, scope in scopes.items()
+        }
+        for ahead, behind in permutations(f1, 2):
+            (chosen, half), (other_chosen, other_half) = f1[ahead], f1[behind]
+            if chosen is None or half is None or other_chosen is None or other_half is None:
+                continue
+            lead = min(chosen - other_chosen, other_half - half)
+            if lead >= LEAST_LEAD:
+                yield (
+                    lead,
+                    f"on {stratum} cells {horizon_s:g} s ahead {ahead} is above {behind} at the chosen thresholds (F1"
+                    f" {chosen:.3f} and {other_chosen:.3f}) and below it at a threshold of 0.5 ({half:.3f} and"
+                    f" {other_half:.3f})",
+                )

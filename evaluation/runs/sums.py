@@ -1,0 +1,317 @@
+"""The sums of a trial: one long Parquet table, from which every score and every resampling follows without a tracker.
+
+A row is one scored frame, step, stratum and score; `part` and `value` list the sums that are not 0. `delivered` is the
+hash of every frame delivered up to the last step: equal for two trackers that received the same frames. The metadata of
+the table names the strata and parts of each score.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numba
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from pyarrow import ArrowException, parquet
+
+from gridtrack.common.errors import GridtrackError
+from gridtrack.common.files import atomic_write
+from gridtrack.evaluation.scores.definition import Floats, Sums
+
+SUMS_FILE = "sums.parquet"
+SUMS_VERSION: Final = 1
+ROW_GROUP = 64
+"""Scored frames that are kept in memory before they are written."""
+_NAME = pa.dictionary(pa.int16(), pa.string())
+COLUMNS: dict[str, tuple[Any, str]] = {
+    "stamp_ns": (pa.int64(), "stamp of frame t, from which the forecast was made"),
+    "delivered": (pa.string(), "hash of every frame delivered up to t+steps"),
+    "step": (pa.int16(), "n, 0 to steps"),
+    "stratum": (_NAME, "name of the stratum"),
+    "score": (_NAME, "name of the score"),
+    "part": (pa.list_(pa.uint16()), "the parts that are not 0, as indices into `parts` of the score in the metadata"),
+    "value": (pa.list_(pa.float64()), "the sum of each of these parts"),
+}
+"""Type and meaning of each column."""
+_METADATA = b"gridtrack"
+
+
+class ScoresError(GridtrackError):
+    """Sums of a trial that cannot be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """The strata (K) and parts (P) of a score in a trial."""
+
+    strata: tuple[str, ...]
+    parts: tuple[str, ...]
+
+
+class SumsWriter:
+    """Writes the sums of one trial; on leaving the file is complete, however the trial ended."""
+
+    def __init__(self, folder: Path, layouts: Mapping[str, Layout], steps: int) -> None:
+        self._layouts, self._steps = layouts, steps
+        described = {
+            "version": SUMS_VERSION,
+            "steps": steps,
+            "scores": {name: {"strata": one.strata, "parts": one.parts} for name, one in layouts.items()},
+        }
+        fields = [(name, kind) for name, (kind, _) in COLUMNS.items()]
+        self._schema = pa.schema(fields, metadata={_METADATA: json.dumps(described)})
+        self._waiting: dict[str, list[tuple[int, str, Floats]]] = {name: [] for name in layouts}
+        self._file = ExitStack()
+        file = self._file.enter_context(atomic_write(folder / SUMS_FILE))
+        self._writer = parquet.ParquetWriter(file, self._schema, compression="zstd")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._file:
+            for score in self._waiting:
+                self._flush(score)
+            self._writer.close()
+
+    def add(self, stamp_ns: int, delivered: str, score: str, sums: Floats) -> None:
+        """Add the sums (S, K, P) of a score for the forecast made at `stamp_ns`. Stamps must increase."""
+        waiting = self._waiting[score]
+        waiting.append((stamp_ns, delivered, sums))
+        if len(waiting) == ROW_GROUP:
+            self._flush(score)
+
+    def _flush(self, score: str) -> None:
+        """Write the waiting frames of a score as a row group of its own, so that scores are read one by one."""
+        frames, strata = self._waiting[score], self._layouts[score].strata
+        if not frames:
+            return
+        sums = np.stack([own for _, _, own in frames]).reshape(-1, len(self._layouts[score].parts))
+        row, part = np.nonzero(sums)
+        ends = np.searchsorted(row, np.arange(len(sums) + 1)).astype(np.int32)
+        step, stratum = np.indices((self._steps + 1, len(strata)), np.int16).reshape(2, -1)
+        columns = [
+            np.repeat([stamp for stamp, _, _ in frames], step.size),
+            np.repeat([digest for _, digest, _ in frames], step.size),
+            np.tile(step, len(frames)),
+            pa.DictionaryArray.from_arrays(np.tile(stratum, len(frames)), list(strata)),
+            pa.DictionaryArray.from_arrays(np.zeros(len(sums), np.int16), [score]),
+            pa.ListArray.from_arrays(ends, pa.array(part, pa.uint16())),
+            pa.ListArray.from_arrays(ends, pa.array(sums[row, part])),
+        ]
+        self._writer.write_table(pa.table(columns, schema=self._schema), row_group_size=len(sums))
+        frames.clear()
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredFrames:
+    """The F scored frames of a trial: `stamps_ns` (F,) increase, `delivered` (F,) are the hashes of the frames
+    delivered up to each forecast's last step."""
+
+    stamps_ns: NDArray[np.int64]
+    delivered: NDArray[np.str_]
+
+    def at(self, frames: NDArray[Any]) -> ScoredFrames:
+        """The chosen frames."""
+        return ScoredFrames(self.stamps_ns[frames], self.delivered[frames])
+
+    def common_with(self, other: ScoredFrames) -> NDArray[np.bool_]:
+        """Which of these frames (F,) the other has too: with the same stamp, after the same frames."""
+        known = dict(zip(other.stamps_ns.tolist(), other.delivered.tolist(), strict=True))
+        mine = zip(self.stamps_ns.tolist(), self.delivered.tolist(), strict=True)
+        return np.fromiter((known.get(stamp) == digest for stamp, digest in mine), np.bool_, len(self.stamps_ns))
+
+
+class TrialSums:
+    """The sums in the folder of a trial, read score by score; every method raises ScoresError."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / SUMS_FILE
+        self.steps, self.layouts = _read_layouts(self.path)
+        self._frames: dict[str, ScoredFrames] = {}
+
+    @property
+    def scores(self) -> tuple[str, ...]:
+        """The scores that have rows."""
+        return tuple(name for name in self.layouts if name in self._groups)
+
+    @cached_property
+    def frames(self) -> ScoredFrames:
+        """The scored frames; none where nothing was scored."""
+        for score in self.scores:
+            return self._frames_of(score)
+        return ScoredFrames(np.zeros(0, np.int64), np.zeros(0, np.str_))
+
+    def by_unit(
+        self,
+        score: str,
+        units: NDArray[np.int64],
+        steps: Sequence[int],
+        strata: Sequence[str],
+        parts: Sequence[str] = (),
+    ) -> Sums:
+        """The sums (U, S, K, P) of the units from 0 to the highest in `units` (F,); frames in unit -1 are left out.
+
+        At these steps, strata and `parts` (none: all), each in its order.
+        """
+        layout = self.layouts.get(score, Layout((), ()))
+        parts = tuple(parts) or layout.parts
+        if not {*strata} <= {*layout.strata} or not {*parts} <= {*layout.parts}:
+            raise ScoresError(f"{self.path}: no sums of {score} in {', '.join(strata)}; run it again")
+        number, shape = int(units.max(initial=-1)) + 1, (len(steps), len(strata))
+        place = np.full((self.steps + 1, len(layout.strata)), -1)
+        place[np.ix_(steps, [layout.strata.index(name) for name in strata])] = np.arange(shape[0] * shape[1]).reshape(
+            shape
+        )
+        column = np.full(len(layout.parts), -1)
+        places = {part: at for at, part in enumerate(layout.parts)}
+        column[[places[part] for part in parts]] = np.arange(len(parts))
+        total = np.zeros((number, shape[0] * shape[1], len(parts)))
+        of_frame = dict(zip(self.frames.stamps_ns.tolist(), units.tolist(), strict=True))
+        for rows in self._row_groups(score):
+            unit = np.array([of_frame.get(stamp, -1) for stamp in rows.stamps_ns.tolist()])
+            self._require_parts(rows, layout)
+            _add(np.repeat(unit, place.size), np.tile(place.ravel(), len(unit)), *rows.entries, column, total)
+        return Sums(total.reshape(number, *shape, len(parts)), parts)
+
+    def by_frame(self, score: str, steps: Sequence[int], strata: Sequence[str], parts: Sequence[str]) -> Sums:
+        """The sums (F, S, K, P) of each scored frame."""
+        return self.by_unit(score, np.arange(len(self.frames.stamps_ns)), steps, strata, parts)
+
+    @cached_property
+    def _groups(self) -> dict[str, list[int]]:
+        """The row groups of each score."""
+        groups: dict[str, list[int]] = {}
+        with _opened(self.path) as file:
+            metadata, column = file.metadata, list(COLUMNS).index("score")
+            for group in range(metadata.num_row_groups):
+                found = metadata.row_group(group).column(column).statistics
+                name = found.min if found is not None and found.has_min_max and found.min == found.max else None
+                if name not in self.layouts:
+                    raise ScoresError(f"{self.path}: a part of the table that is not of one known score; run it again")
+                groups.setdefault(name, []).append(group)
+        return groups
+
+    def _frames_of(self, score: str) -> ScoredFrames:
+        if score not in self._frames:
+            found = [(rows.stamps_ns, rows.delivered) for rows in self._row_groups(score)]
+            stamps, delivered = (np.concatenate(own) for own in zip(*found, strict=True))
+            if (np.diff(stamps) <= 0).any():
+                raise ScoresError(f"{self.path}: the frames of {score} do not follow in time; run it again")
+            self._frames[score] = ScoredFrames(stamps, delivered)
+        return self._frames[score]
+
+    def _row_groups(self, score: str) -> Iterator[_Rows]:
+        layout = self.layouts[score]
+        names, rows_of_frame = list(COLUMNS), (self.steps + 1) * len(layout.strata)
+        with _opened(self.path) as file:
+            for group in self._groups.get(score, ()):
+                yield _rows(self.path, file.read_row_group(group, columns=names), layout, rows_of_frame, self.steps)
+
+    def _require_parts(self, rows: _Rows, layout: Layout) -> None:
+        if rows.entries[1].max(initial=0) >= len(layout.parts):
+            raise ScoresError(f"{self.path}: a part beyond the {len(layout.parts)} of its score; run it again")
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Rows of one score: of each frame the stamp and hash, and of each row where its entries end, and their parts and
+    values."""
+
+    stamps_ns: NDArray[np.int64]
+    delivered: NDArray[np.str_]
+    entries: tuple[NDArray[np.int64], NDArray[np.int64], Floats]
+
+
+def _rows(path: Path, table: Any, layout: Layout, rows_of_frame: int, steps: int) -> _Rows:
+    """The rows of a row group, checked: every frame has all steps, each with all strata in order."""
+    table = table.combine_chunks()
+    columns = {name: table.column(name).combine_chunks() for name in COLUMNS}
+    frames = len(table) // rows_of_frame if rows_of_frame else 0
+    if any(column.null_count for column in columns.values()) or len(table) != frames * rows_of_frame:
+        raise ScoresError(f"{path}: a value or a row is missing; run it again")
+    step, stratum = np.indices((steps + 1, len(layout.strata))).reshape(2, -1)
+    stamps = columns["stamp_ns"].to_numpy().reshape(frames, rows_of_frame)
+    names = columns["stratum"].dictionary_decode().to_numpy(zero_copy_only=False).astype(np.str_)
+    whole = (
+        (columns["step"].to_numpy().reshape(frames, rows_of_frame) == step).all()
+        and (names.reshape(frames, rows_of_frame) == np.array(layout.strata)[stratum]).all()
+        and (stamps == stamps[:, :1]).all()
+    )
+    ends, ends_of_values = (columns[name].offsets.to_numpy().astype(np.int64) for name in ("part", "value"))
+    if not whole or not np.array_equal(ends - ends[0], ends_of_values - ends_of_values[0]):
+        raise ScoresError(f"{path}: not {steps + 1} steps of {', '.join(layout.strata)} at every frame; run it again")
+    delivered = columns["delivered"].to_numpy(zero_copy_only=False)[::rows_of_frame].astype(np.str_)
+    parts, values = (columns[name].flatten().to_numpy() for name in ("part", "value"))
+    return _Rows(stamps[:, 0], delivered, (ends - ends[0], parts.astype(np.int64), values))
+
+
+@numba.njit(cache=True, nogil=True)
+def _add(unit, place, ends, parts, values, column, total):  # type: ignore[no-untyped-def]
+    """Add the entries of each row (R,) to its `unit` and `place` in `total` (U, N, P); an index of -1: to none."""
+    for row in range(unit.size):
+        if unit[row] >= 0 and place[row] >= 0:
+            for i in range(ends[row], ends[row + 1]):
+                if column[parts[i]] >= 0:
+                    total[unit[row], place[row], column[parts[i]]] += values[i]
+
+
+def _opened(path: Path) -> Any:
+    try:
+        return _Checked(parquet.ParquetFile(path), path)
+    except (OSError, ArrowException) as error:
+        raise _unreadable(path, error) from None
+
+
+class _Checked:
+    """A Parquet file of which every failure to read is a ScoresError."""
+
+    def __init__(self, file: Any, path: Path) -> None:
+        self._file, self._path = file, path
+        self.metadata = file.metadata
+        self.schema = file.schema_arrow
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def read_row_group(self, group: int, columns: Sequence[str]) -> Any:
+        """The columns of a row group."""
+        try:
+            return self._file.read_row_group(group, columns=columns)
+        except (OSError, ArrowException) as error:
+            raise _unreadable(self._path, error) from None
+
+
+def _read_layouts(path: Path) -> tuple[int, dict[str, Layout]]:
+    """The steps and the layout of each score, of a table with the columns of this version."""
+    with _opened(path) as file:
+        schema = file.schema
+        columns = {name: schema.field(name).type for name in schema.names}
+        if columns != {name: kind for name, (kind, _) in COLUMNS.items()}:
+            raise ScoresError(f"{path}: columns {', '.join(schema.names)}; expected {', '.join(COLUMNS)}: run it again")
+        try:
+            described = json.loads((schema.metadata or {})[_METADATA])
+            if described["version"] != SUMS_VERSION:
+                raise ScoresError(
+                    f"{path}: version {described['version']} of this table, and this gridtrack reads version"
+                    f" {SUMS_VERSION}: read it with the gridtrack that wrote it, or compare again"
+                )
+            scores = described["scores"].items()
+            layouts = {name: Layout(tuple(one["strata"]), tuple(one["parts"])) for name, one in scores}
+            return int(described["steps"]), layouts
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: Exception) -> ScoresError:
+    return ScoresError(f"{path}: cannot be read as sums ({str(error).splitlines()[0]}); run it again")

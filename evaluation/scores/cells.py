@@ -1,0 +1,217 @@
+"""Counts of the cells of one forecast: histograms of probability, squared error and log loss, in one pass.
+
+F1 at any threshold, precision-recall curves, calibration, Brier score and log loss follow from these counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.evaluation.referee.referee import ScoredForecast
+from gridtrack.evaluation.referee.strata import RANGES, REGIONS, STRATA, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, RegionMaps
+from gridtrack.evaluation.referee.targets import NOT_SCORED, SEEN_OCCUPIED, Target
+
+_LOWEST_OCTAVE, _LOWEST_OCTAVE_NEXT_TO_1 = 12, 7
+_COARSENING = 8
+
+
+def _edges(coarsening: int = 1) -> NDArray[np.float64]:
+    """Edges towards 0 by octaves of p, and towards 1 by octaves of 1 - p."""
+    near_0 = np.concatenate([_octave(k, coarsening) for k in range(_LOWEST_OCTAVE, 0, -1)])
+    near_1 = np.concatenate([_octave(k, coarsening) for k in range(_LOWEST_OCTAVE_NEXT_TO_1, 0, -1)])
+    return np.concatenate([[0.0], near_0, [0.5], 1.0 - near_1[::-1], [1.0]])
+
+
+def _octave(k: int, coarsening: int) -> NDArray[np.float64]:
+    """Lower edges of equal bins from 2^-(k+1) to 2^-k: 64 in the three octaves next to 0.5, 32 in three, then 16."""
+    bins = (64 if k <= 3 else 32 if k <= 6 else 16) // coarsening
+    return 2.0 ** -(k + 1) * (1.0 + np.arange(bins) / bins)
+
+
+PROBABILITY_EDGES = _edges()
+"""Edges (B+1,) of the bins of a histogram of probabilities, multiples of 2^-17; one of them is 0.5.
+
+Bin b covers `PROBABILITY_EDGES[b] <= p < PROBABILITY_EDGES[b + 1]`, the last bin also p = 1. The edges are nearly
+log-spaced towards 0, down to 2^-13, and towards 1: the order of small probabilities decides the PR-AUC of rare objects.
+"""
+PROBABILITY_BINS = len(PROBABILITY_EDGES) - 1
+CALIBRATION_EDGES = _edges(_COARSENING)
+"""Edges (C+1,) of the coarser bins for calibration, some of PROBABILITY_EDGES: in finer bins the share of occupied
+cells is mostly noise, which adds to every calibration error."""
+CALIBRATION_BINS = len(CALIBRATION_EDGES) - 1
+HALF = int(np.searchsorted(PROBABILITY_EDGES, 0.5))
+"""The bin whose lower edge is 0.5."""
+FIRST_OF_CALIBRATION_BIN = np.searchsorted(PROBABILITY_EDGES, CALIBRATION_EDGES[:-1])
+"""The first bin (C,) of each bin for calibration."""
+_CALIBRATION_BIN = np.searchsorted(FIRST_OF_CALIBRATION_BIN, np.arange(PROBABILITY_BINS), side="right") - 1
+_SLOTS = 1 << 17
+"""Every edge is a multiple of 1 / _SLOTS, so that a table maps a probability to its bin."""
+_BIN_OF_SLOT = np.searchsorted(PROBABILITY_EDGES[1:-1], np.arange(_SLOTS + 1) / _SLOTS, side="right").astype(np.int16)
+CLIP = 1e-3
+"""Probabilities are clipped to [CLIP, 1 - CLIP] for the log loss."""
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts over cells, per step S = steps+1, stratum K and probability bin; tallies add up.
+
+    `cells`, `positives` (S, K, B) int64: cells scored and those of them occupied; `p_sum` (S, K, C) float64: sum of the
+    forecast probability in each bin for calibration; `squared_error`, `log_loss` (S, K) float64: sums over cells, log
+    loss in nats. `strata` names the K strata.
+    """
+
+    cells: NDArray[np.int64]
+    positives: NDArray[np.int64]
+    p_sum: NDArray[np.float64]
+    squared_error: NDArray[np.float64]
+    log_loss: NDArray[np.float64]
+    strata: tuple[str, ...] = STRATA
+
+    @classmethod
+    def empty(cls, steps: int, strata: tuple[str, ...] = STRATA) -> Tally:
+        """Counts of zero for steps 0..steps."""
+        plain = steps + 1, len(strata)
+        cells, positives = np.zeros((2, *plain, PROBABILITY_BINS), np.int64)
+        return cls(cells, positives, np.zeros((*plain, CALIBRATION_BINS)), np.zeros(plain), np.zeros(plain), strata)
+
+    def add(self, other: Tally) -> None:
+        """Add the counts of `other`."""
+        self.cells += other.cells
+        self.positives += other.positives
+        self.p_sum += other.p_sum
+        self.squared_error += other.squared_error
+        self.log_loss += other.log_loss
+
+    def of(self, strata: tuple[str, ...]) -> Tally:
+        """The counts of these strata only."""
+        k = [self.strata.index(name) for name in strata]
+        return Tally(
+            self.cells[:, k],
+            self.positives[:, k],
+            self.p_sum[:, k],
+            self.squared_error[:, k],
+            self.log_loss[:, k],
+            strata,
+        )
+
+    def at(self, steps: list[int]) -> Tally:
+        """The counts of these steps only, in their order."""
+        return Tally(
+            self.cells[steps],
+            self.positives[steps],
+            self.p_sum[steps],
+            self.squared_error[steps],
+            self.log_loss[steps],
+            self.strata,
+        )
+
+    def confusion(self, threshold_bins: NDArray[np.int64]) -> NDArray[np.int64]:
+        """TP, FP, FN, TN (S, K, 4) when cells of bin `threshold_bins` (S, K) and above are called occupied."""
+        found: NDArray[np.int64] = _confusion(self.cells, self.positives, np.ascontiguousarray(threshold_bins))
+        return found
+
+
+def for_calibration(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Counts (..., B) of the bins summed over the bins for calibration (..., C)."""
+    summed: NDArray[np.int64] = np.add.reduceat(counts, FIRST_OF_CALIBRATION_BIN, axis=-1)
+    return summed
+
+
+def cells_of(forecast: ScoredForecast) -> Tally:
+    """The counts of a forecast, in its strata."""
+    return count_cells(forecast.forecast.occupancy, forecast.targets, forecast.region_maps, forecast.ages)
+
+
+def count_cells(
+    occupancy: NDArray[np.float32],
+    targets: Sequence[Target],
+    region_maps: RegionMaps,
+    ages: NDArray[np.uint8] | None = None,
+) -> Tally:
+    """Count a forecast made at frame t: step n against frame t+n, on the cells that are scored in that frame.
+
+    `occupancy` (steps+1, M, M) float32 in [0, 1]; `targets` t..t+steps; `ages` (M, M) uint8: the age band of
+    each cell at t, for hidden cells; None: all in the first band.
+    """
+    steps, seen = len(targets) - 1, region_maps.visible.reshape(-1)
+    hidden = (region_maps.hidden if ages is None else region_maps.hidden + ages).reshape(-1)
+    tally = Tally.empty(steps, region_maps.strata)
+    sums = SUMS_OF_REGIONS[[STRATA_WITH_TRUTH.index(name) for name in region_maps.strata]]
+    for n, target in enumerate(targets):
+        p, state, motion = occupancy[n].reshape(-1), target.state.reshape(-1), target.motion.reshape(-1)
+        cells, positives = np.zeros((2, REGIONS, PROBABILITY_BINS), np.int32)
+        p_sum, losses = np.zeros((REGIONS, CALIBRATION_BINS)), np.zeros((2, REGIONS))
+        _count_step(p, state, motion, seen, hidden, cells, positives, p_sum, losses[0], losses[1])
+        _add_regions(sums, cells, positives, tally.cells[n], tally.positives[n])
+        tally.p_sum[n] = sums @ p_sum
+        tally.squared_error[n], tally.log_loss[n] = losses @ sums.T
+    return tally
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _count_step(probability, state, motion, seen, hidden, cells, positives, p_sum, squared_error, log_loss):  # type: ignore[no-untyped-def]
+    """Add one step's scored cells (M*M,) to their regions' counts: histograms (R, B), (R, C) and sums (R,).
+
+    The log loss is accumulated as a product of likelihoods, with a logarithm only before it could underflow: about one
+    logarithm per hundred cells instead of one per cell.
+    """
+    likelihood = np.ones(log_loss.size)
+    for i in range(probability.size):
+        if state[i] == NOT_SCORED:
+            continue
+        region = seen[i] + RANGES * motion[i] if state[i] <= SEEN_OCCUPIED else hidden[i]
+        bin_ = _BIN_OF_SLOT[int(probability[i] * np.float32(_SLOTS))]
+        p = float(probability[i])
+        cells[region, bin_] += 1
+        p_sum[region, _CALIBRATION_BIN[bin_]] += p
+        clipped = min(max(p, CLIP), 1.0 - CLIP)
+        if state[i] & 1:
+            positives[region, bin_] += 1
+            squared_error[region] += (1.0 - p) ** 2
+            likelihood[region] *= clipped
+        else:
+            squared_error[region] += p**2
+            likelihood[region] *= 1.0 - clipped
+        if likelihood[region] < 1e-290:
+            log_loss[region] -= math.log(likelihood[region])
+            likelihood[region] = 1.0
+    for region in range(log_loss.size):
+        log_loss[region] -= math.log(likelihood[region])
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_regions(sums, cells, positives, cells_of_stratum, positives_of_stratum):  # type: ignore[no-untyped-def]
+    """Add the counts (R, B) of regions to those (K, B) of the strata, whose regions are marked in `sums` (K, R)."""
+    for k in range(sums.shape[0]):
+        for region in range(sums.shape[1]):
+            if sums[k, region]:
+                for b in range(PROBABILITY_BINS):
+                    cells_of_stratum[k, b] += cells[region, b]
+                    positives_of_stratum[k, b] += positives[region, b]
+
+
+@numba.njit(cache=True, nogil=True)
+def _confusion(cells, positives, threshold_bins):  # type: ignore[no-untyped-def]
+    """TP, FP, FN, TN (S, K, 4) of histograms (S, K, B) at the bins (S, K)."""
+    found = np.zeros((cells.shape[0], cells.shape[1], 4), np.int64)
+    for s in range(cells.shape[0]):
+        for k in range(cells.shape[1]):
+            missed, others = 0, 0
+            for b in range(threshold_bins[s, k]):
+                missed += positives[s, k, b]
+                others += cells[s, k, b]
+            called, called_positives = 0, 0
+            for b in range(threshold_bins[s, k], cells.shape[2]):
+                called += cells[s, k, b]
+                called_positives += positives[s, k, b]
+            found[s, k, 0] = called_positives
+            found[s, k, 1] = called - called_positives
+            found[s, k, 2] = missed
+            found[s, k, 3] = others - missed
+    return found

@@ -1,0 +1,192 @@
+"""What a score is: how it counts a forecast, and what values follow from the counts.
+
+A score is one object. Storage, pooling, intervals, paired tests, the gate, tables, pages and exports ask it for its
+title, unit and direction, and for its values; they name no score. Counts are additive sums, so that scores of several
+recordings, of resampled units and of differences follow from the same sums without a tracker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridtrack.evaluation.referee.referee import ScoredForecast
+from gridtrack.evaluation.scores.thresholds import Thresholds
+from gridtrack.trackers.contract import ComparedPart
+
+Floats = NDArray[np.float64]
+Scale = Literal["", "odds", "log", "linear"]
+"""The scale on which an interval is symmetric: log odds of a share in [0, 1], logarithm of a positive value, the value
+itself; empty: no interval."""
+Relation = Callable[
+    ["CurvesByStratum", Sequence["CurvesByStratum"], "CurvesByStratum | None"], dict[str, "CurvesByStratum"]
+]
+CurvesByStratum = Mapping[str, Floats]
+"""Values (S,) by stratum."""
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """One value of a score, as tables, pages and exports show it.
+
+    `better`: whether higher or lower values are better; empty for a value that ranks nothing. `tested`: trackers are
+    compared by it. `margin`: the gate allows a value that is worse by as much, as a share of the value where
+    `relative_margin`; None: the gate does not judge it. `decimals` of a value in a table.
+    """
+
+    name: str
+    title: str
+    unit: str = ""
+    better: Literal["", "higher", "lower"] = ""
+    scale: Scale = ""
+    tested: bool = False
+    margin: float | None = None
+    relative_margin: bool = False
+    decimals: int = 3
+
+    @property
+    def direction(self) -> int:
+        """1 where a higher value is better, -1 where a lower one is, else 0."""
+        return {"higher": 1, "lower": -1, "": 0}[self.better]
+
+    @property
+    def heading(self) -> str:
+        """The title, with the unit."""
+        return f"{self.title}, {self.unit}" if self.unit else self.title
+
+
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """A value (...) that is `part` / `whole`, both sums; undefined where the sum of `support` is 0 (None: of `whole`).
+
+    `counted`: both sums are counts of cells, so that half a count is added before a logarithm.
+    """
+
+    part: Floats
+    whole: Floats
+    support: Floats | None = None
+    counted: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """A value (...) that is no ratio of sums, such as an area; `size`: how much its sums count beside other sums."""
+
+    value: Floats
+    size: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Sums:
+    """Sums (..., P) of a score; `parts` names the P sums."""
+
+    values: Floats
+    parts: tuple[str, ...]
+
+    def __getitem__(self, part: str) -> Floats:
+        """The sums (...) called `part`."""
+        sums: Floats = self.values[..., _places(self.parts)[part]]
+        return sums
+
+    def block(self, name: str) -> Floats:
+        """The sums (..., N) called `name 0` to `name N-1`."""
+        places = _places(self.parts)
+        first = places[f"{name} 0"]
+        size = next((n for n in range(len(self.parts) - first) if f"{name} {n}" not in places), len(self.parts) - first)
+        sums: Floats = self.values[..., first : first + size]
+        return sums
+
+
+@cache
+def _places(parts: tuple[str, ...]) -> dict[str, int]:
+    return {part: place for place, part in enumerate(parts)}
+
+
+def block(name: str, size: int) -> tuple[str, ...]:
+    """Names of the parts of a histogram, `name 0` to `name size-1`."""
+    return tuple(f"{name} {n}" for n in range(size))
+
+
+@dataclass(frozen=True, slots=True)
+class TrialFacts:
+    """What a score may know of a trial: cells of `cell_m` metres, steps 0..`steps`, the strata that are scored, the
+    classes of the recording and those of the tracker, its thresholds, and whether there is ground truth."""
+
+    cell_m: float
+    steps: int
+    strata: tuple[str, ...]
+    thresholds: Thresholds
+    classes: tuple[str, ...] = ()
+    tracker_classes: tuple[str, ...] = ()
+    has_truth: bool = False
+
+
+Count = Callable[[ScoredForecast, TrialFacts, Any], "Floats | None"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreDefinition:
+    """A score.
+
+    `count(forecast, facts, memory)` gives the sums (S, K, P) of one forecast, per step 0..steps, stratum and part, or
+    None where the forecast has nothing to count. `memory` is made by `new_memory` for each trial and kept between its
+    forecasts. `value(sums)` gives every output that follows from sums (..., P), pooled, of units, or without one of
+    them: intervals, differences and tests are made from it. The first output leads. `strata` and `parts` of a trial
+    follow from its facts; a score without strata does not apply to the trial. `relate` gives outputs (S,) by stratum
+    that need those of other rows: of the floors, and of the oracle. `figure` gives the points (N,) of the score's
+    figure from sums (U, P) of units; those that are ratios get an interval.
+    `needed` names files of the recording or parts of the forecast that not every trial has. `compared_with`: the row
+    that others are compared with is the reference for occupancy, or for classes. `thresholded`: its values depend on
+    the threshold that was chosen for the trial. `about`: what the score says, what it
+    does not say, and its source. `position`: scores are listed in this order.
+    """
+
+    name: str
+    title: str
+    position: int
+    outputs: tuple[Output, ...]
+    about: str
+    count: Count
+    value: Callable[[Sums], Mapping[str, Ratio | Measure | Floats]]
+    parts: Callable[[TrialFacts], tuple[str, ...]]
+    strata: Callable[[TrialFacts], tuple[str, ...]] = lambda facts: facts.strata
+    new_memory: Callable[[TrialFacts], Any] = lambda facts: None
+    relate: Relation | None = None
+    figure: Callable[[Sums], dict[str, Floats | Ratio]] | None = None
+    needed: str = ""
+    compared_with: ComparedPart = "occupancy"
+    thresholded: bool = False
+
+    @property
+    def lead(self) -> Output:
+        """The output that stands for the score."""
+        return self.outputs[0]
+
+    def output(self, name: str) -> Output:
+        """An output by its name. Raises KeyError."""
+        return {output.name: output for output in self.outputs}[name]
+
+    @property
+    def tested(self) -> tuple[Output, ...]:
+        """The outputs by which trackers are compared."""
+        return tuple(output for output in self.outputs if output.tested)
+
+
+def divided(part: NDArray[Any], whole: NDArray[Any], defined: NDArray[np.bool_] | None = None) -> Floats:
+    """part / whole, broadcast; NaN where `whole` is 0 or the ratio is not `defined`."""
+    divisible = whole > 0 if defined is None else defined & (whole > 0)
+    found = np.full(np.broadcast_shapes(part.shape, whole.shape), np.nan)
+    np.divide(part, whole, out=found, where=divisible)
+    return found
+
+
+def value_of(found: Ratio | Measure | Floats) -> Floats:
+    """The value (...) of what `ScoreDefinition.value` gives of pooled sums; NaN where it is undefined."""
+    if isinstance(found, Ratio):
+        return divided(found.part, found.whole, None if found.support is None else found.support > 0)
+    return found.value if isinstance(found, Measure) else found

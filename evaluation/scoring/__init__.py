@@ -1,1 +1,0 @@
-"""The referee: forecasts paired with the observed frames, and counts of their scores."""

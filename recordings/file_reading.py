@@ -1,0 +1,116 @@
+"""Reading files that are damaged, compressed far, or still being written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from gridtrack.common.errors import RecordingError
+
+FREE_BYTES, BYTES_PER_BYTE = 64 << 20, 100
+"""Limit of the unpacked bytes of a file: a free amount, and more for each byte of the file."""
+FREE_RECORDS, BYTES_PER_RECORD = 200_000, 2
+"""Limit of the records (messages, lines) of a file: a free number, and one more for every two bytes of the file."""
+NOT_A_RECORDING = "no recording is compressed so far: import it from a trusted copy"
+
+
+class DamageError(RecordingError):
+    """A file is cut off or corrupt: only the scans before the damage can be used."""
+
+
+@dataclass
+class ReadBudget:
+    """Counts the unpacked content of a compressed file in one pass, with limits in proportion to the file's size.
+
+    Scans compress to a tenth, and a message takes tens of bytes. Ten kilobytes that unpack to 200 MB, or to millions of
+    empty messages, are not a recording, and would take minutes of processor time.
+    """
+
+    bytes_per_byte: int = BYTES_PER_BYTE
+    free_records: int = FREE_RECORDS
+    unpacked_bytes: int = 0
+    records: int = 0
+
+    def take_bytes(self, count: int, file_bytes: int) -> None:
+        """Count bytes before they are unpacked from the first `file_bytes` of the file. Raises DamageError."""
+        self.unpacked_bytes += count
+        if self.unpacked_bytes > FREE_BYTES + self.bytes_per_byte * file_bytes:
+            raise DamageError(
+                f"its first {file_bytes} bytes unpack to more than {self.unpacked_bytes >> 20} MiB; {NOT_A_RECORDING}"
+            )
+
+    def take_record(self, file_bytes: int) -> None:
+        """Count a message or a line in the first `file_bytes` of the file. Raises DamageError."""
+        self.records += 1
+        if self.records > self.free_records + file_bytes // BYTES_PER_RECORD:
+            raise DamageError(
+                f"its first {file_bytes} bytes have more than {self.records - 1} records; {NOT_A_RECORDING}"
+            )
+
+
+class FileEnds(Exception):
+    """The current end of a growing file, when its reader does not wait for more."""
+
+
+def _no_more() -> bool:
+    return False
+
+
+@dataclass
+class Growth:
+    """How to read a file that may still be written.
+
+    At the end of the file `more()` may wait for more bytes; it returns whether to read on. By default the present
+    content is read. Bytes from `limit` on are not read, and sensors outside of `sensors` are left out; None: no limit,
+    all sensors. `position` is the number of bytes read last; `cut` tells whether the file ended there before its writer
+    closed it.
+    """
+
+    more: Callable[[], bool] = _no_more
+    limit: int | None = None
+    sensors: frozenset[str] | None = None
+    position: int = 0
+    cut: bool = False
+
+    def open(self, path: Path) -> GrowingFile:
+        """The file at `path`, from its first byte. Raises OSError."""
+        return GrowingFile(path, self)
+
+
+class GrowingFile:
+    """A file whose reads return all bytes asked for, and wait for them according to its Growth."""
+
+    def __init__(self, path: Path, growth: Growth) -> None:
+        self._file, self._growth = path.open("rb"), growth
+        growth.cut = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def read(self, size: int) -> bytes:
+        """The next `size` bytes. Raises FileEnds if they are missing and the reader does not wait."""
+        content = bytearray()
+        while len(content) < size:
+            found = self._file.read(self._readable(size - len(content)))
+            self._growth.position = self._file.tell()
+            content += found
+            if not found and not self._growth.more():
+                self._growth.cut = True
+                raise FileEnds
+        return bytes(content)
+
+    def tell(self) -> int:
+        """The position, bytes."""
+        return self._file.tell()
+
+    def _readable(self, size: int) -> int:
+        limit = self._growth.limit
+        return size if limit is None else max(0, min(size, limit - self._file.tell()))

@@ -1,0 +1,192 @@
+"""Checks of recorded poses: jumps from scan to scan, and drift in comparison with the scans.
+
+A jump is a step that no robot makes, from a localisation or a damaged transform.
+
+For the drift scans a second apart are laid on each other: the later scan is matched with the earlier one, from the
+relative pose that the recorded poses give (ego_motion/fit.py). The motion of its walls in the match, across themselves,
+is the displacement of a wall in a second by the poses; sliding along a wall is not visible. Exact poses leave the noise
+of the ranges and of the match: a centimetre or less.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gridtrack.common.geometry import SE2, wrap_angle
+from gridtrack.common.scan import Scan
+
+MIN_JUMP_M, MIN_JUMP_RAD = 0.3, math.radians(20.0)
+MAX_ACCELERATION, MAX_TURN_ACCELERATION = 20.0, 40.0
+"""m/s^2 and rad/s^2: twice those of a braking car, and of a small robot that begins to turn."""
+MAX_FASTER = 2.0
+"""Limit of a step at constant velocity, relative to the step before; stamps may be irregular."""
+PAIR_S, LONGEST_PAIR_S = 1.0, 2.0
+"""Time between the two scans of a pair, and its limit. Drift is reported per PAIR_S."""
+PAIR_MOVED_M, PAIR_TURNED_RAD, PAIR_JUMPED_M = 0.2, math.radians(5.0), 20.0
+"""Limits of the motion between the scans of a pair: below the first two odometry is exact, beyond the third it
+jumps."""
+SPARSER = 1.0 / 32.0
+"""The next pair begins after this share of the time since the first scan, so long recordings have few more pairs."""
+KERNELS_M = (0.5, 0.2, 0.1)
+"""Kernels of successive matches of a pair: the first one reaches poses that are far off."""
+PRIOR_INFORMATION = 0.01
+"""Weight of the recorded poses in these matches: they decide only in directions that the walls leave open."""
+ENOUGH_PAIRS = 8
+DRIFT_LIMIT_M = 0.04
+"""Median displacement from which there is a warning: half a cell or less of any usual grid."""
+
+
+@dataclass(slots=True)
+class PoseDrift:
+    """The displacements of walls between pairs of scans of one sensor by its poses, metres in PAIR_S."""
+
+    displacements_m: array[float] = field(default_factory=lambda: array("d"))
+    _start_ns: int = 0
+    _earlier: Scan | None = None
+    _earlier_motion: tuple[SE2, float] = (SE2(), 0.0)
+    _before: tuple[int, SE2] | None = None
+    _next_ns: int = 0
+
+    def add(self, scan: Scan) -> None:
+        """Add the sensor's next scan."""
+        before, self._before = self._before, (scan.stamp_ns, scan.world_T_sensor)
+        if before is None:
+            self._start_ns = scan.stamp_ns
+        if self._earlier is None:
+            if scan.stamp_ns >= self._next_ns:
+                self._begin(scan, before)
+            return
+        since_s = (scan.stamp_ns - self._earlier.stamp_ns) / 1e9
+        if since_s < PAIR_S:
+            return
+        between = self._earlier.world_T_sensor.inverse() @ scan.world_T_sensor
+        way_m = math.hypot(between.x, between.y)
+        turned = abs(between.theta) > PAIR_TURNED_RAD
+        moved = PAIR_MOVED_M < way_m < PAIR_JUMPED_M or (way_m <= PAIR_MOVED_M and turned)
+        if not moved or since_s > LONGEST_PAIR_S:
+            self._begin(scan, before)
+            return
+        displaced_m = displacement_m(self._earlier, self._earlier_motion, scan, motion_since(before, scan))
+        if displaced_m is not None:
+            self.displacements_m.append(displaced_m * PAIR_S / since_s)
+        self._earlier = None
+        self._next_ns = scan.stamp_ns + int(SPARSER * (scan.stamp_ns - self._start_ns))
+
+    def _begin(self, scan: Scan, before: tuple[int, SE2] | None) -> None:
+        self._earlier, self._earlier_motion = scan, motion_since(before, scan)
+
+    @property
+    def median_m(self) -> float | None:
+        """The median displacement, metres in PAIR_S; None for fewer than ENOUGH_PAIRS."""
+        return float(np.median(self.displacements_m)) if len(self.displacements_m) >= ENOUGH_PAIRS else None
+
+    def problem(self, remedy: str) -> str:
+        """One line about poses that disagree with the scans, with the `remedy`, a command; else empty."""
+        median_m = self.median_m
+        if median_m is None or median_m < DRIFT_LIMIT_M:
+            return ""
+        return (
+            f"its poses disagree with its scans: by them a wall moves {median_m:.2f} m in a second (median of"
+            f" {len(self.displacements_m)} pairs of scans), so trackers with a memory smear the walls and score worse:"
+            f" correct the poses with `{remedy}`"
+        )
+
+
+def motion_since(before: tuple[int, SE2] | None, scan: Scan) -> tuple[SE2, float]:
+    """The sensor's motion since the scan before (stamp, pose), and its duration in seconds; 0 without such a scan."""
+    if before is None or scan.stamp_ns <= before[0]:
+        return SE2(), 0.0
+    return before[1].inverse() @ scan.world_T_sensor, (scan.stamp_ns - before[0]) / 1e9
+
+
+def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: tuple[SE2, float]) -> float | None:
+    """The displacement of common walls of two scans by their poses: root mean square across the walls, metres.
+
+    `moved` and `moves` are the motion of the sensor at each scan and its duration in seconds, for scans with beam
+    times. None if too small a part of the later scan, or of its walls, lies on the earlier one for a match.
+    """
+    from scipy.spatial import cKDTree
+
+    from gridtrack.recordings.ego_motion.fit import MatchingSettings, fit_at, share_on_map, stepped, walls_of
+    from gridtrack.recordings.ego_motion.returns import returns_of
+
+    settings = MatchingSettings()
+    before, returns = (
+        returns_of(scan, settings.max_range_m, *motion) for scan, motion in ((earlier, moved), (later, moves))
+    )
+    if min(len(before.points), len(returns.points)) < settings.min_returns:
+        return None
+    between = earlier.world_T_sensor.inverse() @ later.world_T_sensor
+    map_points, walls, pose = cKDTree(before.points), walls_of(returns), between
+    for kernel_m in KERNELS_M:
+        pose = stepped(pose, walls, map_points, (between, PRIOR_INFORMATION * np.eye(3)), kernel_m, settings)
+    fit = fit_at(pose, walls, map_points, KERNELS_M[-1])
+    shared = share_on_map(pose, returns, map_points, KERNELS_M[-1], len(returns.points))
+    if shared < settings.min_inlier_share or np.count_nonzero(fit.on_map) < settings.min_returns:
+        return None
+    off = pose.inverse() @ between
+    across = walls.jacobian[fit.on_map] @ [off.x, off.y, off.theta]
+    return float(np.sqrt(np.mean(np.square(across))))
+
+
+@dataclass(slots=True)
+class PoseJumps:
+    """Counts the steps from pose to pose that neither the step before nor an acceleration explains."""
+
+    count: int = 0
+    largest_m: float = 0.0
+    largest_rad: float = 0.0
+    first_ns: int = 0
+    _before: tuple[int, SE2] | None = None
+    _step: tuple[float, float, float] | None = None
+    """x, y and heading of the step before, metres and radians."""
+    _period_s: float = 0.0
+
+    def add(self, stamp_ns: int, pose: SE2) -> None:
+        """Add the next pose of the sensor."""
+        before, self._before = self._before, (stamp_ns, pose)
+        if before is None or stamp_ns <= before[0]:
+            return
+        period_s = (stamp_ns - before[0]) / 1e9
+        step = (pose.x - before[1].x, pose.y - before[1].y, wrap_angle(pose.theta - before[1].theta))
+        if self._step is not None and self._is_jump(step, self._step, period_s):
+            self.first_ns = self.first_ns or stamp_ns
+            self.count += 1
+            self.largest_m = max(self.largest_m, math.hypot(step[0] - self._step[0], step[1] - self._step[1]))
+            self.largest_rad = max(self.largest_rad, abs(wrap_angle(step[2] - self._step[2])))
+            return
+        self._step, self._period_s = step, period_s
+
+    def _is_jump(self, step: tuple[float, float, float], last: tuple[float, float, float], period_s: float) -> bool:
+        faster = MAX_FASTER * max(1.0, period_s / self._period_s)
+        reach = 0.5 * period_s * (period_s + self._period_s)
+        away_m = _distance_to_segment(step[:2], (faster * last[0], faster * last[1]))
+        away_rad = max(-step[2], 0.0) if last[2] >= 0.0 else max(step[2], 0.0)
+        away_rad = max(away_rad, abs(step[2]) - faster * abs(last[2]))
+        return away_m > max(MIN_JUMP_M, MAX_ACCELERATION * reach) or away_rad > max(
+            MIN_JUMP_RAD, MAX_TURN_ACCELERATION * reach
+        )
+
+    def warning(self, recording_start_ns: int) -> str:
+        """One line about the jumps; empty without any."""
+        if not self.count:
+            return ""
+        at_s = (self.first_ns - recording_start_ns) / 1e9
+        return (
+            f"its pose jumps: {self.count} times in the whole recording, by up to {self.largest_m:.2f} m and"
+            f" {math.degrees(self.largest_rad):.0f} deg, first {at_s:.1f} s after the first scan; walls are in two"
+            " places there: choose a stretch without a jump, or continuous poses, from odometry or from"
+            " `recording import --ego-motion kiss-icp`"
+        )
+
+
+def _distance_to_segment(point: tuple[float, float], end: tuple[float, float]) -> float:
+    """The distance of a point from the segment between the origin and `end`."""
+    squared = end[0] ** 2 + end[1] ** 2
+    share = (point[0] * end[0] + point[1] * end[1]) / squared if squared > 0.0 else 0.0
+    share = min(max(share, 0.0), 1.0)
+    return math.hypot(point[0] - share * end[0], point[1] - share * end[1])

@@ -1,0 +1,93 @@
+"""The host: what /proc shows a tracker's process of the recording, and processes that a tracker leaves behind."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+from gridtrack.evaluation.hosting.host import shielded_environment
+from tests.conftest import PLUGINS
+
+PR_CAPBSET_DROP = 24
+CAP_SYS_PTRACE, CAP_SYS_ADMIN, CAP_PERFMON = 19, 21, 38
+ENDED, LEFT = "86411", "86413"
+"""Durations that no other process of this machine waits for, in seconds."""
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/proc, and the adoption of orphans, are Linux's")
+
+
+def drop_tracing() -> None:
+    """Take the right to read every process from root; no shield prevents that."""
+    for right in (CAP_SYS_PTRACE, CAP_SYS_ADMIN, CAP_PERFMON):
+        ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, right, 0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("command", "tracker"), [(("compare",), "nosy-in-trial"), (("train",), "nosy")], ids=("compare", "train")
+)
+def test_no_argument_environment_or_descriptor_names_the_recording(command, tracker, record, install, tmp_path):
+    install(
+        "nosy",
+        {"nosy": "nosy_trackers:Nosy", "nosy-in-trial": "nosy_trackers:NosyInTrial"},
+        {"nosy_trackers.py": (PLUGINS / "nosy_trackers.py").read_text()},
+    )
+    path, found = record("hidden-name"), tmp_path / "found.json"
+    selection = f"{tracker}:found={found},secret=eman-neddih"
+    options = [selection, str(path)] if command == ("train",) else [str(path), "--tracker", selection]
+    argv = [sys.executable, "-m", "gridtrack.cli", *command, *options, "--out", str(tmp_path / "out")]
+    subprocess.run(
+        argv, check=True, stdout=subprocess.DEVNULL, env=os.environ | {"RECORDING": str(path)}, preexec_fn=drop_tracing
+    )
+    assert json.loads(found.read_text())["traces"] == []
+
+
+def test_variables_that_name_a_recording_are_left_out(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("RECORDING", "somewhere/a.mcap")
+    monkeypatch.setenv("FOLDER", f"{tmp_path}/bag/metadata.yaml")
+    monkeypatch.setenv("OTHER", "bag")
+    found = shielded_environment([Path("a.mcap"), Path("bag")])
+    assert found == {name: value for name, value in os.environ.items() if name not in ("RECORDING", "FOLDER")}
+
+
+def left_behind(seconds: str) -> list[psutil.Process]:
+    return [process for process in psutil.process_iter(["cmdline"]) if process.info["cmdline"] == ["sleep", seconds]]
+
+
+@pytest.mark.usefixtures("burglar")
+def test_the_host_ends_a_process_whose_tracker_killed_its_own_supervisor_and_continues(record, tmp_path):
+    rows = ["--tracker", f'burglar:attacks=[["outlives","{ENDED}"]]', "--tracker", "persistence"]
+    command = [sys.executable, "-m", "gridtrack.cli", "compare", str(record()), *rows, "--out", str(tmp_path / "run")]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 3, ended.stderr
+    assert left_behind(ENDED) == []
+    found = json.loads(Path(tmp_path, "run", "summary.json").read_text())["trackers"]
+    outcomes = {name: next(iter(row["recordings"].values()))["outcome"] for name, row in found.items()}
+    assert outcomes == {"burglar": "crashed", "persistence": "ok"}
+
+
+@pytest.mark.usefixtures("burglar")
+def test_without_adoption_it_would_be_left(tmp_path):
+    """The attack itself works: in a process that is not gridtrack's alone, and adopts nothing."""
+    script = f"""
+from pathlib import Path
+from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.hosting.limits import Limits
+from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
+from gridtrack.trackers.contract import StreamSpec
+from gridtrack.trackers.selection import launch
+options, log = {{"attacks": [["outlives", {LEFT!r}]]}}, Path({str(tmp_path / "stderr.log")!r})
+TrackerProcess(launch("burglar"), StreamSpec(GridSpec(), 0.125), options, Limits(), log).__enter__()
+"""
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert "TrialEnded" in ended.stderr
+    left = left_behind(LEFT)
+    assert len(left) == 1
+    left[0].kill()

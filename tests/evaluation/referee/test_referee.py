@@ -1,0 +1,186 @@
+"""The referee: which forecasts are scored against which frames, and the bound of its memory."""
+
+import weakref
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gridtrack.common.errors import RecordingError
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
+from gridtrack.evaluation.referee.motion import ObservedMotion
+from gridtrack.evaluation.referee.referee import WARM_UP, Delivery, Schedule, moments, scored_forecasts
+from gridtrack.evaluation.referee.strata import CELL_KINDS
+from gridtrack.evaluation.runs.objective import score_in_process
+from gridtrack.evaluation.scores.cells import Tally, count_cells
+from gridtrack.evaluation.scores.f1 import f1_of
+from gridtrack.evaluation.scores.thresholds import half
+from gridtrack.trackers.contract import Forecast
+
+GRID = GridSpec(8, 1.0)
+NOTHING = np.zeros((0, 2), np.float32)
+STEPS = 4
+LOOKBACK = 10
+"""Frames of the second before, by which motion is found."""
+ALL_DYNAMIC = Regions(GRID, KindsOfWindow(np.full(GRID.shape, CELL_KINDS.index("dynamic"), np.uint8)))
+
+
+def random_frame(index, pose):
+    rng = np.random.default_rng(index)
+    occupied = rng.random(GRID.shape) < 0.3
+    return GridFrame(
+        index * 100_000_000, np.ones(GRID.shape, bool), occupied, pose, NOTHING, NOTHING, np.zeros(0, np.uint8)
+    )
+
+
+class FakeStream:
+    name, sha256, grid, period_s, site, classes = "fake.mcap", "0" * 64, GRID, 0.1, "nowhere", ()
+
+    def __init__(self, frames, pose_of=lambda _: SE2()):
+        self.frames, self.pose_of = frames, pose_of
+
+    def __iter__(self):
+        return (random_frame(index, self.pose_of(index)) for index in range(self.frames))
+
+    def __len__(self):
+        return self.frames
+
+
+class Seer:
+    """A tracker that knows the future frames, and forecasts frame t+n at step n, `late` steps late."""
+
+    def __init__(self, stream, late=0):
+        self.frames, self.late = list(stream), late
+        self.calls = []
+
+    def reset(self, seed):
+        self.index = -1
+        self.calls.append(("reset", seed))
+
+    def update(self, frame):
+        self.index += 1
+        assert frame.stamp_ns == self.frames[self.index].stamp_ns
+        self.calls.append(("update", self.index))
+
+    def predict(self, steps):
+        self.calls.append(("predict", self.index))
+        return Forecast(
+            np.stack([self.frames[self.index + n - self.late].occupied for n in range(steps + 1)]).astype(np.float32)
+        )
+
+
+def delivery(stream):
+    return Delivery(stream, lambda: None, ALL_DYNAMIC)
+
+
+def f1_per_step(stream, tracker, every=3):
+    tally = Tally.empty(STEPS)
+    for scored in scored_forecasts(tracker, delivery(stream), Schedule(len(stream), STEPS, every), seed=7):
+        tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
+    return f1_of(tally.confusion(half(STEPS).bins))[:, 0]
+
+
+def test_a_tracker_that_knows_the_future_scores_one_at_every_step():
+    stream = FakeStream(60)
+    assert f1_per_step(stream, Seer(stream)).tolist() == [1.0] * (STEPS + 1)
+
+
+@pytest.mark.parametrize("late", [-1, 1])
+def test_a_tracker_that_is_a_frame_off_scores_less(late):
+    stream = FakeStream(60)
+    stream_and_beyond = FakeStream(61)
+    assert (f1_per_step(stream, Seer(stream_and_beyond, late)) < 0.5).all()
+
+
+def test_only_the_step_with_the_correct_frame_scores_one():
+    class KnowsStepTwo(Seer):
+        def predict(self, steps):
+            occupancy = np.zeros((steps + 1, *GRID.shape), np.float32)
+            occupancy[2] = super().predict(steps).occupancy[2]
+            return Forecast(occupancy)
+
+    stream = FakeStream(60)
+    assert f1_per_step(stream, KnowsStepTwo(stream)).tolist() == [0.0, 0.0, 1.0, 0.0, 0.0]
+
+
+def test_warm_up_and_tail_are_delivered_and_not_forecast_from():
+    stream = FakeStream(40)
+    tracker = Seer(stream)
+    scored = list(scored_forecasts(tracker, delivery(stream), Schedule(40, STEPS, 5), seed=7))
+    assert tracker.calls[0] == ("reset", 7)
+    assert [i for call, i in tracker.calls if call == "update"] == list(range(40))
+    assert [i for call, i in tracker.calls if call == "predict"] == [20, 25, 30, 35]
+    assert [one.stamp_ns // 100_000_000 for one in scored] == [20, 25, 30, 35]
+
+
+@given(frames=st.integers(0, 90), steps=st.integers(0, 30), every=st.integers(1, 20))
+def test_the_schedule_expects_as_many_forecasts_as_are_due(frames, steps, every):
+    schedule = Schedule(frames, steps, every)
+    due = [index for index in range(frames) if schedule.due(index)]
+    assert len(due) == schedule.expected
+    assert all(index >= WARM_UP and index + steps <= frames - 1 for index in due)
+
+
+def test_no_more_than_a_horizon_of_frames_is_kept():
+    alive = weakref.WeakSet()
+
+    class Held:
+        """A frame that can be counted while it lives."""
+
+        def __init__(self, index):
+            self.stamp_ns, self.visible, self.occupied = index, *np.ones((2, 1, 1), bool)
+            self.world_T_grid, self.origins = SE2(), NOTHING
+            alive.add(self)
+
+    class Still:
+        def reset(self, seed): ...
+
+        def update(self, frame):
+            assert len(alive) <= LOOKBACK + STEPS + 2
+
+        def predict(self, steps):
+            return Forecast(np.zeros((steps + 1, 1, 1), np.float32))
+
+    class HeldFrames(FakeStream):
+        grid = GridSpec(1, 1.0)
+
+        def __iter__(self):
+            return map(Held, range(200))
+
+    source = HeldFrames(200)
+    regions = Regions(source.grid, KindsOfWindow(np.zeros((1, 1), np.uint8)))
+    stream = moments(source, regions, ObservedMotion(source))
+    for scored in scored_forecasts(Still(), stream, Schedule(200, STEPS, 1), seed=0):
+        assert len(scored.frames) == STEPS + 1
+        del scored
+
+
+def test_the_digest_covers_every_frame_in_order():
+    def digest(frames):
+        delivered = delivery(frames)
+        list(delivered)
+        return delivered.digest, delivered.frames
+
+    class Swapped(FakeStream):
+        def __iter__(self):
+            frames = list(super().__iter__())
+            return iter([frames[1], frames[0], *frames[2:]])
+
+    assert digest(FakeStream(5)) == digest(FakeStream(5))
+    assert len({digest(stream)[0] for stream in (FakeStream(5), FakeStream(6), Swapped(5))}) == 3
+
+
+def test_scoring_in_this_process_agrees_with_the_referee():
+    stream = FakeStream(60)
+    score = score_in_process(Seer(stream), stream, STEPS, ALL_DYNAMIC)
+    assert set(score.f1) == {"visible", "dynamic", "static", "in-motion", "standing"}
+    assert score.f1["visible"].tolist() == [1.0] * (STEPS + 1)
+    assert score.log_loss["visible"] == pytest.approx(-np.log(0.999))
+
+
+def test_a_stretch_too_short_to_score_is_refused():
+    with pytest.raises(RecordingError, match="too few"):
+        score_in_process(Seer(FakeStream(20)), FakeStream(20), STEPS, ALL_DYNAMIC)

@@ -1,0 +1,151 @@
+"""Samples for viewing: round trip, and damaged files refused in one line."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.referee import samples as samples_module
+from gridtrack.evaluation.referee.referee import Schedule, ScoredForecast
+from gridtrack.evaluation.referee.samples import SAMPLES, SamplesError, SampleWriter, kept_forecasts, read_samples
+from gridtrack.evaluation.referee.strata import CELL_KINDS, region_maps_of
+from gridtrack.evaluation.referee.targets import Target
+from gridtrack.trackers.contract import Forecast, TrackedObject
+
+GRID = GridSpec(12, 0.25, (-1.0, 2.0))
+STEPS, PERIOD_S = 15, 0.1
+ORIGINS = np.array([[0.5, 2.25], [-0.75, 3.0]], np.float32)
+
+
+def random_forecast(seed):
+    rng = np.random.default_rng(seed)
+    nothing = np.zeros((0, 2), np.float32)
+    frames = []
+    for n in range(STEPS + 1):
+        visible = rng.random(GRID.shape) < 0.6
+        occupied = visible & (rng.random(GRID.shape) < 0.3)
+        stamp_ns = seed * 1_000_000_000 + n * 100_000_000
+        frames.append(GridFrame(stamp_ns, visible, occupied, SE2(), ORIGINS, nothing, np.zeros(0, np.uint8)))
+    box, velocity = rng.uniform(-3, 3, 5).astype(np.float32), rng.uniform(-2, 2, 2).astype(np.float32)
+    tracked = TrackedObject(17, box, velocity, np.eye(4, dtype=np.float32))
+    forecast = Forecast(rng.random((STEPS + 1, *GRID.shape), dtype=np.float32), objects=(tracked,))
+    nowhere = np.zeros(GRID.shape, np.uint8)
+    region_maps = region_maps_of(nowhere, GRID, ORIGINS)
+    return ScoredForecast(forecast, tuple(Target.of_frame(frame) for frame in frames), region_maps, nowhere)
+
+
+@pytest.fixture
+def written(tmp_path):
+    written_forecasts = [random_forecast(seed) for seed in (1, 2, 3)]
+    with SampleWriter(tmp_path / SAMPLES, GRID, PERIOD_S, STEPS) as writer:
+        for scored in written_forecasts:
+            writer.add(scored)
+    return tmp_path / SAMPLES, written_forecasts
+
+
+def test_samples_survive_a_round_trip(written):
+    path, written_forecasts = written
+    samples = list(read_samples(path))
+    assert [s.stamp_ns for s in samples] == [m.stamp_ns for m in written_forecasts]
+    for sample, scored in zip(samples, written_forecasts, strict=True):
+        assert sample.grid == GRID
+        assert sample.horizons_s == (0.5, 1.0)
+        assert np.array_equal(sample.visible, scored.frames[0].visible)
+        assert np.array_equal(sample.occupied, scored.frames[0].occupied)
+        assert np.array_equal(sample.origins, ORIGINS)
+        for i, step in enumerate((5, 10)):
+            assert np.array_equal(sample.observed_visible[i], scored.frames[step].visible)
+            assert np.array_equal(sample.observed_occupied[i], scored.frames[step].occupied)
+            assert np.abs(sample.forecast[i] - scored.forecast.occupancy[step]).max() <= 0.5 / 255 + 1e-6
+
+
+def test_states_motion_and_objects_survive_a_round_trip(tmp_path):
+    scored = random_forecast(1)
+    rng = np.random.default_rng(5)
+    kinds = rng.integers(0, 3, GRID.shape).astype(np.uint8)
+    targets = tuple(
+        replace(
+            one,
+            state=np.where(one.frame.visible, one.state, rng.integers(2, 5, GRID.shape)).astype(np.uint8),
+            motion=rng.integers(0, 3, GRID.shape).astype(np.uint8),
+        )
+        for one in scored.targets
+    )
+    scored = replace(scored, targets=targets, region_maps=region_maps_of(kinds, GRID, ORIGINS))
+    with SampleWriter(tmp_path / SAMPLES, GRID, PERIOD_S, STEPS) as writer:
+        writer.add(scored)
+    (sample,) = read_samples(tmp_path / SAMPLES)
+    for i, step in enumerate((5, 10)):
+        target = targets[step]
+        assert np.array_equal(sample.state[i], target.state)
+        expected = target.frame.visible & (kinds == CELL_KINDS.index("dynamic")) & (target.motion != 1)
+        assert np.array_equal(sample.in_motion[i], expected)
+    (kept,), (tracked,) = sample.objects, scored.forecast.objects
+    assert kept.track == 17
+    assert np.allclose(kept.box, tracked.box, atol=1e-5)
+    assert np.allclose(kept.velocity, tracked.velocity, atol=1e-5)
+
+
+def test_a_file_of_before_has_the_states_of_visible_cells_alone(written, monkeypatch):
+    path, written_forecasts = written
+    everything = samples_module._messages
+    old = ("/input", "/came", "/forecast", "/sensors")
+    monkeypatch.setattr(samples_module, "_messages", lambda path: (m for m in everything(path) if m[0].startswith(old)))
+    sample = next(iter(read_samples(path)))
+    frame = written_forecasts[0].frames[5]
+    assert sample.in_motion is None
+    assert np.array_equal(sample.state[0] < 2, frame.visible)
+    assert np.array_equal(sample.state[0] == 1, frame.occupied)
+    assert sample.objects == ()
+
+
+def test_foxglove_finds_grids_with_x_along_columns_and_y_along_rows(written):
+    path, written_forecasts = written
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        schema, channel, _, grid = next(reader.iter_decoded_messages(topics=["/input"]))
+    assert (schema.name, channel.topic) == ("foxglove.Grid", "/input")
+    assert (grid.pose.position.x, grid.pose.position.y, grid.column_count) == (-1.0, 2.0, 12)
+    assert [field.name for field in grid.fields] == ["visible", "occupied", "shade"]
+    row, column = 7, 2
+    offset = row * grid.row_stride + column * grid.cell_stride
+    assert (grid.data[offset] == 255) == written_forecasts[0].frames[0].visible[row, column]
+
+
+def test_a_run_shorter_than_every_sample_horizon_keeps_its_input(tmp_path):
+    with SampleWriter(tmp_path / SAMPLES, GRID, PERIOD_S, steps=2) as writer:
+        writer.add(random_forecast(1))
+    (sample,) = read_samples(tmp_path / SAMPLES)
+    assert sample.horizons_s == ()
+    assert sample.forecast.shape == (0, 12, 12)
+
+
+@pytest.mark.parametrize("kept", [0.2, 0.6, 0.95])
+def test_a_cut_file_is_refused_in_one_line(written, kept):
+    path, _ = written
+    content = path.read_bytes()
+    path.write_bytes(content[: int(kept * len(content))])
+    with pytest.raises(SamplesError, match=r"forecasts\.mcap: cannot be read as samples") as refused:
+        list(read_samples(path))
+    assert "\n" not in str(refused.value)
+
+
+def test_another_file_is_refused(tmp_path):
+    (tmp_path / SAMPLES).write_bytes(b"not an mcap file at all, but long enough to look at")
+    with pytest.raises(SamplesError):
+        list(read_samples(tmp_path / SAMPLES))
+    with pytest.raises(SamplesError):
+        list(read_samples(tmp_path / "missing.mcap"))
+
+
+@pytest.mark.parametrize(("frames", "expected"), [(30, 0), (36, 1), (60, 25), (1000, 40)])
+def test_the_kept_forecasts_are_evenly_spaced_and_bounded(frames, expected):
+    schedule = Schedule(frames, STEPS, every=1)
+    kept = sorted(kept_forecasts(schedule))
+    assert len(kept) == expected
+    if kept:
+        assert (kept[0], kept[-1]) == (0, schedule.expected - 1)

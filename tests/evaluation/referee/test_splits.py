@@ -1,0 +1,261 @@
+"""Splits: the test stretch, the validation stretch, and what must not overlap."""
+
+import pytest
+
+from gridtrack.common.errors import ConfigurationError, PluginError, RecordingError, WeightsError
+from gridtrack.common.grid import GridSpec
+from gridtrack.evaluation.referee.splits import Sampling, common_with, plan_split
+from gridtrack.evaluation.referee.strata import CELL_KINDS
+from gridtrack.evaluation.runs.learned import find_weights, user_weights_folder, weights_in, weights_path
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.recipe import Recipe
+from gridtrack.evaluation.runs.run_record import description_of
+from gridtrack.evaluation.runs.settings import CompareSettings
+from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.recordings import import_recording
+from gridtrack.trackers.training.card import Card, TrainingData
+from gridtrack.trackers.training.weights import save_weights
+
+SECOND = Sampling(horizon_s=1.0, every_s=0.5)
+
+
+def test_the_named_test_and_validation_stretches_are_the_default(record):
+    split = plan_split(str(record()), None, SECOND)
+    assert (split.name, split.test.name, split.validation.name) == ("room", "room.mcap@test", "room.mcap@validation")
+    assert (split.steps, split.every) == (10, 5)
+    assert description_of(split).horizons_s == tuple(round(0.1 * n, 1) for n in range(11))
+    assert split.notices == ()
+
+
+def test_a_recording_without_named_stretches_is_tested_whole_at_one_half(record):
+    split = plan_split(str(record(stretches={})), None, SECOND)
+    assert len(split.test) == 200
+    assert split.validation is None
+    assert "the thresholds of a tracker are those of its weights' card" in split.notices[0]
+
+
+def test_a_range_is_part_of_the_name_of_its_split(record):
+    split = plan_split(f"{record()}@9s-20s", None, SECOND)
+    assert (split.name, len(split.test)) == ("room@9s-20s", 110)
+    assert split.validation.name == "room.mcap@validation"
+
+
+def test_thresholds_are_never_chosen_on_frames_that_are_tested(record):
+    path = record()
+    split = plan_split(f"{path}@8s-20s", None, SECOND)
+    assert split.validation is None
+    assert "shares frames with its validation room.mcap@validation, so the thresholds of a tracker" in split.notices[0]
+    with pytest.raises(ConfigurationError, match=r"shares frames with its validation room\.mcap@0s-8\.5s: name"):
+        plan_split(f"{path}@8s-20s", f"{path}@0s-8.5s", SECOND)
+
+
+def test_a_validation_stretch_that_is_too_short_gives_a_notice(record):
+    stretches = {"validation": (0.0, 2.5), "test": (9.0, None)}
+    split = plan_split(str(record(stretches=stretches)), None, SECOND)
+    assert split.validation is None
+    assert "25 frames leave nothing to score" in split.notices[0]
+    with pytest.raises(ConfigurationError, match="name another --validation"):
+        plan_split(str(record()), f"{record()}@0s-2.5s", SECOND)
+
+
+def test_a_short_validation_stretch_is_forecast_from_more_often_than_the_test(record):
+    often = plan_split(str(record(stretches={"validation": (0.0, 9.9), "test": (10.0, None)})), None, SECOND)
+    assert often.validation_schedule.every == 2
+    assert often.validation_schedule.expected == len(range(20, 99 - 10, 2))
+    seldom = plan_split(str(record(seconds=60)), f"{record('long', seconds=60, stretches={})}", SECOND)
+    assert seldom.validation_schedule.every == seldom.every == 5
+
+
+def test_another_recording_can_be_the_validation(record):
+    other = record("other", seconds=8, stretches={})
+    split = plan_split(str(record()), str(other), SECOND)
+    assert split.validation.name == "other.mcap"
+    assert split.validation.grid == split.test.grid
+
+
+@pytest.mark.parametrize(
+    ("text", "sampling", "message"),
+    [
+        ("@9s-12s", SECOND, r"30 frames leave nothing to score after 20 frames of warm-up and with 10 steps ahead"),
+        ("", Sampling(horizon_s=0.04, every_s=1.0), r"a horizon of 0\.04 s is less than half a frame"),
+        ("", Sampling(60.0, 1.0, GridSpec(1000, 0.01)), r"forecasts of 600 steps on 1000 x 1000 cells take"),
+    ],
+)
+def test_a_stretch_without_scored_frames_is_refused_in_one_line(record, text, sampling, message):
+    with pytest.raises(ConfigurationError, match=message):
+        plan_split(f"{record()}{text}", None, sampling)
+
+
+def test_grid_and_rate_can_be_given(record):
+    split = plan_split(str(record()), None, Sampling(0.6, 1.0, GridSpec(30, 0.1), 5.0))
+    assert (split.test.grid, split.validation.grid, len(split.test)) == (GridSpec(30, 0.1), GridSpec(30, 0.1), 55)
+
+
+def cell_kinds(split):
+    return split.regions().test.of(next(split.test.observations())).cell_kinds
+
+
+def test_static_cells_come_from_the_whole_recording(record):
+    path = record()
+    one, other = (cell_kinds(plan_split(f"{path}@{stretch}", None, SECOND)) for stretch in ("0s-5s", "9s-20s"))
+    assert (one == other).all()
+    wall = one[20, int((3.0 + 1.0) / 0.2)]
+    assert CELL_KINDS[wall] == "static"
+
+
+def test_two_recordings_with_one_name_are_refused(record, tmp_path):
+    path = str(record())
+    settings = CompareSettings(recordings=(path, path), trackers=("blank",), out=tmp_path / "run")
+    with pytest.raises(ConfigurationError, match="would both be called 'room'"):
+        resolve(settings)
+
+
+def test_a_copy_of_a_recording_is_refused_because_its_frames_are_no_more_evidence(record, tmp_path):
+    path = record()
+    copied = path.with_name("copy.mcap")
+    copied.write_bytes(path.read_bytes())
+    settings = CompareSettings(recordings=(str(path), str(copied)), trackers=("blank",), out=tmp_path / "run")
+    with pytest.raises(ConfigurationError, match=r"room.mcap@test and copy.mcap@test are of one source and have 11 s"):
+        resolve(settings)
+
+
+def test_an_import_under_another_name_is_of_the_same_source_and_stretches_that_overlap_are_refused(record, tmp_path):
+    path = record()
+    imported = import_recording(path, tmp_path / "other.mcap", site="elsewhere").path
+    again = import_recording(imported, tmp_path / "again.mcap").path
+    whole = {"trackers": ("blank",), "out": tmp_path / "run", "horizon_s": 0.5}
+    for other in (imported, again):
+        settings = CompareSettings(recordings=(f"{path}@0s-10s", f"{other}@8s-20s"), **whole)
+        with pytest.raises(ConfigurationError, match=r"@0s-10s and .*@8s-20s are of one source and have 2 s in common"):
+            resolve(settings)
+    settings = CompareSettings(recordings=(f"{path}@0s-10s", f"{again}@10s-20s"), **whole)
+    assert len({description_of(split).source_sha256 for split in resolve(settings).splits}) == 1
+
+
+def test_every_recording_is_run_by_every_tracker(record, tmp_path):
+    recordings = (str(record()), str(record("hall", wall_m=3.4)))
+    settings = CompareSettings(recordings=recordings, trackers=("blank", "b=blank"), out=tmp_path / "run")
+    names = [trial.name for trial in resolve(settings).trials]
+    assert names == ["blank@room", "b@room", "blank@hall", "b@hall"]
+
+
+def test_a_missing_recording_is_refused_in_one_line(tmp_path):
+    with pytest.raises(RecordingError, match="no such recording"):
+        plan_split(str(tmp_path / "nowhere.mcap"), None, SECOND)
+
+
+@pytest.mark.parametrize(
+    ("seen", "expected"),
+    [
+        ("room.mcap@train", False),
+        ("room.mcap@validation", False),
+        ("room.mcap@test", True),
+        ("room.mcap@0s-9s", False),
+        ("room.mcap@0s-9.5s", True),
+        ("room.mcap@15s-", True),
+        ("room.mcap", True),
+        ("room.mcap@no-longer-named", True),
+    ],
+)
+def test_frames_seen_in_training_are_detected(record, seen, expected):
+    test = plan_split(str(record()), None, SECOND).test
+    assert (common_with(test, TrainingData(recording=seen, sha256=test.sha256)) is not None) is expected
+    assert common_with(test, TrainingData(recording=seen, sha256="another")) is None
+
+
+def learned(folder, tracker="static-map", site="room"):
+    place = {"site": site, "grid": "1x1", "period_s": 0.1, "world_T_grid": (0.0, 0.0)}
+    card = Card(tracker=tracker, **place, seed=0, command=str(folder), train=())
+    save_weights(weights_path(folder, tracker, site), card, {})
+
+
+def test_weights_are_found_in_the_given_folder_then_the_users_then_the_package(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    assert user_weights_folder() == tmp_path / "gridtrack" / "weights"
+    assert find_weights("no-such-tracker", "room", None) is None
+    learned(user_weights_folder())
+    (tmp_path / "given").mkdir()
+    assert find_weights("static-map", "room", tmp_path / "given").card.command == str(user_weights_folder())
+    learned(tmp_path / "given")
+    assert find_weights("static-map", "room", tmp_path / "given").card.command == str(tmp_path / "given")
+    assert find_weights("static-map", "elsewhere", tmp_path / "given", "site") is None
+
+
+def test_weights_of_a_site_choose_no_thresholds_at_another_one(record, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    elsewhere = import_recording(record("other", wall_m=2.2), tmp_path / "elsewhere.mcap", site="elsewhere").path
+    chosen_there = {"recordings": (str(record()),), "validation": f"{elsewhere}@4s-9s", "out": tmp_path / "run"}
+    learned(tmp_path / "site")
+    with pytest.raises(
+        ConfigurationError,
+        match=r"^static-map: its weights are of the site 'room', and its thresholds would be chosen on"
+        r" elsewhere\.mcap@4s-9s of the site 'elsewhere': name a --validation stretch of the site 'room', or compare"
+        r" general weights \(--tracker static-map:card=general\)$",
+    ):
+        resolve(CompareSettings(trackers=("persistence", "static-map"), weights=tmp_path / "site", **chosen_there))
+    resolve(CompareSettings(trackers=("persistence",), **chosen_there))
+    general = Recipe(
+        tracker="static-map",
+        recordings=(f"{elsewhere}@10s-15s",),
+        validation=(f"{elsewhere}@15s-20s",),
+        general=True,
+        out=tmp_path / "site",
+    )
+    train_tracker(general, lambda text: None)
+    (trial,) = resolve(
+        CompareSettings(trackers=("static-map:card=general",), weights=tmp_path / "site", **chosen_there)
+    ).trials
+    assert trial.weights.card.general
+
+
+@pytest.mark.parametrize("site", ["Hall A", "../room"])
+def test_a_row_at_a_site_whose_name_names_no_file_has_the_general_weights_of_its_folder(site, tmp_path):
+    with pytest.raises(
+        WeightsError, match=rf"^{tmp_path}: no weights of .* \({tmp_path}/static-map/general.toml is missing"
+    ):
+        weights_in(tmp_path, "static-map", site)
+    card = {"cells_m": (0.1, 0.2), "periods_s": (0.1, 0.1), "seed": 0, "command": "", "train": ()}
+    path = weights_path(tmp_path, "static-map", "general")
+    save_weights(path, Card(tracker="static-map", site="general", **card), {})
+    for kind in ("any", "general"):
+        assert weights_in(tmp_path, "static-map", site, kind).path == path
+        assert find_weights("static-map", site, tmp_path, kind).path == path
+    with pytest.raises(WeightsError, match="cannot name a weights file"):
+        weights_in(tmp_path, "static-map", site, "site")
+
+
+def test_a_sites_name_cannot_lead_out_of_the_folder(tmp_path):
+    assert find_weights("static-map", "../static-map/room", tmp_path, "site") is None
+    with pytest.raises(WeightsError, match="cannot name a weights file"):
+        weights_path(tmp_path, "static-map", "../room")
+
+
+def test_training_and_choosing_on_the_same_frames_is_refused(record, tmp_path):
+    path = str(record())
+    with pytest.raises(ConfigurationError, match="shares frames with"):
+        train_tracker(Recipe(tracker="static-map", recordings=(f"{path}@0s-10s",), out=tmp_path))
+
+
+def test_training_what_cannot_learn_or_on_no_stretch_is_refused(record, tmp_path):
+    path = str(record())
+    with pytest.raises(PluginError, match="nothing to learn"):
+        train_tracker(Recipe(tracker="blank", recordings=(path,), out=tmp_path))
+    with pytest.raises(ConfigurationError, match="no validation stretch"):
+        train_tracker(Recipe(tracker="static-map", recordings=(str(record("bare", stretches={})),), out=tmp_path))
+    with pytest.raises(ConfigurationError, match=r"no stretch 'train'; name one of its own \(.*@test\), or seconds"):
+        train_tracker(
+            Recipe(
+                tracker="static-map", recordings=(str(record("half", stretches={"test": (0.0, 5.0)})),), out=tmp_path
+            )
+        )
+
+
+def test_thresholds_of_another_recording_are_chosen_on_its_own_strata(record):
+    here, elsewhere = record("here"), record("elsewhere", wall_m=2.2)
+    split = plan_split(str(here), f"{elsewhere}@4s-9s", SECOND)
+    regions, observation = split.regions(), next(split.test.observations())
+    kinds, on_validation = (one.of(observation).cell_kinds for one in (regions.test, regions.validation))
+    assert (kinds != on_validation).any()
+    assert (on_validation == cell_kinds(plan_split(str(elsewhere), None, SECOND))).all()
+    own = plan_split(str(here), None, SECOND).regions()
+    assert own.validation is own.test

@@ -1,0 +1,74 @@
+"""The regions and bands of strata, and the time since a cell was seen."""
+
+import numpy as np
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.evaluation.referee.strata import (
+    AGES_S,
+    CELL_KINDS,
+    STRATA,
+    STRATA_WITH_TRUTH,
+    SUMS_OF_REGIONS,
+    THRESHOLD_OF,
+    LastSeen,
+    region_maps_of,
+)
+
+GRID = GridSpec(7, 1.0)
+NOTHING = np.zeros((0, 2), np.float32)
+
+
+def frame(visible, occupied, pose=SE2()):  # noqa: B008
+    return GridFrame(0, visible, occupied & visible, pose, NOTHING, NOTHING, np.zeros(0, np.uint8))
+
+
+def test_strata_without_truth_are_first_so_their_indices_agree():
+    assert STRATA_WITH_TRUTH[: len(STRATA)] == STRATA
+
+
+def test_every_cell_is_in_exactly_one_band():
+    def regions(prefix):
+        return SUMS_OF_REGIONS[[i for i, name in enumerate(STRATA_WITH_TRUTH) if name.startswith(prefix)]]
+
+    whole = dict(zip(STRATA_WITH_TRUTH, SUMS_OF_REGIONS, strict=True))
+    ages = [name for name in STRATA_WITH_TRUTH if name.startswith("occluded ") and name.endswith("s")]
+    assert len(ages) == len(AGES_S) + 1
+    assert np.array_equal(sum(whole[name] for name in ages), whole["occluded"])
+    assert np.array_equal(regions("visible ").sum(axis=0), whole["visible"])
+    assert (whole["visible"] + whole["occluded"] == 1).all()
+
+
+def test_open_cells_are_in_the_stratum_in_motion_so_that_false_alarms_anywhere_count_there():
+    whole = dict(zip(STRATA_WITH_TRUTH, SUMS_OF_REGIONS, strict=True))
+    assert np.array_equal(whole["dynamic"], whole["in-motion"] + whole["standing"])
+    assert whole["in-motion"].sum() == 2 * whole["standing"].sum() > 0
+
+
+def test_bands_use_the_threshold_of_the_whole_stratum_all_others_their_own():
+    assert {THRESHOLD_OF[name] for name in STRATA_WITH_TRUTH} == {*STRATA, "occluded"}
+    assert THRESHOLD_OF["visible 5-10 m"] == "visible"
+    assert THRESHOLD_OF["occluded over 4 s"] == "occluded"
+
+
+def test_the_range_of_a_cell_is_that_to_the_nearest_sensor():
+    grid = GridSpec(20, 1.0, (0.0, 0.0))
+    cell_kinds = np.full(grid.shape, CELL_KINDS.index("dynamic"), np.uint8)
+    corners = (
+        region_maps_of(cell_kinds, grid, np.array([[0.0, 0.0], [20.0, 20.0]], np.float32)).visible - 3 * cell_kinds
+    )
+    assert corners[0, 0] == corners[19, 19] == 0
+    assert corners[6, 5] == corners[14, 15] == 1
+    assert corners[0, 19] == 2
+
+
+def test_a_cells_age_is_the_time_since_it_was_last_seen():
+    last_seen = LastSeen()
+    seen = np.zeros(GRID.shape, bool)
+    seen[0, :5] = True
+    for stamp_ns, columns in ((0, 5), (2_000_000_000, 4), (3_000_000_000, 3), (4_000_000_000, 2), (4_500_000_000, 1)):
+        now = seen.copy()
+        now[0, columns:] = False
+        last_seen.add(GridFrame(stamp_ns, now, now, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8)), 1.0)
+    bands = last_seen.bands(5_000_000_000)
+    assert bands[0, :6].tolist() == [0, 1, 2, 3, 4, 4], "ages 0.5, 1, 2, 3 and 5 s, and never"

@@ -1,0 +1,386 @@
+"""The summary of a run: scores pooled over recordings, with intervals, and values relative to floors and oracle."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+from scipy import stats
+
+from gridtrack.evaluation.referee.strata import STRATA, STRATA_WITH_TRUTH
+from gridtrack.evaluation.runs import estimates
+from gridtrack.evaluation.runs.finished import headline_steps
+from gridtrack.evaluation.runs.summarise import _related, _reversed_rankings, summarise
+from gridtrack.evaluation.runs.summary import Estimate, PooledSummary, RunSummary, TrackerSummary, TrialSummary
+from gridtrack.evaluation.runs.sums import ScoresError, TrialSums
+from gridtrack.evaluation.scores.f1 import F1
+from gridtrack.evaluation.scores.log_loss import LOG_LOSS
+
+from scenes import synthetic_run as synthetic
+from scenes.synthetic_run import RECORDINGS, summary_of, write_rows, write_unlike
+
+
+@pytest.fixture(scope="module")
+def twenty(tmp_path_factory):
+    """Twenty recordings: one tracker better than persistence, one that crashed once, a ceiling."""
+    skills = {"persistence": 0.6, "good": 0.8, "unlucky": 0.9, "oracle": 1.0}
+    trials = write_rows(tmp_path_factory.mktemp("twenty"), skills, unlucky=3)
+    return trials, summary_of(trials)
+
+
+def by_recording(trials, label, score, stratum, step):
+    """The sums (U, P) of a row by recording."""
+    own = [TrialSums(t.folder) for t in trials if t.record.label == label]
+    frames = [np.zeros(len(one.frames.stamps_ns), np.int64) for one in own]
+    return [one.by_unit(score, units, [step], [stratum]) for one, units in zip(own, frames, strict=True)]
+
+
+def test_pooled_scores_are_of_the_sums_over_all_recordings(twenty):
+    trials, summary = twenty
+    sums = by_recording(trials, "good", "f1", "dynamic", 8)
+    tp, fp, fn = (sum(one[f"{count} chosen"][0, 0, 0] for one in sums) for count in ("tp", "fp", "fn"))
+    pooled = summary.trackers["good"].pooled
+    assert pooled.at("dynamic", "f1", "f1", 8).value == pytest.approx(2 * tp / (2 * tp + fp + fn), abs=1e-6)
+    assert pooled.at("dynamic", "f1", "precision", 8).value == pytest.approx(tp / (tp + fp), abs=1e-6)
+    assert (pooled.outcome, pooled.recordings_complete, pooled.frames_scored) == ("ok", 20, 160)
+    assert pooled.interval == ""
+
+
+def test_the_pooled_interval_takes_whole_recordings_as_units(twenty):
+    """The jackknife over recordings of the logarithm of a mean, computed one recording at a time."""
+    trials, summary = twenty
+    sums = by_recording(trials, "good", "log_loss", "dynamic", 8)
+    loss, cells = (np.array([one[part][0, 0, 0] for one in sums]) for part in ("loss", "cells"))
+    without = np.log((loss.sum() - loss) / (cells.sum() - cells))
+    error = np.sqrt(19 / 20 * np.sum((without - without.mean()) ** 2))
+    freedom = min(size.sum() ** 2 / (size**2).sum() for size in (loss, cells)) - 1
+    ends = loss.sum() / cells.sum() * np.exp(np.array([-1, 1]) * stats.t.ppf(0.975, freedom) * error)
+    assert summary.trackers["good"].pooled.at("dynamic", "log_loss", "mean", 8).interval == pytest.approx(
+        ends, abs=2e-6
+    )
+
+
+def test_every_output_with_a_scale_has_an_interval_round_its_value(twenty):
+    scope = twenty[1].trackers["good"].pooled
+    having = set()
+    for stratum, scores in scope.strata.items():
+        for score, outputs in scores.items():
+            for output, estimate in outputs.items():
+                if estimate.low is not None and estimate.low[8] is not None:
+                    assert estimate.low[8] <= estimate.value[8] <= estimate.high[8], (stratum, score, output)
+                    having.add(f"{score}.{output}")
+    assert having == {
+        *(f"f1.{name}" for name in ("f1", "precision", "recall", "at_half", "at_visible", "label_free")),
+        *("pr_auc.area", "log_loss.mean", "brier.mean", "soft_iou.iou"),
+        *(f"fss.{scale}_cells" for scale in (1, 3, 5, 9)),
+        *(f"beam_error.{name}" for name in ("mean", "median", "bias")),
+    }
+
+
+def test_the_summary_describes_the_scores_that_it_has(twenty):
+    summary = twenty[1]
+    assert [score.name for score in summary.scores] == [
+        *("f1", "pr_auc", "log_loss", "brier", "calibration", "fss", "soft_iou", "beam_error"),
+    ]
+    assert summary.headline == "f1.f1"
+    f1 = summary.scores[0]
+    assert (f1.lead.title, f1.lead.direction, f1.lead.tested) == ("F1", 1, True)
+
+
+def test_a_score_is_in_the_strata_in_which_it_is_defined(tmp_path):
+    trials = [synthetic.write_trial(tmp_path, "good", "a", 0.8, seed=0, frames=2, strata=STRATA_WITH_TRUTH)]
+    strata = summary_of(trials, ["a"]).trackers["good"].recordings["a"].strata
+    having = {
+        score: {name for name, found in strata.items() if score in found} for score in ("f1", "fss", "beam_error")
+    }
+    assert having == {
+        "f1": set(STRATA_WITH_TRUTH),
+        "fss": {"visible", "dynamic", "in-motion", "occluded"},
+        "beam_error": set(STRATA),
+    }
+
+
+def test_a_single_recording_of_few_frames_is_too_short_for_an_interval(twenty):
+    trial = twenty[1].trackers["good"].recordings["seed-00"]
+    assert trial.at("dynamic", "f1", "f1", 8).interval is None
+    assert trial.interval.startswith("too short for an interval: ")
+
+
+def test_a_score_that_rests_on_one_recording_has_no_interval_and_the_others_have(tmp_path, monkeypatch):
+    drawn = synthetic.tally
+
+    def free(rng, skill, strata=STRATA, steps=synthetic.STEPS):
+        counted = drawn(rng, skill, strata, steps)
+        counted.positives[:, strata.index("dynamic")] = 0
+        return counted
+
+    trials = write_rows(tmp_path, {"good": 0.8}, RECORDINGS[:1], frames=4)
+    monkeypatch.setattr(synthetic, "tally", free)
+    trials += write_rows(tmp_path, {"good": 0.8}, RECORDINGS[1:], frames=4)
+    pooled = summary_of(trials).trackers["good"].pooled
+    area = pooled.at("dynamic", "pr_auc", "area", 8)
+    assert (area.value is None, area.interval) == (False, None)
+    assert pooled.at("dynamic", "log_loss", "mean", 8).interval is not None
+    assert pooled.at("visible", "pr_auc", "area", 8).interval is not None
+
+
+def test_a_single_forecast_has_scores_and_is_too_short_for_an_interval(tmp_path):
+    trial = summary_of(write_rows(tmp_path, {"good": 0.8}, ["a"], frames=1), ["a"]).trackers["good"].recordings["a"]
+    assert trial.at("dynamic", "f1", "f1", 8).value > 0
+    assert trial.interval == "too short for an interval: 1 unit, blocks of at least 100 s, and 20 are needed"
+
+
+def test_a_row_that_lacks_the_recording_with_the_longest_blocks_gets_no_units_of_its_own(tmp_path):
+    names, skills = ["a", "b"], {"persistence": 0.6, "picky": 0.8}
+    trials = write_rows(tmp_path, skills, names, frames=480, every_s=5, picky=3)
+    described = {"a": synthetic.description(cycle_s=300.0), "b": synthetic.description()}
+    summary = summarise(described, trials, [], False)
+    for label in skills:
+        assert summary.trackers[label].pooled.at("dynamic", "f1", "f1", 8).interval is None
+    assert "blocks of at least 300 s" in summary.trackers["picky"].pooled.interval
+
+
+@pytest.mark.parametrize(
+    ("period_s", "expected"),
+    [(0.125, [(0.5, 4), (1.0, 8), (2.5, 20)]), (1.8, [(1.8, 1)]), (0.7, [(0.7, 1), (2.8, 4)])],
+)
+def test_each_step_is_in_the_headline_once_with_its_own_horizon(period_s, expected):
+    assert headline_steps([step * period_s for step in range(21)]) == expected
+
+
+def test_recordings_of_unlike_periods_are_scored_together_at_equal_times_and_not_at_equal_steps(tmp_path):
+    described, trials = write_unlike(tmp_path, [0.05, 0.105263, 0.125])
+    summary = summarise(described, trials, [], False)
+    assert summary.pooled_horizons_s == (0.0, 0.5, 1.0, 1.5, 2.0, 2.5)
+    nearest = [(0, 10, 20, 30, 40, 50), (0, 5, 10, 14, 19, 24), (0, 4, 8, 12, 16, 20)]
+    units = np.zeros(3, np.int64)
+    sums = [TrialSums(t.folder).by_unit("f1", units, at, ["dynamic"]) for t, at in zip(trials, nearest, strict=True)]
+    tp, fp, fn = (sum(one[f"{count} chosen"][0, :, 0] for one in sums) for count in ("tp", "fp", "fn"))
+    pooled = summary.trackers["persistence"].pooled
+    assert pooled.estimate("dynamic", "f1", "f1").value == pytest.approx(2 * tp / (2 * tp + fp + fn), abs=1e-6)
+    lengths = {len(curve) for _, curve in pooled.curves()}
+    assert lengths == {6}
+    (notice,) = [notice for notice in summary.notices if "rate" in notice]
+    assert notice.endswith("given every 0.5 s; of each recording the nearest step counts, at most 53 ms away")
+
+
+def test_scores_together_are_those_of_the_recordings_where_only_the_horizon_differs(tmp_path):
+    described, trials = write_unlike(tmp_path, [0.125])
+    longer, others = write_unlike(tmp_path / "longer", [0.1], seconds=1.2)
+    summary = summarise({**described, **longer}, [*trials, *others], [], False)
+    assert summary.pooled_horizons_s == (0.0, 0.5, 1.0)
+    alone = summarise(described, trials, [], False).trackers["persistence"].recordings["at-125-ms"]
+    assert summary.trackers["persistence"].recordings["at-125-ms"] == alone
+
+
+def test_recordings_slower_than_the_common_horizons_are_not_scored_together_with_a_notice(tmp_path):
+    described, trials = write_unlike(tmp_path, [0.125, 0.6])
+    summary = summarise(described, trials, [], False)
+    assert summary.trackers["persistence"].pooled is None
+    assert summary.pooled_horizons_s == ()
+    assert any("no scores are pooled" in notice for notice in summary.notices)
+
+
+def test_cells_of_unlike_size_are_counted_together_with_a_notice(tmp_path):
+    trials = write_rows(tmp_path, {"persistence": 0.6}, ["a", "b"], frames=3)
+    described = {"a": synthetic.description(), "b": synthetic.description(grid="50x0.4")}
+    summary = summarise(described, trials, [], False)
+    assert summary.trackers["persistence"].pooled.frames_scored == 6
+    assert any("differ in the size of their cells" in notice for notice in summary.notices)
+
+
+def test_a_tracker_that_completed_fewer_recordings_is_partial_with_the_reason(twenty):
+    unlucky = twenty[1].trackers["unlucky"].pooled
+    assert (unlucky.outcome, unlucky.reason) == ("partial", "19 of 20 recordings complete (seed-00: crashed)")
+
+
+@pytest.mark.parametrize(("folder", "neighbour"), [("exp[1]", "exp1"), ("a*", "ab"), ("a?", "ac"), ("two words", "b")])
+def test_sums_are_read_from_the_folder_that_is_named_and_not_from_one_that_matches_it(tmp_path, folder, neighbour):
+    for name, count in {neighbour: 9, folder: 4}.items():
+        trial = synthetic.write_trial(tmp_path / name, "persistence", "a", 0.6, seed=0, frames=count)
+        assert len(TrialSums(trial.folder).frames.stamps_ns) == count
+
+
+def test_the_histograms_of_a_trial_are_read_once(tmp_path, monkeypatch):
+    """They are most of the bytes that a summary reads, and their number is rows times recordings."""
+    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, frames=2)
+    read: list[str] = []
+    by_unit = TrialSums.by_unit
+
+    def counted(self, score, *arguments):
+        if score == "pr_auc":
+            read.append(self.path.parent.name)
+        return by_unit(self, score, *arguments)
+
+    monkeypatch.setattr(TrialSums, "by_unit", counted)
+    summary = summary_of(trials)
+    assert len(summary.differences) == 1
+    assert len(summary.pairs) > 0
+    # once for the recording, once for all of them together
+    assert Counter(read) == {trial.folder.name: 2 for trial in trials}
+
+
+def test_a_run_with_sums_that_do_not_fit_in_memory_has_the_same_summary(tmp_path, monkeypatch):
+    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, frames=2)
+    expected = summary_of(trials)
+    monkeypatch.setattr(estimates, "KEPT_BYTES", 1)
+    assert summary_of(trials) == expected
+
+
+def test_a_damaged_table_is_an_error_and_no_other_summary(tmp_path):
+    trials = write_rows(tmp_path, {"good": 0.8}, ["a"], frames=2)
+    path = trials[0].folder / "sums.parquet"
+    parquet.write_table(parquet.read_table(path).slice(1), path)
+    with pytest.raises(ScoresError, match=r"sums\.parquet: .*run it again"):
+        summary_of(trials, ["a"])
+
+
+FLOORS = ("persistence", "static-map")
+
+
+def row(tracker, dynamic, log_loss=None, occluded=None, outcome="ok", pooled=None):
+    """A row with these curves of F1, and of log loss on dynamic cells."""
+
+    def strata_of(curve):
+        scores = {
+            "f1": {"f1": Estimate(value=curve)},
+            "log_loss": {"mean": Estimate(value=log_loss or [None] * len(curve))},
+        }
+        hidden = {"occluded": {"f1": {"f1": Estimate(value=occluded)}}} if occluded else {}
+        return {"visible": scores, "dynamic": scores, **hidden}
+
+    return TrackerSummary(
+        tracker=tracker,
+        role="floor" if tracker in FLOORS else "tracker",
+        recordings={"room": TrialSummary(outcome=outcome, strata=strata_of(dynamic))},
+        pooled=pooled and PooledSummary(outcome="ok", strata=strata_of(pooled)),
+    )
+
+
+def shares(trackers, label, score="f1"):
+    found = _related(trackers, [F1, LOG_LOSS])[label].recordings["room"].estimate("dynamic", score, "oracle_share")
+    return found.value
+
+
+def test_the_share_of_f1_starts_at_the_better_floor_of_each_step_and_ends_at_the_oracle():
+    trackers = {
+        "good": row("kalman", [0.9, 0.5]),
+        "oracle": row("oracle", [1.0, 0.8]),
+        "persistence": row("persistence", [0.8, 0.2]),
+        "static-map": row("static-map", [0.1, 0.4]),
+    }
+    assert shares(trackers, "good") == (0.5, 0.25)
+    assert shares(trackers, "oracle") == (None, None)
+    assert shares(trackers, "static-map")[1] == 0.0
+
+
+def test_the_share_of_log_loss_starts_at_the_lowest_floor():
+    trackers = {
+        "good": row("kalman", [0.5] * 4, [0.3, 0.5, 0.05, 0.3]),
+        "oracle": row("oracle", [1.0] * 4, [0.1, 0.1, 0.1, 0.3985]),
+        "persistence": row("persistence", [0.0] * 4, [0.5, 0.4, 0.4, 0.4]),
+        "static-map": row("static-map", [0.0] * 4, [0.6, None, 0.3, 0.4]),
+    }
+    found = shares(trackers, "good", "log_loss")
+    assert found == (0.5, -0.333333, 1.25, None), "below the floor it is negative, and without a gap there is none"
+
+
+@pytest.mark.parametrize(
+    "trackers",
+    [
+        {"a": row("a", [0.5]), "persistence": row("persistence", [0.4])},
+        {"a": row("a", [0.5]), "oracle": row("oracle", [0.9])},
+        {"a": row("a", [0.5]), "oracle": row("oracle", [0.909]), "p": row("persistence", [0.9])},
+        {"a": row("a", [0.5]), "oracle": row("oracle", [0.9]), "p": row("persistence", [0.4], outcome="crashed")},
+        {
+            "a": row("a", [0.8]),
+            "oracle": row("oracle", [0.9]),
+            "p": row("persistence", [0.6], outcome="crashed"),
+            "s": row("static-map", [0.1]),
+        },
+        {"a": row("a", [0.5], outcome="crashed"), "oracle": row("oracle", [1.0]), "p": row("persistence", [0.0])},
+    ],
+    ids=["no oracle", "no floor", "no room between", "half a floor", "one of two floors", "a row scored in part"],
+)
+def test_there_is_no_share_without_an_oracle_and_every_floor(trackers):
+    assert shares(trackers, "a") == (None,)
+
+
+def test_recordings_pooled_have_shares_of_their_own_and_hidden_cells_a_gap():
+    trackers = {
+        "a": row("a", [0.5], occluded=[0.2], pooled=[0.25]),
+        "oracle": row("oracle", [1.0], pooled=[1.0]),
+        "p": row("persistence", [0.0], pooled=[0.0]),
+    }
+    found = _related(trackers, [F1])["a"]
+    assert found.pooled.estimate("visible", "f1", "oracle_share").value == (0.25,)
+    assert found.recordings["room"].estimate("occluded", "f1", "truth_gap").value == (0.3,)
+
+
+def test_a_floor_without_which_no_share_is_known_is_a_notice(tmp_path):
+    skills = {"persistence": 0.6, "good": 0.8, "oracle": 1.0}
+    summary = summary_of(write_rows(tmp_path, skills, ["a"], persistence=3), ["a"])
+    assert "no share of the oracle: persistence, a floor, is not complete" in summary.notices
+
+
+def reversed_lines(rows, description=None):
+    """The notices of rankings that reverse; rows are (F1, F1 at 0.5), with further fields."""
+    steps = synthetic.STEPS + 1
+    described = {"crossing": description or synthetic.description()}
+    trackers = {}
+    for label, (f1, at_half, *more) in rows.items():
+        known = {"outcome": "ok", "tracker": "tracker", "stratum": "dynamic"} | dict(more)
+        outputs = {"f1": Estimate(value=(f1,) * steps), "at_half": Estimate(value=(at_half,) * steps)}
+        strata = {known["stratum"]: {"f1": outputs}}
+        trial = TrialSummary(outcome=known["outcome"], frames_scored=9, frames_expected=9, strata=strata)
+        trackers[label] = TrackerSummary(tracker=known["tracker"], recordings={"crossing": trial})
+    run = type("Run", (), {"pools": False, "recordings": described})
+    return list(_reversed_rankings(run, trackers))
+
+
+def test_a_ranking_that_reverses_names_both_rows_the_stratum_the_horizon_and_all_four_scores():
+    (line,) = reversed_lines({"kalman": (0.100, 0.189), "persistence": (0.153, 0.150)})
+    assert line == (
+        "crossing: the order of trackers depends on the threshold: on dynamic cells 0.5 s ahead persistence is above"
+        " kalman at the chosen thresholds (F1 0.153 and 0.100) and below it at a threshold of 0.5 (0.150 and 0.189);"
+        " 2 more such pairs of rows and horizons"
+    )
+
+
+def test_the_horizon_of_a_reversed_ranking_is_that_of_the_step():
+    """A period of 80 ms has no step at 1 s: the tables say 0.96 s, and so does the notice."""
+    described = synthetic.description(period_s=0.08, steps=synthetic.STEPS)
+    (line,) = reversed_lines({"a": (0.2, 0.1), "b": (0.1, 0.2)}, described)
+    assert "on dynamic cells 0.48 s ahead a is above b at" in line
+    assert line.endswith("; 1 more such pair of rows and horizon")
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        (0.5, 0.4),
+        (0.6, 0.7),
+        (0.5996, 0.7),
+        (0.5, 0.7, ("outcome", "crashed")),
+        (0.5, 0.7, ("tracker", "oracle")),
+        (None, 0.7),
+        (0.5, 0.7, ("stratum", "static")),
+    ],
+    ids=["same order", "equal", "nearly equal", "partial", "ceiling", "undefined", "another stratum"],
+)
+def test_no_reversed_ranking_is_reported_where_the_order_stays(other):
+    assert reversed_lines({"a": (0.6, 0.5), "b": other}) == []
+
+
+def test_the_reversed_pair_with_the_largest_lead_at_both_thresholds_is_named():
+    (line,) = reversed_lines({"a": (0.62, 0.50), "b": (0.60, 0.51), "c": (0.50, 0.60)})
+    assert "a is above c" in line
+
+
+def test_a_summary_with_curves_of_another_length_is_refused(twenty):
+    content = twenty[1].model_dump(by_alias=True)
+    content["trackers"]["good"]["pooled"]["strata"]["dynamic"]["f1"]["f1"]["value"] = [0.5] * 20
+    with pytest.raises(ValueError, match="good on all recordings, dynamic: 20 steps, expected 21"):
+        RunSummary.model_validate(content)

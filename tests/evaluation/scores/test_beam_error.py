@@ -1,0 +1,134 @@
+"""Beam errors: hand-computed beams, and cells found by sorting the crossings of grid lines instead of walking."""
+
+import numpy as np
+import pytest
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridSpec
+from gridtrack.common.scan import Scan
+from gridtrack.evaluation.referee.strata import CELL_KINDS, PARTS, STRATA
+from gridtrack.evaluation.referee.targets import SEEN_OCCUPIED, Target, returned_beams, target_of
+from gridtrack.evaluation.scores.beam_error import BEAM_ERROR, EDGES_M, expected_ranges, median_size
+from gridtrack.recordings.observation import Observation
+
+from scenes.scored_cells import counted, frame, region_maps, scored
+
+SIZE = 40
+GRID = GridSpec(SIZE, 0.5, (-5.0, -10.0))
+DYNAMIC, STATIC = (CELL_KINDS.index(name) for name in ("dynamic", "static"))
+EMPTY = frame(np.ones(GRID.shape), np.zeros(GRID.shape))
+
+
+def scan_of(ranges, angle_min=0.0, angle_increment=0.0, range_max=30.0):
+    return Scan(0, np.array(ranges, np.float32), angle_min, angle_increment, 0.1, range_max)
+
+
+def observed(*scans_and_poses):
+    scans, poses = zip(*scans_and_poses, strict=True)
+    return Observation(EMPTY, scans, poses)
+
+
+def row_of(probabilities, columns):
+    """A forecast with these probabilities in columns of the row that a beam along x from the origin crosses."""
+    p = np.zeros(GRID.shape, np.float32)
+    p[20, columns] = probabilities
+    return p
+
+
+ALONG_X = observed((scan_of([4.25]), SE2(0.25, 0.25)))
+"""One beam from the middle of cell [20, 10] along x; it ends 4.25 m away, at the border of columns 18 and 19."""
+
+
+def test_a_hand_computed_beam():
+    beams = returned_beams(ALONG_X, GRID)
+    assert (beams.starts, beams.ranges, beams.longest) == (pytest.approx(np.array([[10.5, 20.5]])), 8.5, 60)
+    found = {
+        "a certain return, at the middle of its cell": row_of(1.0, 16),
+        "half the beams go on": row_of([0.5, 1.0], [12, 22]),
+        "three cells": row_of([0.1, 0.2, 1.0], [11, 12, 13]),
+        "nothing: to where the beam leaves the window": row_of(0.0, 0),
+        "behind the sensor, and beside the beam": row_of(1.0, 9) + np.roll(row_of(1.0, 16), 1, axis=0),
+    }
+    ranges = [expected_ranges(p, beams)[0] for p in found.values()]
+    assert ranges == pytest.approx([6.0, 7.0, 0.1 * 1.0 + 0.18 * 2.0 + 0.72 * 3.0, 29.5, 29.5])
+
+
+def test_the_sensors_own_cell_is_the_first():
+    beams = returned_beams(ALONG_X, GRID)
+    assert expected_ranges(row_of(1.0, 10), beams)[0] == pytest.approx(0.25), "half of the way out of it"
+
+
+def test_a_beam_that_would_go_on_ends_at_the_sensors_maximum_range():
+    beams = returned_beams(observed((scan_of([4.25], range_max=8.0), SE2(0.25, 0.25))), GRID)
+    assert expected_ranges(row_of(0.0, 0), beams)[0] == pytest.approx(16.0)
+
+
+def test_beams_without_a_return_in_the_window_are_left_out():
+    scan = scan_of([np.inf, np.nan, 0.05, 29.0, 40.0, 4.0])
+    assert len(returned_beams(observed((scan, SE2(0.25, 0.25))), GRID).ranges) == 1
+    assert len(returned_beams(Observation(EMPTY), GRID).ranges) == 0, "a frame without scans has none"
+
+
+def by_crossings(p, start, direction, longest):
+    """Expected range: the cells between sorted crossings of grid lines."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        lines = np.concatenate([(np.arange(SIZE + 1) - start[axis]) / direction[axis] for axis in (0, 1)])
+    at = np.unique(np.concatenate([[0.0, longest], lines[(lines > 0) & (lines < longest)]]))
+    middle = (at[:-1] + at[1:]) / 2
+    column, row = np.floor(np.asarray(start)[:, None] + np.asarray(direction)[:, None] * middle).astype(int)
+    inside = (column >= 0) & (column < SIZE) & (row >= 0) & (row < SIZE)
+    own = p[row[inside], column[inside]].astype(float)
+    reached = np.concatenate([[1.0], np.cumprod(1 - own)])
+    return (reached[:-1] * own * middle[inside]).sum() + reached[-1] * at[1:][inside][-1]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("pose", [SE2(0.1, -0.4, 0.3), SE2(-8.0, 3.0, -0.2), SE2(2.0, 20.0, -1.6)], ids=str)
+def test_beams_in_all_directions_agree_with_the_crossings_of_grid_lines(seed, pose):
+    """From inside the window and from outside of it, through a forecast that is spread thin, and has certain cells."""
+    rng = np.random.default_rng(seed)
+    p = rng.beta(0.1, 4.0, GRID.shape).astype(np.float32)
+    p[rng.random(GRID.shape) < 0.02] = 1.0
+    scan = scan_of(rng.uniform(1.0, 25.0, 360), -np.pi, 2 * np.pi / 360)
+    beams = returned_beams(observed((scan, pose)), GRID)
+    assert len(beams.ranges) > 5
+    expected = [by_crossings(p, *one) for one in zip(beams.starts, beams.directions, beams.longest, strict=True)]
+    assert expected_ranges(p, beams) == pytest.approx(expected, abs=1e-3)
+
+
+def test_beams_along_the_lines_of_the_grid_and_through_its_corners_stay_in_the_window():
+    scan = scan_of([3.0] * 8, 0.0, np.pi / 4)
+    beams = returned_beams(observed((scan, SE2(0.0, 0.0)), (scan, SE2(0.25, 0.25))), GRID)
+    ones = expected_ranges(np.ones(GRID.shape, np.float32), beams)
+    assert ((ones > 0) & (ones <= 1)).all(), "the first cell that a beam has length in"
+
+
+def test_errors_are_summed_by_the_stratum_of_the_cell_that_a_beam_ended_in():
+    scans = observed((scan_of([4.25]), SE2(0.25, 0.25)), (scan_of([2.0]), SE2(0.25, 2.25)))
+    cell_kinds = np.full(GRID.shape, DYNAMIC, np.uint8)
+    cell_kinds[24] = STATIC
+    target = target_of(scans, GRID, (), np.where(cell_kinds == DYNAMIC, PARTS.index("in-motion"), 0).astype(np.uint8))
+    forecast = row_of(1.0, 16) + np.roll(row_of(1.0, 20), 4, axis=0)
+    strata, errors = counted(BEAM_ERROR, scored(forecast[None], [target], region_maps(cell_kinds)), cell_m=GRID.cell_m)
+    assert strata == STRATA
+    early = {"visible": 1.25, "dynamic": 1.25, "in-motion": 1.25}
+    late = {"visible": 3.0, "static": 3.0}
+    assert errors["early"][0] == pytest.approx([early.get(name, 0.0) for name in STRATA])
+    assert errors["late"][0] == pytest.approx([late.get(name, 0.0) for name in STRATA])
+    assert errors.block("beams")[0].sum(axis=-1).tolist() == [2, 1, 1, 1, 0]
+    low, high = (EDGES_M[np.nonzero(errors.block("beams")[0, 0])[0] + end] for end in (0, 1))
+    assert ((low <= [1.25, 3.0]) & (high > [1.25, 3.0])).all()
+
+
+def test_a_target_without_scans_has_no_beams():
+    target = Target(EMPTY, np.full(GRID.shape, SEEN_OCCUPIED, np.uint8), np.zeros(GRID.shape, np.uint8))
+    forecast = scored(np.zeros((1, SIZE, SIZE), np.float32), [target], region_maps(np.zeros(GRID.shape)))
+    assert not counted(BEAM_ERROR, forecast)[1].values.any()
+
+
+@pytest.mark.parametrize("number", [1, 501, 4000])
+def test_the_median_of_binned_errors_is_that_of_the_errors_within_a_part_of_a_bin(number):
+    errors = np.random.default_rng(number).lognormal(-1.0, 1.5, number)
+    counts = np.histogram(errors, EDGES_M)[0].astype(float)
+    assert median_size(counts) == pytest.approx(np.median(errors), rel=0.12)
+    assert np.isnan(median_size(np.zeros_like(counts)))

@@ -1,0 +1,140 @@
+"""The main table has the values of summary.json, ranks complete trials only, and marks the best of them."""
+
+import json
+import shutil
+
+import pytest
+
+from gridtrack.reports.run import ReportError, read_runs
+from gridtrack.reports.table import headline_markdown, headline_tables
+
+from scenes.edited_run import edited, put, trial_of, value_of
+
+
+@pytest.fixture
+def table(run_folder):
+    (table,) = headline_tables(read_runs([run_folder]))
+    return table
+
+
+def test_every_number_is_the_one_of_the_summary_at_its_horizon(table, run_folder, summary_of):
+    summary = summary_of(run_folder)
+    horizons = summary["recordings"]["crossing"]["horizons_s"]
+    for row in table.rows:
+        for column, cell in zip(table.columns, row.cells, strict=True):
+            seconds = column.heading if column.heading.endswith(" s") else column.group.partition(", ")[2]
+            step = horizons.index(float(seconds.removesuffix(" s")))
+            assert cell.value == value_of(trial_of(summary, row.label), column.stratum, ".".join(column.key), step)
+
+
+def test_columns_are_the_marked_horizons(table):
+    assert table.groups == (
+        ("PR-AUC, in-motion", 3),
+        *((f"F1, {stratum}", 3) for stratum in ("in-motion", "dynamic", "visible")),
+        ("F1, standing", 1),
+        ("in-motion, 1 s", 6),
+    )
+    assert [c.heading for c in table.columns[:3]] == ["0.5 s", "1 s", "2.5 s"]
+    others = ["Precision", "Recall", "Log loss, nats", "FSS, 5 cells", "Soft IoU", "Beam error, m"]
+    assert [c.heading for c in table.columns[-6:]] == others
+
+
+def test_partial_trials_are_not_ranked_and_are_never_best(table):
+    assert [row.label for row in table.rows_in("ranked")] == ["good", "fair"]
+    assert [row.label for row in table.rows_in("floor")] == ["persistence", "blank"]
+    (partial,) = table.rows_in("unranked")
+    assert (partial.label, partial.frames, partial.trial.outcome) == ("unlucky", "7 of 20", "crashed")
+    assert not any(cell.best for cell in partial.cells)
+
+
+def test_a_partial_trial_cannot_take_the_best_mark_by_scoring_higher(run_folder, tmp_path):
+    def raise_partial(summary):
+        put(trial_of(summary, "unlucky"), "in-motion", "f1.f1", 1.0)
+        put(trial_of(summary, "good"), "in-motion", "f1.f1", 0.9)
+
+    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", raise_partial)]))
+    best = [row.label for row in table.rows if row.cells[2].best]
+    assert best == ["good"]
+
+
+def test_less_is_better_for_log_loss_and_precision_alone_is_not_ranked(table):
+    values = {column.heading: i for i, column in enumerate(table.columns)}
+    complete = [row for row in table.rows if row.group != "unranked"]
+    least = min(row.cells[values["Log loss, nats"]].value for row in complete)
+    losses = [row.cells[values["Log loss, nats"]] for row in complete]
+    assert {cell.value for cell in losses if cell.best} == {least}
+    assert not any(row.cells[values["Precision"]].best for row in complete)
+
+
+def test_an_undefined_score_is_a_dash(run_folder, tmp_path):
+    def undefine(summary):
+        put(trial_of(summary, "fair"), "in-motion", "f1.f1", None)
+
+    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", undefine)]))
+    (fair,) = [row for row in table.rows if row.label == "fair"]
+    f1 = [cell for column, cell in zip(table.columns, fair.cells, strict=True) if column.group == "F1, in-motion"]
+    assert [cell.text for cell in f1] == ["–"] * 3
+    assert not any(cell.best for cell in f1)
+
+
+def test_nothing_is_best_where_trackers_were_delivered_other_frames(run_folder, tmp_path):
+    def differ(summary):
+        summary["recordings"]["crossing"]["parity"] = False
+
+    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", differ)]))
+    assert not table.comparable
+    assert not any(cell.best for row in table.rows for cell in row.cells)
+
+
+def test_a_run_of_a_short_horizon_is_shown_at_its_last_step(run_folder, tmp_path):
+    def cut(summary):
+        summary["recordings"]["crossing"]["horizons_s"] = [0.0, 0.125, 0.25]
+        for label in summary["trackers"]:
+            trial = trial_of(summary, label)
+            trial["thresholds"] = {name: curve[:3] for name, curve in trial["thresholds"].items()}
+            for scores in trial["strata"].values():
+                for outputs in scores.values():
+                    for estimate in outputs.values():
+                        estimate.update({end: curve and curve[:3] for end, curve in estimate.items()})
+        summary["differences"] = []
+
+    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", cut)]))
+    assert [c.heading for c in table.columns if c.key == ("f1", "f1")] == ["0.25 s"] * 4
+    assert table.decisive.step == 2
+
+
+def test_two_runs_share_a_table_and_each_row_names_its_run(run_folder, tmp_path):
+    other = shutil.copytree(run_folder, tmp_path / "other")
+    (table,) = headline_tables(read_runs([run_folder, other]))
+    assert table.comparable
+    assert {row.name for row in table.rows_in("ranked")} == {"demo: good", "demo: fair", "other: good", "other: fair"}
+
+
+def test_runs_of_another_input_are_not_ranked_against_each_other(run_folder, tmp_path):
+    other = shutil.copytree(run_folder, tmp_path / "other")
+    run_json = json.loads((other / "run.json").read_text())
+    run_json["configuration"]["recordings"]["crossing"]["sha256"] = "another"
+    (other / "run.json").write_text(json.dumps(run_json))
+    (table,) = headline_tables(read_runs([run_folder, other]))
+    assert not table.comparable
+
+
+def test_runs_of_different_rates_are_refused_side_by_side(run_folder, tmp_path):
+    def slow(summary):
+        described = summary["recordings"]["crossing"]
+        described["horizons_s"] = [2 * h for h in described["horizons_s"]]
+
+    other = edited(run_folder, tmp_path / "other", slow)
+    with pytest.raises(ReportError, match="8 and 4 Hz"):
+        headline_tables(read_runs([run_folder, other]))
+
+
+def test_markdown_has_a_row_for_each_tracker_and_names_cannot_break_it(run_folder, tmp_path):
+    def rename(summary):
+        summary["trackers"]["a | b\n| c"] = summary["trackers"].pop("fair")
+
+    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", rename)]))
+    lines = headline_markdown(table).splitlines()
+    assert len(lines) == 2 + 5
+    assert len({line.replace("\\|", "").count("|") for line in lines}) == 1
+    assert any(line.startswith("| good | **1.000** |") for line in lines)

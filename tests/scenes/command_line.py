@@ -1,0 +1,36 @@
+"""The command line in this process: what it prints, and its exit code."""
+
+from __future__ import annotations
+
+import io
+import signal
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from typing import NamedTuple
+from unittest.mock import patch
+
+from gridtrack.cli import main
+
+
+class Ended(NamedTuple):
+    """What a command printed."""
+
+    stdout: str
+    stderr: str
+
+
+def gridtrack(*arguments: object, code: int = 0) -> Ended:
+    """Run `gridtrack ARGUMENTS`, which must end with the exit code `code`."""
+    out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True) for _ in range(2))
+    ended: object = 0
+    terminated = signal.getsignal(signal.SIGTERM)
+    with patch.object(sys, "argv", ["gridtrack", *map(str, arguments)]), redirect_stdout(out), redirect_stderr(err):
+        try:
+            main()
+        except SystemExit as end:
+            ended = end.code or 0
+        finally:
+            signal.signal(signal.SIGTERM, terminated)
+    printed = Ended(*(stream.buffer.getvalue().decode() for stream in (out, err)))
+    assert ended == code, printed.stdout + printed.stderr
+    return printed

@@ -1,0 +1,46 @@
+"""Runs with other contents: a JSON file of a run's folder changed, and estimates put into a summary."""
+
+import json
+import shutil
+
+STEPS = 20
+
+
+def edit(run, change, file="summary.json"):
+    """Change the content of a file of the run in place by `change(content)`."""
+    content = json.loads((run / file).read_text())
+    change(content)
+    (run / file).write_text(json.dumps(content))
+    return run
+
+
+def edited(run, target, change, file="summary.json"):
+    """A copy of the run in which `change(content)` changed a file."""
+    return edit(shutil.copytree(run, target, dirs_exist_ok=True), change, file)
+
+
+def estimate(value, low=None, high=None, p=None, steps=STEPS):
+    """An estimate with the same number at every step, or the curves that are given."""
+    curves = {"value": value, "low": low, "high": high, "p": p}
+    return {
+        name: curve if isinstance(curve, list) else [curve] * (steps + 1)
+        for name, curve in curves.items()
+        if curve is not None or name == "value"
+    }
+
+
+def put(scope, stratum, output, *values, **options):
+    """Put the estimate of `output`, SCORE.OUTPUT, into a stratum of a trial, of what is pooled or of a difference."""
+    score, _, name = output.partition(".")
+    scope["strata"].setdefault(stratum, {}).setdefault(score, {})[name] = estimate(*values, **options)
+
+
+def trial_of(summary, label, recording="crossing"):
+    """A trial in a summary."""
+    return summary["trackers"][label]["recordings"][recording]
+
+
+def value_of(scope, stratum, output, step, end="value"):
+    """A number of a scope in a summary as it is read from JSON."""
+    score, _, name = output.partition(".")
+    return scope["strata"][stratum][score][name][end][step]

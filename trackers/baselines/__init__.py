@@ -1,1 +1,0 @@
-"""The floors of every comparison, which a tracker must beat: persistence, static map, blank."""

@@ -1,1 +1,0 @@
-"""State estimators of the motion of one object, behind one interface, and the prediction of all objects."""

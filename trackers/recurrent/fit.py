@@ -1,0 +1,163 @@
+"""Training of a recurrent tracker, from recordings to its weights; it may start from a general network.
+
+General weights have one bias for each channel. At a site each bias is a map of the place, the static memory, which
+starts at the general bias in every cell. Before the first update both networks are therefore the same function. The
+inputs for cell size and period stay. A general training that continues from general weights adds nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from copy import deepcopy
+from itertools import product
+from typing import Any
+
+import torch
+
+from gridtrack.common.config import validated
+from gridtrack.common.errors import WeightsError
+from gridtrack.common.grid import nearest_step
+from gridtrack.trackers.contract import FitTask, FrameSource, StretchScore, stream_of
+from gridtrack.trackers.recurrent.devices import Devices, training_precision
+from gridtrack.trackers.recurrent.network import RecurrentNetwork
+from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
+from gridtrack.trackers.recurrent.sequences import SequenceDataset
+from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
+from gridtrack.trackers.recurrent.training import train_network
+from gridtrack.trackers.registry import registered_name
+from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.excerpts import (
+    SELECTION_HORIZONS_S,
+    SELECTION_STRATA,
+    VALIDATED_S,
+    excerpts_of_places,
+    mean_of_defined,
+)
+from gridtrack.trackers.training.weights import Weights, load_start, save_interrupted, save_weights
+
+FROM_GENERAL = {"updates": 600, "validate_every": 150, "warm_up": 50, "learning_rate": 1e-3}
+"""Settings of a training that starts from general weights: minutes on a processor, and at this rate the network keeps
+what it has learned."""
+AT_MOST = {"batch": 2, "burn_in": 20}
+"""Upper limits of the settings that it has from the general weights. These may come from an accelerator, whose batches
+take a processor too long; a longer burn-in takes twice as long and gains nothing at a site."""
+FIRST_MOTION = frozenset({"shape_updates", "shape_share", "motion_weight"})
+"""Settings for learning motion from nothing; a training from general weights does not have them."""
+FOR_ANY_PLACE = {"resolution_input": True, "step_s": 0.1}
+"""Settings of a general network, unless others are given."""
+
+
+def fit_network(kind: type[RecurrentTracker], task: FitTask) -> None:
+    """Train the network of a tracker and write its weights; see RecurrentTracker.fit."""
+    name = registered_name(kind)
+    start = None if task.start is None else load_start(task.start, name)
+    options = task.options if start is None else settings_from_general(kind, task.options, start)
+    if task.general:
+        options = general_options(options)
+    devices = Devices.of(task.device, options.devices, options.batch)
+    dataset = SequenceDataset(task.train, options, task.seed, step_s=options.step_s, general=task.general)
+    options = _for_windows_of(dataset, kind, options, task)
+    options = options.model_copy(update={"precision": training_precision(options, devices, task)})
+    torch.manual_seed(task.seed)
+    network = kind.build(dataset.size, options, classes=0)
+    start_from_rate(network, dataset.occupied_rate)
+    in_training = kind.prepare_training(network, devices.kind)
+    if start is not None:
+        begin_from(network, start)
+    held_out = excerpts_of_places(task.validation, VALIDATED_S) if task.general else task.validation
+
+    def validate(trained: RecurrentNetwork) -> dict[str, float]:
+        def score_on(source: FrameSource) -> StretchScore:
+            stream, steps = stream_of(source), nearest_step(max(SELECTION_HORIZONS_S), source.period_s)
+            inference = kind.inference_for(deepcopy(trained).cpu(), stream, options)
+            return task.objective(kind(stream, options, inference, dataset.first_window), source, steps)
+
+        return validation_scores(score_on, held_out, SELECTION_HORIZONS_S)
+
+    trained = train_network(network, in_training, dataset, options, devices, validate, task, start)
+    arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
+    settings = options.model_dump(mode="json", exclude=set(InferenceSettings.model_fields))
+    card = card_for(name, task, settings, trained.scores)
+    if trained.reached:
+        save_interrupted(task.out, card, arrays, trained.reached)
+        raise KeyboardInterrupt
+    save_weights(task.out, card, arrays)
+
+
+def _for_windows_of(dataset: SequenceDataset, kind: type[RecurrentTracker], options: Any, task: FitTask) -> Any:
+    """The options for these windows: without maps where they differ, and for general weights."""
+    if task.general:
+        return kind.without_map(options, "general weights know no place", task)
+    if not dataset.has_one_window:
+        return kind.without_map(options, "the windows of the training frames differ", task)
+    return options
+
+
+@torch.no_grad()
+def start_from_rate(network: RecurrentNetwork, rate: float) -> None:
+    """Set the output bias so that an untrained network forecasts the occupied `rate` in (0, 1), not one half.
+
+    About 2 % of the visible cells are occupied; the first updates of training need not learn that number.
+    """
+    network.output_bias.fill_(math.log(rate / (1.0 - rate)))
+
+
+def general_options(options: Any) -> Any:
+    """The `options`, and for those that were not given FOR_ANY_PLACE."""
+    not_given = FOR_ANY_PLACE.keys() - options.model_fields_set
+    return options.model_copy(update={name: FOR_ANY_PLACE[name] for name in not_given})
+
+
+def settings_from_general(kind: type[RecurrentTracker], options: Any, weights: Weights) -> Any:
+    """The `options`, and for those that were not given the settings of the general `weights`.
+
+    Raises WeightsError if a given option is another shape than theirs.
+    """
+    fields = kind.Options.model_fields.keys() - TransferSettings.model_fields.keys()
+    shared = fields - {"precision", "devices", *kind.map_options, *FIRST_MOTION, *InferenceSettings.model_fields}
+    theirs = {name: value for name, value in weights.card.settings.items() if name in shared}
+    trained = validated(kind.Options, theirs, f"weights of {weights.card.tracker}, settings")
+    for name in sorted(options.model_fields_set & shared - TrainingSettings.model_fields.keys()):
+        if getattr(options, name) != getattr(trained, name):
+            raise WeightsError(
+                f"the general weights have {name}={getattr(trained, name)}, not {getattr(options, name)}: leave the"
+                " option out, or train with --from-scratch"
+            )
+    shorter = FROM_GENERAL | {name: min(getattr(trained, name), most) for name, most in AT_MOST.items()}
+    return validated(kind.Options, theirs | shorter | options.model_dump(exclude_unset=True), "training")
+
+
+def begin_from(network: RecurrentNetwork, weights: Weights) -> None:
+    """Load the arrays of the general `weights` into `network`, at a site each bias in every cell of its map.
+
+    Their class decoder is left out. Raises WeightsError if an array is missing or has another shape.
+    """
+    own, maps = network.state_dict(), network.maps()
+    for name, value in own.items():
+        found = weights.arrays.get(name)
+        shape = (value.shape[0], 1, 1) if name in maps else tuple(value.shape)
+        if found is None or found.shape != shape:
+            what = "missing" if found is None else f"{found.shape}"
+            raise WeightsError(f"general weights of {weights.card.tracker}: array '{name}' is {what}, expected {shape}")
+        value.copy_(torch.from_numpy(found))
+
+
+def validation_scores(
+    score: Callable[[FrameSource], StretchScore], sources: Sequence[FrameSource], horizons_s: Sequence[float]
+) -> dict[str, float]:
+    """F1 of SELECTION_STRATA at the horizons, mean over the stretches; `score` is the mean of those that are defined.
+
+    `log_loss` is that of the same cells, nats. If nothing moves in a stretch, it has no F1 of dynamic cells, and does
+    not count there.
+    """
+    found: dict[str, list[float]] = {}
+    losses: list[float] = []
+    for source in sources:
+        scores = score(source)
+        for stratum, horizon in product(SELECTION_STRATA, horizons_s):
+            at = nearest_step(horizon, source.period_s)
+            found.setdefault(f"{stratum}_f1_{horizon:g}s", []).append(float(scores.f1[stratum][at]))
+            losses.append(float(scores.log_loss[stratum][at]))
+    results = {name: mean_of_defined(values) for name, values in found.items()}
+    return {"score": mean_of_defined(list(results.values())), "log_loss": mean_of_defined(losses), **results}
