@@ -137,14 +137,14 @@ class Objective(Protocol):
 class FitTask:
     """The input of one training: `Tracker.fit` learns from it and writes the card `out`.
 
-    `train` and `validation`: stretches of recordings, each a stream of GridFrames whose planes are (M, M); no frame is
-    in both. `options`: the tracker's own Options. An example that counts the occupied rate of each cell:
+    `train` and `validation`: stretches of recordings, each a stream of GridFrames with planes (M, M); no frame is in
+    both. `options`: an instance of the tracker's Options. An example that counts the occupied rate of each cell:
 
         @classmethod
         def fit(cls, task: FitTask) -> None:
             frames = [frame for source in task.train for frame in source]
             rate = np.mean([frame.occupied for frame in frames], axis=0)  # (M, M)
-            save_weights(task.out, card_for(cls, task), {"rate": rate})
+            save_weights(task.out, card_for("my-tracker", task, {}), {"rate": rate})
     """
 
     train: Sequence[FrameSource]
