@@ -41,7 +41,7 @@ def machine():
 def slurm(machine, monkeypatch):
     """The commands of Slurm are about the cluster of this machine."""
     monkeypatch.setenv("SLURM_CONF", str(machine))
-    monkeypatch.setattr(slurm_cluster, "POLL_S", 0.5)
+    monkeypatch.setattr(slurm_cluster, "SLURM_POLL_S", 0.5)
     yield
     wait_until(lambda: not jobs())
 

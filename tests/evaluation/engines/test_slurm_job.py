@@ -63,7 +63,7 @@ def cluster(tmp_path, monkeypatch):
         (tmp_path / name).write_text(f"#!/bin/sh\n{does}\n", "utf-8")
         (tmp_path / name).chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    monkeypatch.setattr(slurm_cluster, "POLL_S", 0.0)
+    monkeypatch.setattr(slurm_cluster, "SLURM_POLL_S", 0.0)
     return SlurmCluster(SlurmSettings(), 1, execute)
 
 
