@@ -1,4 +1,7 @@
-"""The command line `gridtrack`: its commands, and every user error as one line on stderr with exit code 2."""
+"""The command line `gridtrack`: its commands, and every user error as one line on stderr with exit code 2.
+
+A crash, such as a broken library, has exit code 3: 1 is the verdict "worse" of `regress`.
+"""
 
 from __future__ import annotations
 
@@ -29,6 +32,7 @@ COMMANDS = {
 """The commands, each in the module of its name, and their help."""
 STARTS_TRACKERS = ("compare", "regress", "train", "trackers")
 """Commands that run the code of trackers in processes below this one."""
+CRASHED = 3
 
 
 class LazyCommand(TyperCommand):
@@ -91,6 +95,9 @@ def main() -> None:
         _fail(error, str(error))
     except OSError as error:
         _fail(error, f"{error.filename}: {error.strerror}" if error.filename else str(error))
+    except Exception as error:
+        traceback.print_exception(error)
+        sys.exit(CRASHED)
 
 
 def _shield(arguments: list[str]) -> AbstractContextManager[None]:

@@ -95,6 +95,14 @@ def test_debug_shows_the_traceback_of_an_error_and_keeps_its_exit_code():
     assert (done.returncode, done.stderr.count("Traceback")) == (2, 1)
 
 
+def test_a_broken_library_has_another_exit_code_than_a_worse_tracker(tmp_path):
+    (tmp_path / "pyarrow.py").write_text("raise AttributeError('built for another numpy')")
+    command = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from gridtrack.cli import main; main()"
+    given = [sys.executable, "-c", command, "regress", "runs/now", "--baseline", "baseline.json"]
+    done = subprocess.run(given, capture_output=True, text=True)
+    assert (done.returncode, "built for another numpy" in done.stderr) == (3, True)
+
+
 def test_the_undamaged_part_of_a_truncated_recording_can_be_used(tmp_path):
     cut, out = tmp_path / "cut.mcap", ("--out", tmp_path / "out")
     content = Path(DEMO).read_bytes()

@@ -1,10 +1,11 @@
-"""A score of another package: with `--score NAME` it is in table, page, exports and gate; else it is not loaded."""
+"""A score or a recording format of another package: used if it is named, by every command; else it is not loaded."""
 
 from __future__ import annotations
 
 import json
 import sys
 
+import numpy as np
 import pytest
 
 from gridtrack.evaluation.runs.summary import read_summary
@@ -13,7 +14,7 @@ from gridtrack.recordings import packaged_recording
 from scenes.command_line import gridtrack
 
 RECORDING = f"{packaged_recording('leg_tracker')}@114s-120s"
-MODULE = """
+SCORE = """
 import numpy as np
 
 from gridtrack.evaluation.scores.definition import Output, Ratio, ScoreDefinition
@@ -40,14 +41,51 @@ ABSOLUTE_ERROR = ScoreDefinition(
 )
 """
 
+FORMAT = """
+import numpy as np
+
+from gridtrack.common.scan import Scan
+from gridtrack.recordings import Recording, RecordingFormat
+
+
+class CsvRecording(Recording):
+    def read(self, topics):
+        for line in self.path.read_text().splitlines()[1:]:
+            stamp_ns, *ranges = line.split(",")
+            topics.add("csv", "CSV", True)
+            yield Scan(int(stamp_ns), np.array(ranges, np.float32), -np.pi, np.pi / 90, 0.05, 30.0)
+
+
+def recognises(path, head):
+    return head.startswith(b"scans")
+
+
+FORMAT = RecordingFormat("CSV of scans", (".csv",), recognises, CsvRecording)
+"""
+
 
 @pytest.fixture
 def installed(install):
     """A package with the score `absolute_error`."""
     points = {"absolute_error": "absolute_error:ABSOLUTE_ERROR"}
-    install("absolute-error", points, {"absolute_error.py": MODULE}, group="gridtrack.scores")
+    install("absolute-error", points, {"absolute_error.py": SCORE}, group="gridtrack.scores")
     yield
     sys.modules.pop("absolute_error", None)
+
+
+@pytest.fixture
+def walk(install, tmp_path, monkeypatch):
+    """A recording in the format `csv` of another package: 15 s in a room in which a person walks by."""
+    install("csv-scans", {"csv": "csv_scans:FORMAT"}, {"csv_scans.py": FORMAT}, group="gridtrack.recordings")
+    angles = np.linspace(-np.pi, np.pi, 180, endpoint=False)
+    lines = ["scans"]
+    for frame in range(150):
+        ranges = np.where(abs(angles - (frame - 75) / 75) < 0.1, 2.0, 4.0)
+        lines.append(f"{frame * 100_000_000}," + ",".join(f"{one:.2f}" for one in ranges))
+    (tmp_path / "walk.csv").write_text("\n".join(lines))
+    monkeypatch.chdir(tmp_path)
+    yield "walk.csv"
+    sys.modules.pop("csv_scans", None)
 
 
 @pytest.mark.usefixtures("installed")
@@ -72,3 +110,16 @@ def test_a_score_of_another_package_is_in_table_page_exports_and_gate(tmp_path, 
 def test_a_score_that_is_not_installed_is_one_line(tmp_path):
     told = gridtrack("compare", RECORDING, "--score", "absolute_eror", "--out", tmp_path / "run", code=2).stderr
     assert told.startswith("gridtrack: --score: no score 'absolute_eror' is installed")
+
+
+def test_a_format_of_another_package_is_read_by_every_command_that_reads_recordings(walk, tmp_path):
+    assert "walk.csv: not a recording that gridtrack reads" in gridtrack("recording", "info", walk, code=2).stderr
+    assert "csv_scans" not in sys.modules, "a package that is not named runs no code"
+    named = ("--format", "csv")
+    assert "150 scans" in gridtrack("recording", "info", walk, *named).stdout
+    gridtrack("recording", "view", walk, *named, "--out", "walk.rrd")
+    gridtrack("recording", "import", walk, *named, "--out", "walk.mcap")
+    gridtrack("train", "static-map", f"{walk}@0s-5s", "--validation", f"{walk}@5s-7s", *named, "--out", "weights")
+    asked = ("--weights", "weights", "--tracker", "static-map", "--tracker", "blank", "--out", "run")
+    gridtrack("compare", f"{walk}@7s-15s", *named, *asked, "--horizon", "1s", "--jobs", "1")
+    assert read_summary(tmp_path / "run").trackers["static-map"].recordings.keys() == {"walk@7s-15s"}
