@@ -58,7 +58,7 @@ class ScoreDescription(ResultModel):
     about: str = ""
     compared_with: ComparedPart = "occupancy"
     """Whether the row that others are compared with is the reference for occupancy or for classes."""
-    thresholded: bool = False
+    thresholded: bool
     """Whether its values depend on the threshold that was chosen."""
     outputs: Annotated[tuple[OutputDescription, ...], Field(min_length=1, max_length=100)]
     """The first one leads."""
