@@ -1,6 +1,6 @@
 """The model-free pipeline beside Stone Soup's trackers on the same clusters: error and time.
 
-`pip install stonesoup==1.9.1`, then `python -m benchmarks.stone_soup` (ten minutes). Round people walk through a hall
+`python -m benchmarks.stone_soup` (ten minutes). Round people walk through a hall
 with a laser and occlude one another. Every tracker gets the clusters of our segmentation in the same grid frames, and
 has the same motion and measurement noise. Stone Soup's trackers are Kalman filters with global nearest neighbours and
 with joint probabilistic data association (by loopy belief propagation). Initiation and deletion of tracks are tuned for

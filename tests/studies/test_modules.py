@@ -12,7 +12,6 @@ import pytest
 from studies.support.shipped import JUNCTION
 
 ROOT = Path(__file__).parents[2]
-PEERS = {"benchmarks.stone_soup": "stonesoup"}
 COMMANDS = sorted(
     ".".join(path.relative_to(ROOT).with_suffix("").parts)
     for package in ("benchmarks", "studies")
@@ -86,9 +85,7 @@ LONG = {
 
 
 def main_of(name: str) -> Callable[[Sequence[str]], None]:
-    """The main function of a module. Skips the test if a peer is not installed."""
-    if name in PEERS:
-        pytest.importorskip(PEERS[name])
+    """The main function of a module."""
     main: Callable[[Sequence[str]], None] = importlib.import_module(name).main
     return main
 
