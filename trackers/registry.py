@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import os
 import re
 import sys
 from collections.abc import Iterator
@@ -162,13 +163,13 @@ def _source_files(package: str) -> Iterator[tuple[str, Path]]:
     top = getattr(sys.modules.get(package), "__file__", None)
     root = Path(top).parent if top else None
     for name, module in list(sys.modules.items()):
-        path = Path(getattr(module, "__file__", None) or "")
-        if path.is_file() and (name.partition(".")[0] == package or (root is not None and _is_below(path, root))):
-            yield name, path
+        file = getattr(module, "__file__", None) or ""
+        # text first: thousands of modules are loaded beside a network
+        beside = root is not None and file.startswith(f"{root}{os.sep}") and _is_below(Path(file), root)
+        if (beside or name.partition(".")[0] == package) and Path(file).is_file():
+            yield name, Path(file)
 
 
 def _is_below(path: Path, root: Path) -> bool:
-    """Whether a file lies below `root`, and not in a library that is installed there."""
-    if root.name in INSTALLED or not path.is_relative_to(root):
-        return False
-    return not set(INSTALLED) & set(path.relative_to(root).parts)
+    """Whether a file below `root` is not in a library that is installed there."""
+    return root.name not in INSTALLED and not set(INSTALLED) & set(path.relative_to(root).parts)
