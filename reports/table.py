@@ -334,9 +334,8 @@ def _over_horizons(
 def _unscored(name: str, output: str) -> ScoreDescription:
     """The headline score of a run in which nothing was scored."""
     title = name.upper()
-    return ScoreDescription(
-        name=name, title=title, outputs=(OutputDescription(name=output, title=title, better="higher"),)
-    )
+    lead = OutputDescription(name=output, title=title, better="higher")
+    return ScoreDescription(name=name, title=title, thresholded=False, outputs=(lead,))
 
 
 def _is_given(trials: Sequence[TrialSummary], score: ScoreDescription, output: OutputDescription | None = None) -> bool:

@@ -14,6 +14,7 @@ from gridtrack.common.files import sha256_of
 from gridtrack.evaluation.runs.recipe import Recipe
 from gridtrack.evaluation.runs.train import general_start
 from gridtrack.recordings import packaged_recording
+from gridtrack.trackers.training import searched_fit
 from gridtrack.trackers.training.weights import read_card
 
 from scenes.programs_here import programs_here
@@ -31,12 +32,19 @@ def gridtrack(*arguments: object, exit_code: int = 0) -> str:
     return done.output
 
 
+@pytest.fixture(scope="module", autouse=True)
+def short_searches():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(searched_fit, "SEARCH_ITERATIONS", 2)
+        yield
+
+
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
     """A folder with general weights of `static-map`."""
     folder = tmp_path_factory.mktemp("weights")
     gridtrack(
-        *("train", "static-map", f"{HALL}@0s-20s", f"{STREET}@0s-20s", "--validation", f"{HALL}@75s-81s"),
+        *("train", "static-map", f"{HALL}@0s-6s", f"{STREET}@0s-6s", "--validation", f"{HALL}@75s-80s"),
         *("--general", "--out", folder),
     )
     return folder
@@ -70,17 +78,17 @@ def compared(recording, weights, out, *trackers, exit_code=0):
 
 def test_general_weights_are_used_where_the_site_has_none_and_the_table_says_so(weights, elsewhere, tmp_path):
     rows = ("static-map", "own=static-map:card=site")
-    text, found = compared(f"{elsewhere}@90s-110s", weights, tmp_path, *rows, exit_code=3)
+    text, found = compared(f"{elsewhere}@90s-98s", weights, tmp_path, *rows, exit_code=3)
     assert (found["static-map"]["outcome"], found["static-map"]["card"]) == ("ok", "general")
     assert found["own"]["outcome"] == "untrained"
     assert "static-map (general)" in text
 
 
 def test_a_recording_without_a_validation_stretch_has_the_thresholds_of_the_card(weights, elsewhere, tmp_path):
-    _, found = compared(f"{elsewhere}@90s-110s", weights, tmp_path, "static-map", "blank")
+    _, found = compared(f"{elsewhere}@90s-98s", weights, tmp_path, "static-map", "blank")
     assert found["static-map"]["threshold_chosen_on"] == "the card static-map/general.toml"
     assert found["blank"]["threshold_chosen_on"] == ""
-    outcome = json.loads((tmp_path / "static-map@yard@90s-110s" / "outcome.json").read_text())
+    outcome = json.loads((tmp_path / "static-map@yard@90s-98s" / "outcome.json").read_text())
     visible = outcome["thresholds"]["values"]["visible"]
     card = read_card(weights / "static-map" / "general.toml").thresholds
     assert visible[10] == pytest.approx(card.values["visible"][10]) != 0.5
@@ -88,7 +96,7 @@ def test_a_recording_without_a_validation_stretch_has_the_thresholds_of_the_card
 
 def test_weights_of_the_site_and_general_ones_are_two_rows_on_request(weights, tmp_path):
     _, found = compared(
-        f"{HALL}@90s-110s", weights, tmp_path, "site=static-map:card=site", "general=static-map:card=general"
+        f"{HALL}@90s-98s", weights, tmp_path, "site=static-map:card=site", "general=static-map:card=general"
     )
     assert {label: row["card"] for label, row in found.items()} == {"site": "site", "general": "general"}
 
@@ -100,14 +108,14 @@ def test_a_row_of_an_unknown_kind_of_weights_is_refused(weights, tmp_path):
 
 def test_recordings_of_unlike_places_are_refused_without_the_option(tmp_path):
     with pytest.raises(WeightsError, match="or for any place with --general"):
-        gridtrack("train", "static-map", f"{HALL}@0s-20s", f"{STREET}@0s-20s", "--validation", HALL, "--out", tmp_path)
+        gridtrack("train", "static-map", f"{HALL}@0s-6s", f"{STREET}@0s-6s", "--validation", HALL, "--out", tmp_path)
 
 
 SEARCHED = dict.fromkeys(
     ("birth_probability", "free_decay_s", "birth_speed", "acceleration", "position_noise_m", "start_stop_speed"), 0.05
 ) | {"occupied_mass": 0.91, "free_mass": 0.81, "time_to_start_s": 20, "time_to_stop_s": 5, "free_decay_s": 2}
 """A value for every setting of `dogma` that is searched: nothing is left to search."""
-TEN_SECONDS = (f"{HALL}@0s-10s", "--validation", f"{HALL}@75s-81s", "--seed", "4")
+TEN_SECONDS = (f"{HALL}@0s-10s", "--validation", f"{HALL}@75s-80s", "--seed", "4")
 
 
 @pytest.fixture(scope="module")
