@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from scenes.command_line import gridtrack
 
 ROOT = Path(__file__).parents[1]
@@ -18,6 +20,7 @@ TOLERANCE = {"factor-graph": 0.01, "deep-tracking-rnn": 0.01, "dilated-convgru":
 """Change in F1 that the order of 32-bit sums on another processor may cause."""
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_no_built_in_tracker_is_worse_than_its_baseline_and_deterministic_ones_are_equal(tmp_path, monkeypatch):
     (run,) = json.loads(BASELINE.read_text())["runs"]
     _, *arguments, _ = run["command"]
