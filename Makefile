@@ -19,7 +19,7 @@ folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
 trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))
 
-.PHONY: help demo demo-junction test coverage lint bench results worlds-results real-results schemas docs figures size screenshots ablations returns junction weights baseline clean
+.PHONY: help demo demo-junction test check coverage lint bench results worlds-results real-results schemas docs figures size screenshots ablations returns junction weights baseline clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
@@ -35,6 +35,10 @@ demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minut
 
 test: lint ## run lint, types and all tests
 	$(PYTEST)
+
+check: $(VENV)/.installed-dev ## lint and test what changed since the last commit, for a minute (SINCE=main: since that revision)
+	mkdir -p .link && ln -sfn .. .link/gridtrack
+	PYTHONPATH=tests $(BIN)/python -m affected --since $(or $(SINCE),HEAD)
 
 coverage: $(VENV)/.installed-dev ## run all tests; print the coverage and the ten files with the least
 	$(PYTEST) --cov --cov-report=
