@@ -14,6 +14,7 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.common.untrusted import parse_json
 
 APPLICATION = "gridtrack"
+PACKED_SUFFIXES = (".gz", ".bz2", ".zst", ".zstd")
 MAX_NAME_BYTES = 160
 NAME_RULE = (
     f"expected 1 to {MAX_NAME_BYTES} bytes of printable UTF-8 without / and \\, and no '.' or space at the beginning"
@@ -122,8 +123,11 @@ def is_label(text: str) -> bool:
     return text.isprintable() and 1 <= len(text.encode()) <= MAX_NAME_BYTES
 
 
-def name_from(file_name: str) -> str:
-    """A valid name from a file name: the part before the first dot, with invalid characters replaced."""
-    stem = file_name.lstrip(".").partition(".")[0]
-    allowed = "".join(c if c.isprintable() and c not in "/\\" else "_" for c in stem).strip()
+def name_from(path: Path) -> str:
+    """A valid name from a file's name without its ending, or from a folder's, with invalid characters replaced."""
+    stem = path.name
+    if not path.is_dir():
+        packed = Path(stem).suffix.lower() in PACKED_SUFFIXES
+        stem = Path(Path(stem).stem).stem if packed else Path(stem).stem
+    allowed = "".join(c if c.isprintable() and c not in "/\\" else "_" for c in stem).lstrip(". ").strip()
     return allowed.encode()[:MAX_NAME_BYTES].decode(errors="ignore") or "recording"

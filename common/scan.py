@@ -58,7 +58,8 @@ class Scan:
     `reference_T_sensor`, if it differs, is the pose for scoring forecasts. `labels` (B,) uint8 are indices into the
     recording's classes, or UNLABELLED. `scene` is the true scene, if the recording has it, in the reference world
     frame. Trackers never get labels, scene and reference poses. Beam i is measured `i * time_increment_s` after the
-    stamp; 0 if the beam times are unknown. `pose_quality` is the quality of a pose from matching scans.
+    stamp; 0 if the beam times are unknown. `last_angle` is the angle of the last beam if the format says it beside the
+    other two: they may contradict each other. `pose_quality` is the quality of a pose from matching scans.
     """
 
     stamp_ns: int
@@ -73,4 +74,5 @@ class Scan:
     labels: NDArray[np.uint8] | None = None
     scene: Scene | None = None
     time_increment_s: float = 0.0
+    last_angle: float | None = None
     pose_quality: PoseQuality | None = None

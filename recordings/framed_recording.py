@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -17,6 +18,7 @@ from gridtrack.recordings.frames.choice import chosen_chains
 from gridtrack.recordings.frames.trajectory import MAX_TRANSFORMS, AllTransforms, FramedScan, ScansOnChains
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FrameTree, StampedTransform, frame_name
+from gridtrack.recordings.meaning import with_meaning
 from gridtrack.recordings.read_options import NO_POSES, Mount
 from gridtrack.recordings.recording import Recording, Topics
 from gridtrack.recordings.recording_info import RecordingInfo
@@ -68,7 +70,7 @@ class FramedRecording(Recording):
         """The metadata of the recording: its file name as `site`, and the source of its poses."""
         is_at_rest = self.options.pose_topic == NO_POSES
         poses = self.chains.describe(self._tree, self._sensors, is_at_rest=is_at_rest)
-        return RecordingInfo(site=name_from(self.name), poses=poses)
+        return RecordingInfo(site=name_from(self.path), poses=poses)
 
     @property
     def pose_problem(self) -> str:
@@ -170,10 +172,15 @@ class FramedRecording(Recording):
     def _placed(self, scans: ScansOnChains, message: EncodedMessage) -> Iterator[Scan]:
         """The scans that no longer wait once the scan in a message is added."""
         framed = self.scan_of(message)
+        framed = replace(framed, scan=with_meaning(framed.scan, self.options))
         if frame_name(framed.frame) == self._tree.sensors.get(message.topic):
             yield from scans.scan(framed)
         else:
             self.warn(f"topic '{message.topic}': scans in another frame than the first scan are left out")
+
+    def _as_options_say(self, scan: Scan) -> Scan:
+        """Done before the scan was placed: a mirrored laser has its angles reversed there."""
+        return scan
 
     def _note_shared_frames(self) -> None:
         """Report moving sensors that may be one, with its scans recorded twice: raw and filtered, for example."""

@@ -47,8 +47,8 @@ def import_recording(
 ) -> Recording:
     """Write the recording at `source`, in any format, as a native one at `out`, and open it.
 
-    Ranges are copied exactly, including NaN and infinities; only `zero_range` changes ranges of 0.0. The same source
-    and options give the same bytes. Warnings about the file are written too, so reading the result repeats them. `site`
+    Ranges are copied exactly, including NaN and infinities; only `no_return` makes codes infinite. The same source and
+    options give the same bytes. Warnings about the file are written too, so reading the result repeats them. `site`
     defaults to the site in the source, or to its file name. With `ego_motion` "kiss-icp" the poses come from matching
     the scans, and a single sensor needs no usable recorded poses; with "refined" the recorded motion is the prior of
     the matches. `options` are those of `open_recording`. An existing file at `out` is replaced only with `overwrite`.
@@ -152,7 +152,7 @@ def _command(
         ("--cloud-slice", read.cloud_slice and _pairs(read.cloud_slice)),
         ("--pose-topic", read.pose_topic),
         *(("--mount", str(mount)) for mount in read.mounts),
-        ("--zero-range", read.zero_range),
+        *read.meaning.items(),
         ("--ego-motion", None if ego_motion == "recorded" else ego_motion),
     ]
     words = [word for option, value in options if value for word in (option, str(value))]

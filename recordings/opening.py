@@ -25,9 +25,8 @@ OPTION_PURPOSE = {
 def open_recording(path: Path | str, *, growth: Growth | None = None, **options: Any) -> Recording:
     """The recording at `path`, in any format; only the beginning of the file is read yet.
 
-    `options` are the fields of ReadOptions: `format`, `topic`, `strict`, `cloud_slice`, `pose_topic`, `mounts`,
-    `zero_range`. `growth` is for a file that is still being written. Raises RecordingError, PluginError and
-    ConfigurationError.
+    `options` are the fields of ReadOptions. `growth` is for a file that is still being written. Raises RecordingError,
+    PluginError and ConfigurationError.
 
     >>> from gridtrack.recordings import open_recording, packaged_recording
     >>> recording = open_recording(packaged_recording("leg_tracker"))
@@ -40,7 +39,7 @@ def open_recording(path: Path | str, *, growth: Growth | None = None, **options:
     registry = FormatRegistry(given.format)
     recording_format = registry.recognising(path, _head(path, registry))
     if recording_format is None:
-        raise RecordingError(_why_unknown(path, registry))
+        raise RecordingError(f"{path}: {_why_unknown(path, registry)}")
     for name, purpose in OPTION_PURPOSE.items():
         if getattr(given, name) not in (None, ()) and name not in recording_format.options:
             raise RecordingError(f"{path}: {purpose}; a {recording_format.name} has no use for it: leave it out")
@@ -117,13 +116,33 @@ def recordings_at(path: Path, format: str | None = None) -> list[Path]:
     return found
 
 
+OTHER_FILES = {
+    b"version https://git-lfs": "a Git LFS pointer, not the recording itself: run `git lfs pull` in its repository",
+    b"<": "an HTML or XML page, not the recording: download it again",
+    b"{": "JSON, not a recording",
+    b"[": "JSON, not a recording",
+    b"\x1f\x8b": "packed by gzip: unpack it with `gunzip`",
+    b"BZh": "packed by bzip2: unpack it with `bunzip2`",
+    b"\x28\xb5\x2f\xfd": "packed by Zstandard: unpack it with `zstd -d`",
+    b"PK\x03\x04": "a ZIP archive: unpack it",
+    b"\x75\x73\x74\x61\x72": "a tar archive: unpack it",
+    b"#ROSBAG V1": "a ROS bag of format 1: convert it with `rosbag fix`",
+}
+"""What a file is that no format reads, by its first bytes, and what to do."""
+
+
 def _why_unknown(path: Path, registry: FormatRegistry) -> str:
     known = ", ".join(f"{found.name} ({', '.join(found.suffixes)})" for found in registry.formats())
     broken = f"; not available: {'; '.join(registry.problems)}" if registry.problems else ""
     if path.is_dir():
-        return f"{path}: a folder, but not a recording (a ROS 2 bag has metadata.yaml): name a file in it{broken}"
+        return f"a folder, but not a recording (a ROS 2 bag has metadata.yaml): name a file in it{broken}"
+    head = _head(path, registry)
+    if not head:
+        return f"an empty file: copy it again from its origin{broken}"
+    if found := next((text for magic, text in OTHER_FILES.items() if head.lstrip().startswith(magic)), ""):
+        return f"{found}{broken}"
     return (
-        f"{path}: not a recording that gridtrack reads; formats: {known}, or a format of another package by --format"
+        f"not a recording that gridtrack reads; formats: {known}, or a format of another package by --format"
         f" NAME{broken}"
     )
 

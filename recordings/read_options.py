@@ -1,19 +1,20 @@
-"""Options of reading a recording: its format, one topic, strictness, point clouds, poses and mounts."""
+"""Options of reading a recording: format, topic, strictness, point clouds, poses, mounts, and meaning of the ranges."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from gridtrack.common.config import Settings, parse_pairs, validated
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.options import Option, from_text
-from gridtrack.common.scan import MAX_POSITION_M, MAX_RANGE_M
+from gridtrack.common.scan import MAX_ANGLE_RAD, MAX_POSITION_M, MAX_RANGE_M
 
 MOUNT_FORM = "SENSOR=X,Y,ANGLE, as in front_laser=0.4,0.2,45deg (metres; deg or rad; ',mirrored' if upside down)"
+NoReturn = Literal["max", "zero", "nan"]
 NO_POSES = "none"
 """The pose topic of a recording with sensors at rest."""
 
@@ -49,7 +50,7 @@ def parse_mount(text: str) -> Mount:
     parent, _, place = rest.rpartition(":")
     numbers = [part.strip() for part in place.split(",")]
     try:
-        x, y, heading_rad = float(numbers[0]), float(numbers[1]), _radians(numbers[2])
+        x, y, heading_rad = float(numbers[0]), float(numbers[1]), wrap_angle(_radians(numbers[2]))
     except (ValueError, IndexError):
         x = y = heading_rad = math.nan
     is_valid = abs(x) <= MAX_POSITION_M and abs(y) <= MAX_POSITION_M and math.isfinite(heading_rad)
@@ -61,14 +62,42 @@ def parse_mount(text: str) -> Mount:
 
 
 def _radians(text: str) -> float:
-    """`45deg` or `0.8rad`, wrapped; the only number without a unit is 0. Raises ValueError."""
+    """`45deg` or `0.8rad`; the only number without a unit is 0. Raises ValueError."""
     if text.endswith("deg"):
-        return wrap_angle(math.radians(float(text.removesuffix("deg"))))
+        return math.radians(float(text.removesuffix("deg")))
     if text.endswith("rad"):
-        return wrap_angle(float(text.removesuffix("rad")))
+        return float(text.removesuffix("rad"))
     if float(text) != 0.0:
         raise ValueError(text)
     return 0.0
+
+
+def codes_in(value: Any) -> Any:
+    """`max,zero`, or several such texts, as a tuple of codes."""
+    texts = [value] if isinstance(value, str) else value
+    return tuple(part.strip() for text in texts for part in text.split(","))
+
+
+def parse_limits(text: str) -> tuple[float, float]:
+    """Read `0.1,30`, metres. Raises ConfigurationError."""
+    try:
+        low_m, high_m = map(float, text.split(","))
+    except ValueError:
+        low_m = high_m = math.nan
+    if not 0.0 <= low_m < high_m <= MAX_RANGE_M:
+        raise ConfigurationError(f"--range-limits {text}: expected MIN,MAX in metres, as in 0.1,30")
+    return low_m, high_m
+
+
+def parse_angles(text: str) -> tuple[float, float]:
+    """Read `-135deg,135deg` or `0rad,6.28rad`, in radians. Raises ConfigurationError."""
+    try:
+        first_rad, last_rad = map(_radians, text.split(","))
+    except ValueError:
+        first_rad = last_rad = math.nan
+    if not 0.0 < abs(last_rad - first_rad) <= MAX_ANGLE_RAD or abs(first_rad) > MAX_ANGLE_RAD:
+        raise ConfigurationError(f"--angles {text}: expected FIRST,LAST, as in -135deg,135deg (deg or rad)")
+    return first_rad, last_rad
 
 
 class CloudSlice(Settings):
@@ -119,6 +148,19 @@ class ReadOptions(Settings):
     """Topic with the poses of the robot, if the transforms are wrong; none: it stands still"""
     mounts: Annotated[tuple[Annotated[Mount, from_text(parse_mount)], ...], Option("mount", "SENSOR=X,Y,ANGLE")] = ()
     """Place of a sensor on the robot: laser=0.4,0.2,45deg, with ,mirrored if it is upside down; repeat for several"""
-    zero_range: Literal["free", "unknown"] | None = None
-    """Meaning of a range of exactly 0.0, in every format: free up to the maximum range (no return), or unknown
-    (invalid); default: as any range, invalid below the minimum range"""
+    no_return: Annotated[tuple[NoReturn, ...], Option(metavar="CODE,..."), BeforeValidator(codes_in)] = ()
+    """Values that mean no return (free up to the maximum range): max, from 5 cm below the maximum range on; zero; nan.
+    By default zero and nan are invalid (unknown), and the maximum range is a return"""
+    range_limits: Annotated[tuple[float, float] | None, Option(metavar="MIN,MAX"), from_text(parse_limits)] = None
+    """Range limits of the laser in metres, in place of wrong ones in the recording: 0.1,30"""
+    angles: Annotated[tuple[float, float] | None, Option(metavar="FIRST,LAST"), from_text(parse_angles)] = None
+    """Angles of the first and the last beam, in place of wrong ones in the recording: -135deg,135deg"""
+
+    @property
+    def meaning(self) -> dict[str, str]:
+        """The options that change the numbers of scans, and their values as on the command line; empty if not given."""
+        return {
+            "--no-return": ",".join(self.no_return),
+            "--range-limits": ",".join(f"{limit:g}" for limit in self.range_limits or ()),
+            "--angles": ",".join(f"{angle:.9g}rad" for angle in self.angles or ()),
+        }

@@ -5,16 +5,15 @@ from __future__ import annotations
 import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-
-import numpy as np
 
 from gridtrack.common.errors import RecordingError, bounded_line, did_you_mean
 from gridtrack.common.files import name_from, sha256_of
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.file_reading import DamageError, Growth
+from gridtrack.recordings.meaning import with_meaning
 from gridtrack.recordings.overview import RecordingOverview, SensorOverview
 from gridtrack.recordings.read_options import Mount, ReadOptions
 from gridtrack.recordings.recording_info import RecordingInfo
@@ -95,7 +94,7 @@ class Recording(ABC):
     @cached_property
     def info(self) -> RecordingInfo:
         """The metadata of the recording; a format without metadata has its file name as `site`."""
-        return RecordingInfo(site=name_from(self.name))
+        return RecordingInfo(site=name_from(self.path))
 
     def topic_of(self, sensor: str) -> str:
         """The topic with the scans of `sensor`, as in the option `topic`."""
@@ -115,9 +114,10 @@ class Recording(ABC):
             "--format": self.options.format,
             "--topic": self.options.topic,
             "--pose-topic": self.options.pose_topic,
+            **self.options.meaning,
         }
         for option, value in given.items():
-            command += [] if value is None or option in words else [option, value]
+            command += [option, value] if value and option not in words else []
         topic = words[words.index("--topic") + 1] if "--topic" in words else None
         for mount in self.options.mounts:
             is_replaced = any(word.startswith(f"{mount.sensor}=") for word in words)
@@ -236,7 +236,7 @@ class Recording(ABC):
         order = StampOrder(self.warn)
         try:
             for scan in filter(self._is_known, self._before_damage(topics)):
-                yield from order.push(self._with_zero_range(scan))
+                yield from order.push(self._as_options_say(scan))
             yield from order.flush()
             if order.empty:
                 raise NoScansError(self._why_no_scans(topics))
@@ -255,12 +255,9 @@ class Recording(ABC):
         )
         return False
 
-    def _with_zero_range(self, scan: Scan) -> Scan:
-        """The scan with ranges of 0.0 replaced according to the options."""
-        if self.options.zero_range is None:
-            return scan
-        meaning = np.float32(np.inf if self.options.zero_range == "free" else np.nan)
-        return replace(scan, ranges=np.where(scan.ranges == 0.0, meaning, scan.ranges))
+    def _as_options_say(self, scan: Scan) -> Scan:
+        """The scan with the meaning of its numbers that the options give."""
+        return with_meaning(scan, self.options)
 
     def _before_damage(self, topics: Topics) -> Iterator[Scan]:
         try:

@@ -13,7 +13,7 @@ from gridtrack.recordings.read_options import ReadOptions
 from gridtrack.recordings.recording import Recording
 
 FORMAT_GROUP, OWN_DISTRIBUTION = "gridtrack.recordings", "gridtrack"
-HEAD_BYTES = 16
+HEAD_BYTES = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,8 @@ class RecordingFormat:
     open: Callable[[Path, ReadOptions], Recording]
     """The recording at a path; reads no scans yet. Raises RecordingError."""
     options: tuple[str, ...] = ("topic",)
-    """The fields of ReadOptions that the format can use; `format`, `strict` and `zero_range` hold for every format."""
+    """The fields of ReadOptions that the format can use; `format`, `strict`, `no_return`, `range_limits` and
+    `angles` hold for every format."""
     can_grow: bool = False
     """Whether a file can be read while it is written: its recordings read it by their `growth`."""
 

@@ -63,6 +63,7 @@ def scan_of_laser(message: Any, sensor: str, received_ns: int) -> Scan:
         range_max=float(message.range_max),
         sensor=sensor,
         time_increment_s=_time_increment_s(message),
+        last_angle=float(message.angle_max),
     )
 
 

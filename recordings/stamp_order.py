@@ -23,6 +23,8 @@ CONFIRMING_SCANS = 3
 """This many successive scans at a later time are a gap; fewer, with earlier scans after them, have damaged stamps."""
 FAR_NS, FAR_PERIODS = 10_000_000_000, 10
 """The first or last scan of a sensor is damaged if it is further than both from its only neighbour."""
+BEAMS_OFF, ANGLE_ROUNDING = 1.5, 1e-3
+"""Limits of the contradiction between the angles of a header: in beams, and as a share of the field of view."""
 NOT_AFTER = "not stamped after the one before, left out"
 FAR_OFF = "with a stamp far from the neighbouring ones, left out"
 
@@ -221,8 +223,29 @@ class StampOrder:
         self._faults[text] = (count + 1, first_ns)
 
 
-def _geometry(scan: Scan) -> tuple[float, float, float, float, int]:
-    return scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max, scan.ranges.size
+def _geometry(scan: Scan) -> tuple[float | None, ...]:
+    angles = (scan.angle_min, scan.angle_increment, scan.last_angle)
+    return (*angles, scan.range_min, scan.range_max, scan.ranges.size)
+
+
+def _contradiction_of(scan: Scan) -> str:
+    """Why the angles of a scan contradict each other, and what to do; else empty.
+
+    Drivers count one beam more, or one less.
+    """
+    steps = scan.ranges.size - 1
+    counted_rad = scan.angle_increment * steps
+    told_rad = counted_rad if scan.last_angle is None else scan.last_angle - scan.angle_min
+    off_rad = abs(told_rad - counted_rad)
+    fits = off_rad <= BEAMS_OFF * abs(scan.angle_increment) + ANGLE_ROUNDING * abs(told_rad)
+    if steps < 1 or (fits and scan.angle_increment != 0.0):
+        return ""
+    first, told, counted = (math.degrees(angle) for angle in (scan.angle_min, told_rad, counted_rad))
+    return (
+        f"its header contradicts itself: {steps + 1} beams every {scan.angle_increment:g} rad cover {counted:.4g} deg,"
+        f" and angle_max is {told:.4g} deg from angle_min: give the angles of the first and the last beam with --angles"
+        f" FIRST,LAST, as in --angles {first:.5g}deg,{first + told if told else first + 180.0:.5g}deg"
+    )
 
 
 def _invalid_pose(scan: Scan) -> SE2 | None:
@@ -241,7 +264,7 @@ def _problem_of(scan: Scan) -> str:
     if not 0.0 <= scan.range_min < scan.range_max <= MAX_RANGE_M:
         return (
             f"range limits {scan.range_min:g} to {scan.range_max:g} m; expected finite limits up to {MAX_RANGE_M:g} m,"
-            " the lower one first"
+            " the lower one first: give those of the laser with --range-limits MIN,MAX"
         )
     if beams > MAX_BEAMS:
         return f"{beams} beams; at most {MAX_BEAMS}"
@@ -249,8 +272,11 @@ def _problem_of(scan: Scan) -> str:
     if not (abs(scan.angle_min) <= MAX_ANGLE_RAD and extent <= MAX_ANGLE_RAD):
         return (
             f"{beams} beams from {scan.angle_min:g} rad every {scan.angle_increment:g} rad; expected radians, and at"
-            f" most two turns ({MAX_ANGLE_RAD:.4g} rad)"
+            f" most two turns ({MAX_ANGLE_RAD:.4g} rad): give those of the first and the last beam with --angles"
+            " FIRST,LAST"
         )
+    if contradiction := _contradiction_of(scan):
+        return contradiction
     if (p := _invalid_pose(scan)) is not None:
         return f"a pose of {p.x:g}, {p.y:g}, {p.theta:g}; expected finite numbers, and at most {MAX_POSITION_M:g} m"
     return ""

@@ -15,17 +15,18 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.meaning import END_M, at_end
 from gridtrack.recordings.pose_checks import PoseDrift, PoseJumps
 from gridtrack.recordings.resample import JITTER_PERIODS
 
 if TYPE_CHECKING:
     from gridtrack.recordings.recording import Recording
 
-MANY_INVALID, MANY_ZEROS = 0.2, 0.05
-"""Share of invalid ranges for a warning, and share of ranges of 0.0 for its second part."""
+MANY_INVALID, MANY_CODES = 0.2, 0.05
+"""Share of invalid ranges for a warning, and share of ranges that may be a code for no return."""
 MIN_REST_S = 10.0
 """Shorter rests of a sensor are not suggested as a stretch."""
-SURVEY_COUNTS = ("moved", "no_return", "invalid", "zeros", "readings", "labelled", "with_truth")
+SURVEY_COUNTS = ("moved", "no_return", "at_end", "invalid", "zeros", "readings", "labelled", "with_truth")
 POSE_JUMPS = tuple(field.name for field in fields(PoseJumps) if not field.name.startswith("_"))
 FIRST_SCAN = ("stamp_ns", "angle_min", "angle_increment", "range_min", "range_max", "sensor", "time_increment_s")
 """Stored fields of the first scan besides its ranges and poses; labels and truth are not stored."""
@@ -44,6 +45,8 @@ class SensorSurvey:
     """Stamps of the first and last scan of the current rest."""
     longest_rest_ns: tuple[int, int] = (0, 0)
     no_return: int = 0
+    at_end: int = 0
+    """Ranges at the end of the range, which may be a code for no return."""
     invalid: int = 0
     zeros: int = 0
     readings: int = 0
@@ -63,6 +66,7 @@ class SensorSurvey:
         self.moved = self.moved or scan.world_T_sensor != self.first.world_T_sensor
         self.readings += scan.ranges.size
         self.no_return += int(np.count_nonzero(scan.ranges > np.float32(scan.range_max)))
+        self.at_end += int(np.count_nonzero(at_end(scan) & (scan.ranges <= np.float32(scan.range_max))))
         self.invalid += int(np.count_nonzero(~(scan.ranges >= np.float32(scan.range_min))))
         self.zeros += int(np.count_nonzero(scan.ranges == 0.0))
         self.labelled += scan.labels is not None
@@ -82,22 +86,27 @@ class SensorSurvey:
 
     def warnings(self, first_ns: int) -> Iterator[str]:
         """The warnings about ranges and poses; `first_ns` is the stamp of the recording's first scan."""
-        for text in (self._about_ranges(), self.jumps.warning(first_ns)):
+        for text in (*self._about_ranges(), self.jumps.warning(first_ns)):
             if text:
                 yield f"sensor '{self.first.sensor}': {text}"
 
-    def _about_ranges(self) -> str:
-        """A warning about many ranges that are invalid or exactly 0.0, else empty."""
-        invalid, zeros = self.invalid / max(self.readings, 1), self.zeros / max(self.readings, 1)
-        if max(invalid, zeros) <= MANY_INVALID:
-            return ""
-        text = f"{invalid:.1%} of the ranges are invalid (NaN or below range_min)"
-        if zeros > MANY_ZEROS:
-            text += (
-                f" and {zeros:.1%} exactly 0.0: where the driver writes 0.0 for no return, import the recording with"
-                " --zero-range free, else with --zero-range unknown"
+    def _about_ranges(self) -> Iterator[str]:
+        """Warnings about many ranges that are invalid, exactly 0.0, or at the end of the range."""
+        at_end, invalid, zeros = (count / max(self.readings, 1) for count in (self.at_end, self.invalid, self.zeros))
+        if at_end > MANY_CODES:
+            yield (
+                f"{at_end:.1%} of the ranges are {self.first.range_max:g} m, its maximum, or up to {END_M * 100:g} cm"
+                " less: walls at that distance. Where the driver writes this for no return, import the recording with"
+                " --no-return max"
             )
-        return text
+        if invalid > MANY_INVALID:
+            codes = "zero" if zeros > MANY_CODES else "nan"
+            yield (
+                f"{invalid:.1%} of the ranges are invalid (NaN or below range_min)"
+                + (f" and {zeros:.1%} exactly 0.0" if zeros > MANY_CODES else "")
+                + f": nothing is known on these beams. Where the driver writes {'0.0' if codes == 'zero' else 'NaN'}"
+                f" for no return, import the recording with --no-return {codes}"
+            )
 
     def missing(self, stamps_ns: NDArray[np.int64], period_ns: float) -> NDArray[np.bool_]:
         """Marks (n,) of the ticks `stamps_ns` without a scan of this sensor, if there are others (`resample_scans`)."""

@@ -1,4 +1,4 @@
-"""CARMEN logs (`.clf`, `.clf.bz2`): FLASER and ROBOTLASER1 lines, each with the pose of the laser.
+"""CARMEN logs (`.clf`, `.log`, also packed by gzip or bzip2): FLASER and ROBOTLASER1 lines with poses of the laser.
 
 Format: http://carmen.sourceforge.net/doc/logger_file_format.html
 """
@@ -6,11 +6,16 @@ Format: http://carmen.sourceforge.net/doc/logger_file_format.html
 from __future__ import annotations
 
 import bz2
+import gzip
 import math
-from collections.abc import Iterator
-from contextlib import nullcontext
+import re
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from decimal import Decimal, InvalidOperation
 from functools import cached_property
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -22,8 +27,16 @@ from gridtrack.recordings.recording import Recording, Topics
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.recordings.registry import RecordingFormat
 
-CARMEN_SUFFIXES = (".clf", ".clf.bz2", ".log", ".log.bz2")
+CARMEN_SUFFIXES = tuple(f"{name}{packed}" for name in (".clf", ".log") for packed in ("", ".bz2", ".gz"))
+PACKED: dict[bytes, Callable[[BinaryIO], AbstractContextManager[BinaryIO]]] = {
+    b"BZh": bz2.BZ2File,  # type: ignore[dict-item]
+    b"\x1f\x8b": lambda file: gzip.GzipFile(fileobj=file),  # type: ignore[dict-item,return-value]
+}
+"""Readers of packed logs by the first bytes of the file."""
+FIRST_LINE = re.compile(rb"\s*(#|[A-Z][A-Z0-9_]*\s)")
+"""A log begins with a comment or the name of a message."""
 MAX_LINE_BYTES = 1 << 20
+MAX_STAMP_DIGITS = 12
 SICK_RANGE_MAX_M = 81.8
 """A SICK LMS reports 81.83 m or more for a beam without a return; its true maximum range is shorter."""
 ANGLES_DEG = {
@@ -46,7 +59,7 @@ class CarmenLog(Recording):
     @cached_property
     def info(self) -> RecordingInfo:
         """The metadata of the recording: its file name as `site`, and the source of its poses."""
-        return RecordingInfo(site=name_from(self.name), poses="of the laser, in each line with a scan")
+        return RecordingInfo(site=name_from(self.path), poses="of the laser, in each line with a scan")
 
     def read(self, topics: Topics) -> Iterator[Scan]:
         """As in every recording."""
@@ -76,10 +89,10 @@ class CarmenLog(Recording):
 
 
 def is_carmen_log(path: Path, head: bytes) -> bool:
-    """Whether the file has the name of a CARMEN log, and begins as text if it is not compressed."""
-    if not path.name.endswith(CARMEN_SUFFIXES) or path.is_dir():
+    """Whether the file has the name of a CARMEN log, and begins as one if it is not packed."""
+    if not path.name.lower().endswith(CARMEN_SUFFIXES) or path.is_dir():
         return False
-    return path.suffix == ".bz2" or head.isascii()
+    return head.startswith(tuple(PACKED)) or FIRST_LINE.match(head) is not None
 
 
 CARMEN_FORMAT = RecordingFormat("CARMEN log", CARMEN_SUFFIXES, is_carmen_log, CarmenLog)
@@ -87,22 +100,25 @@ CARMEN_FORMAT = RecordingFormat("CARMEN log", CARMEN_SUFFIXES, is_carmen_log, Ca
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Number and words of each line, without comments and empty lines. Raises DamageError."""
-    packed, budget = path.suffix == ".bz2", ReadBudget()
-    with path.open("rb") as raw, bz2.BZ2File(raw) if packed else nullcontext(raw) as file:
-        number = 0
-        try:
-            while line := file.readline(MAX_LINE_BYTES):
-                number += 1
-                if packed:
-                    budget.take_bytes(len(line), raw.tell())
-                    budget.take_record(raw.tell())
-                if len(line) == MAX_LINE_BYTES:
-                    raise DamageError(f"line {number} is longer than {MAX_LINE_BYTES} bytes")
-                words = line.decode("ascii").split()
-                if words and not words[0].startswith("#"):
-                    yield number, words
-        except (EOFError, OSError, UnicodeDecodeError) as error:
-            raise DamageError(f"damaged after line {number} ({error})") from None
+    with path.open("rb") as raw:
+        head, budget = raw.read(max(map(len, PACKED))), ReadBudget()
+        raw.seek(0)
+        unpack = next((found for magic, found in PACKED.items() if head.startswith(magic)), nullcontext)
+        with unpack(raw) as file:
+            number = 0
+            try:
+                while line := file.readline(MAX_LINE_BYTES):
+                    number += 1
+                    if file is not raw:
+                        budget.take_bytes(len(line), raw.tell())
+                        budget.take_record(raw.tell())
+                    if len(line) == MAX_LINE_BYTES:
+                        raise DamageError(f"line {number} is longer than {MAX_LINE_BYTES} bytes")
+                    words = line.decode("latin-1").split()  # names of hosts and comments in any encoding
+                    if words and not words[0].startswith("#"):
+                        yield number, words
+            except (EOFError, OSError, zlib.error) as error:
+                raise DamageError(f"damaged after line {number} ({error})") from None
 
 
 def _flaser(words: list[str]) -> Scan:
@@ -140,14 +156,17 @@ def _robotlaser(words: list[str]) -> Scan:
         range_min=0.0,
         range_max=float(words[5]),
         sensor="scan",
+        last_angle=float(words[2]) + float(words[3]),
         world_T_sensor=SE2(*(float(word) for word in tail[:3])),
     )
 
 
 def _stamp_ns(seconds: str) -> int:
-    """Decimal seconds, exactly."""
-    whole, _, fraction = seconds.partition(".")
-    stamp = int(whole) * 1_000_000_000 + int((fraction + "000000000")[:9])
-    if stamp < 0:
+    """Seconds, also with an exponent, as C++ streams write them; exact where decimals are."""
+    try:
+        stamp = Decimal(seconds)
+    except InvalidOperation:
+        raise ValueError(f"stamp {seconds}") from None
+    if not stamp.is_finite() or stamp < 0 or stamp.adjusted() > MAX_STAMP_DIGITS:
         raise ValueError(f"stamp {seconds}")
-    return stamp
+    return int(stamp * 1_000_000_000)

@@ -397,4 +397,5 @@ class ScansOnChains:
 
 def _turned_over(scan: Scan) -> Scan:
     """The scan of a sensor that is upside down: seen from above, its angles run clockwise."""
-    return replace(scan, angle_min=-scan.angle_min, angle_increment=-scan.angle_increment)
+    last = None if scan.last_angle is None else -scan.last_angle
+    return replace(scan, angle_min=-scan.angle_min, angle_increment=-scan.angle_increment, last_angle=last)

@@ -116,11 +116,21 @@ def test_names_that_are_no_part_of_a_path_are_refused(name: str) -> None:
     assert not is_name(name)
 
 
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [("run.v1.2.db3", "run.v1.2"), ("run.v1.3.db3", "run.v1.3"), ("fr079.clf.gz", "fr079"), ("A.CLF", "A"), ("a", "a")],
+)
+def test_the_name_of_a_site_is_the_file_without_its_ending(file: str, name: str, tmp_path: Path) -> None:
+    assert name_from(Path(file)) == name
+    (tmp_path / "run.v1").mkdir()
+    assert name_from(tmp_path / "run.v1") == "run.v1"
+
+
 @settings(max_examples=50, deadline=None)
 @given(st.text(max_size=300))
 def test_a_name_never_leaves_its_folder(name: str) -> None:
     if is_name(name):
         assert (Path("/out") / name).parts == ("/", "out", name)
-    assert is_name(name_from(name))
+    assert is_name(name_from(Path(name)))
     assert is_label("a")
     assert not is_label("a" * (MAX_NAME_BYTES + 1))

@@ -150,7 +150,7 @@ def test_an_option_that_the_format_cannot_use_is_refused(install_formats, csv_fi
 
 def test_a_format_loads_its_libraries_only_when_a_file_of_it_is_opened(tmp_path: Path, write, scan) -> None:
     """In three steps: the import, native and CARMEN recordings opened, a native one read as frames."""
-    (tmp_path / "a.clf").write_text("")
+    (tmp_path / "a.clf").write_text("# CARMEN\n")
     program = f"""
 import json, sys
 def loaded(*names):

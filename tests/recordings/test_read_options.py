@@ -1,4 +1,4 @@
-"""Options of reading: mounts from text, and the meaning of ranges of exactly 0.0."""
+"""Options of reading: mounts from text, and the meaning of ranges: codes for no return, limits."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ from gridtrack.evaluation.referee.splits import Sampling, plan_split
 from gridtrack.recordings import import_recording, open_recording
 from gridtrack.recordings.read_options import Mount, parse_mount
 from gridtrack.recordings.stream import open_stream
-
-HINT = "exactly 0.0: where the driver writes 0.0 for no return, import the recording with --zero-range free"
 
 
 @pytest.mark.parametrize(
@@ -68,48 +66,71 @@ def recording_with(write, scan) -> Callable[..., Path]:
     ("value", "share", "changes", "warning"),
     [
         (np.nan, 0.2, {}, None),
-        (np.nan, 0.21, {}, "21.0% of the ranges are invalid (NaN or below range_min)"),
+        (np.nan, 0.21, {}, "21.0% of the ranges are invalid (NaN or below range_min): nothing is known"),
+        (np.nan, 0.21, {}, "Where the driver writes NaN for no return, import the recording with --no-return nan"),
         (-np.inf, 0.5, {}, "50.0% of the ranges are invalid"),
         (np.inf, 0.9, {}, None),
         (0.0, 0.2, {}, None),
         (0.0, 0.43, {}, "43.0% of the ranges are invalid (NaN or below range_min) and 43.0% exactly 0.0"),
-        (0.0, 0.43, {"range_min": 0.0}, f"0.0% of the ranges are invalid (NaN or below range_min) and 43.0% {HINT}"),
+        (0.0, 0.43, {"range_min": 0.0}, "writes 0.0 for no return, import the recording with --no-return zero"),
+        (30.0, 0.05, {}, None),
+        (30.0, 0.06, {}, "6.0% of the ranges are 30 m, its maximum, or up to 5 cm less: walls at that distance"),
+        (29.96, 0.97, {}, "Where the driver writes this for no return, import the recording with --no-return max"),
+        (29.9, 0.97, {}, None),
+        (30.1, 0.97, {}, None),
     ],
 )
-def test_more_than_a_fifth_of_invalid_ranges_is_a_warning(recording_with, value, share, changes, warning) -> None:
-    path = recording_with(value, share, **changes)
+def test_many_ranges_that_may_be_no_return_are_a_warning(recording_with, value, share, changes, warning) -> None:
+    path = recording_with(value, share, range_max=30.0, **changes)
     shown, compared = open_recording(path).overview().warnings, open_stream(path).recording.warnings
     split = plan_split(str(path), None, Sampling(horizon_s=1.0, every_s=0.5))
     assert list(shown) == compared == list(split.notices[: len(compared)])
     assert len(shown) == (warning is not None)
     assert all(str(warning) in line for line in shown)
-    assert all((HINT in line) == (value == 0.0) for line in shown)
 
 
-@pytest.mark.parametrize("range_min", [0.0, 0.05])
-@pytest.mark.parametrize(("meaning", "value"), [("free", np.inf), ("unknown", np.nan)])
-def test_zero_ranges_are_replaced_in_reading_and_import(recording_with, tmp_path, meaning, value, range_min) -> None:
-    path = recording_with(0.0, 0.43, range_min=range_min)
-    read = open_recording(path, zero_range=meaning)
-    imported = import_recording(path, tmp_path / "out.mcap", zero_range=meaning)
+@pytest.mark.parametrize(
+    ("codes", "value"), [("zero", 0.0), ("nan", np.nan), ("max", 10.0), ("max", 9.96), ("max,zero,nan", 0.0)]
+)
+def test_codes_for_no_return_are_infinite_in_reading_and_import(recording_with, tmp_path, codes, value) -> None:
+    path = recording_with(value, 0.43, range_max=10.0)
+    read = open_recording(path, no_return=codes)
+    imported = import_recording(path, tmp_path / "out.mcap", no_return=codes.split(","))
     for recording in (read, imported):
-        np.testing.assert_array_equal(next(recording.scans()).ranges, ranges_with(value, 0.43))
-        sensor = recording.overview().sensors["scan"]
-        assert (sensor.zero_share, sensor.no_return_share > 0.4) == (0.0, meaning == "free")
-        assert not any("exactly 0.0" in line for line in recording.warnings)
-    assert f"--zero-range {meaning}" in imported.info.command
+        np.testing.assert_array_equal(next(recording.scans()).ranges, ranges_with(np.inf, 0.43))
+        assert recording.overview().sensors["scan"].no_return_share > 0.4
+        assert recording.warnings == []
+    assert f"--no-return {codes}" in imported.info.command
 
 
-def test_zero_ranges_stay_without_the_option_and_an_unknown_meaning_is_refused(recording_with, tmp_path: Path) -> None:
-    path = recording_with(0.0, 0.43)
-    assert (next(import_recording(path, tmp_path / "out.mcap").scans()).ranges == 0.0).sum() == 43
-    with pytest.raises(ConfigurationError, match="'zero_range' = 'maybe': Input should be 'free' or 'unknown'"):
-        open_recording(path, zero_range="maybe")
+def test_codes_stay_without_the_option_and_an_unknown_one_is_refused(recording_with, tmp_path: Path) -> None:
+    path = recording_with(0.0, 0.43, range_min=0.0)
+    (scan, *_) = import_recording(path, tmp_path / "out.mcap").scans()
+    assert (scan.ranges == 0.0).sum() == 43
+    assert scan.range_min > 0.0, "0.0 is never a return"
+    with pytest.raises(ConfigurationError, match=r"'no_return\.0' = 'maybe': Input should be 'max', 'zero' or 'nan'"):
+        open_recording(path, no_return="maybe")
 
 
-def test_the_option_holds_for_every_format(tmp_path: Path) -> None:
+def test_the_options_hold_for_every_format(tmp_path: Path) -> None:
     log = tmp_path / "a.clf"
     log.write_text("".join(f"FLASER 180 {'0.0 2.0 3.0 ' * 60} 0 0 0 0 0 0 {k}.5 host 0.0\n" for k in range(5)))
     (warning,) = open_recording(log).overview().warnings
-    assert HINT in warning
-    assert open_recording(log, zero_range="free").overview().warnings == ()
+    assert "--no-return zero" in warning
+    assert open_recording(log, no_return="zero").overview().warnings == ()
+    (scan, *_) = open_recording(log, range_limits="0.1,2.5", angles="-45deg,45deg").scans()
+    assert (scan.range_min, scan.range_max, scan.angle_min) == (0.1, 2.5, -math.pi / 4)
+    assert scan.angle_increment == pytest.approx(math.pi / 2 / 179)
+
+
+@pytest.mark.parametrize(
+    ("option", "text"),
+    [
+        *(("range_limits", text) for text in ("", "1", "2,1", "nan,3", "-1,3", "0.1,2e6", "1,1")),
+        *(("angles", text) for text in ("", "1deg", "1,2", "1deg,1deg", "0deg,800deg", "nandeg,3deg")),
+    ],
+)
+def test_invalid_limits_and_angles_are_one_line_of_error(recording_with, option: str, text: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"--{option.replace('_', '-')} {text}: expected ") as error:
+        open_recording(recording_with(1.0, 0.1), **{option: text})
+    assert "\n" not in str(error.value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import gzip
 import math
 from pathlib import Path
 
@@ -29,11 +30,12 @@ def robotlaser(k: int) -> str:
 
 def log(path: Path, *lines: str) -> Path:
     text = "\n".join(["# message_name [message contents]", "PARAM robot_use_laser on nohost 0", *lines, ""])
-    path.write_bytes(bz2.compress(text.encode(), 1) if path.suffix == ".bz2" else text.encode())
+    packing = {".bz2": lambda content: bz2.compress(content, 1), ".gz": gzip.compress}.get(path.suffix.lower(), bytes)
+    path.write_bytes(packing(text.encode("latin-1")))
     return path
 
 
-@pytest.mark.parametrize("name", ["a.clf", "a.clf.bz2"])
+@pytest.mark.parametrize("name", ["a.clf", "a.clf.bz2", "a.log.gz", "A.CLF", "A.Log.BZ2"])
 def test_flaser_lines(name: str, tmp_path: Path) -> None:
     ranges = [f"{0.01 * (i + 1):.2f}" for i in range(179)] + ["81.83"]
     odometry = "ODOM 0 0 0 0 0 0 100.1 host 0.1"
@@ -45,7 +47,7 @@ def test_flaser_lines(name: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(first.ranges, np.array(ranges, np.float32))
     assert first.ranges[-1] > first.range_max, "the value of the laser for no return is beyond its maximum"
     assert recording.survey.topics == {"PARAM": ("CARMEN", 1), "ODOM": ("CARMEN", 1), "FLASER": ("CARMEN", 2)}
-    assert recording.info.site == "a"
+    assert recording.info.site == name[0]
 
 
 @pytest.mark.parametrize(
@@ -103,6 +105,28 @@ def test_of_two_forms_of_the_same_scan_the_first_is_read(tmp_path: Path) -> None
 def test_stamps_are_exact_to_the_nanosecond(tmp_path: Path) -> None:
     (scan,) = open_recording(log(tmp_path / "a.clf", flaser(0, ["1"] * 180, "976052857.337284"))).scans()
     assert scan.stamp_ns == 976_052_857_337_284_000
+
+
+@pytest.mark.parametrize(
+    ("seconds", "stamp_ns"),
+    [("1.1000000001e+09", 1_100_000_000_100_000_000), ("3.6e-05", 36_000), ("1.13486e+09", 1_134_860_000 * 10**9)],
+)
+def test_stamps_are_read_as_streams_write_them(seconds: str, stamp_ns: int, tmp_path: Path) -> None:
+    (scan,) = open_recording(log(tmp_path / "a.clf", flaser(0, ["1"] * 180, seconds))).scans()
+    assert scan.stamp_ns == stamp_ns
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "-1.0", "1e999999999", "1e13", "far"])
+def test_a_stamp_that_is_no_time_is_damage(seconds: str, tmp_path: Path) -> None:
+    path = log(tmp_path / "a.clf", flaser(0, ["1"] * 180), flaser(1, ["1"] * 180, seconds))
+    recording = open_recording(path)
+    assert len(list(recording.scans())) == 1
+    assert f"line 4: not a readable FLASER (stamp {seconds})" in recording.warnings[0]
+
+
+def test_names_of_hosts_in_any_encoding_are_read(tmp_path: Path) -> None:
+    path = log(tmp_path / "a.clf", "# caf\xe9", *(flaser(k, ["1"] * 180).replace("host", "caf\xe9") for k in range(3)))
+    assert len(list(open_recording(path, strict=True).scans())) == 3
 
 
 @pytest.mark.parametrize("line", ["FLASER 180 1.0 2.0", "FLASER x", "FLASER", flaser(0, ["1.0"] * 179 + ["far"])])

@@ -37,7 +37,7 @@ def laser(ros: Ros, scan: Scan) -> Any:
         LASER,
         header=header(ros, scan.stamp_ns),
         angle_min=scan.angle_min,
-        angle_max=scan.angle_min + scan.angle_increment * (scan.ranges.size - 1),
+        angle_max=scan.last_angle or scan.angle_min + scan.angle_increment * (scan.ranges.size - 1),
         angle_increment=scan.angle_increment,
         time_increment=scan.time_increment_s,
         scan_time=0.1,
@@ -271,6 +271,41 @@ def test_a_scan_of_impossible_geometry_is_left_out(limits: dict[str, float], tmp
     )
     with pytest.raises(RecordingError, match="expected"):
         list(open_recording(MAKERS["ros1 bag"](tmp_path, [replace(scans[0], **limits)])).scans())
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.5, 2.0, 0.01, -1.0])
+def test_a_header_that_contradicts_itself_is_refused_and_read_with_the_angles_given(
+    factor: float, tmp_path: Path, scans: list[Scan]
+) -> None:
+    first = next(scan for scan in scans if scan.sensor == "scan")
+    last = first.angle_min + first.angle_increment * (first.ranges.size - 1)
+    wrong = [
+        replace(s, angle_increment=factor * s.angle_increment, last_angle=last) for s in scans if s.sensor == "scan"
+    ]
+    path = MAKERS["ros1 bag"](tmp_path, wrong)
+    with pytest.raises(RecordingError, match=r"contradicts itself: \d+ beams every .* deg from angle_min: .*--angles"):
+        list(open_recording(path).scans())
+    angles = f"{math.degrees(first.angle_min)}deg,{math.degrees(last)}deg"
+    read = next(open_recording(path, angles=angles).scans())
+    assert (read.angle_min, read.angle_increment) == pytest.approx((first.angle_min, first.angle_increment))
+
+
+@pytest.mark.parametrize("beams", [-1, 1])
+def test_a_driver_may_count_one_beam_more_or_less(beams: int, tmp_path: Path, scans: list[Scan]) -> None:
+    ends = [s.angle_min + s.angle_increment * (s.ranges.size - 1 + beams) for s in scans]
+    given = [replace(scan, last_angle=end) for scan, end in zip(scans, ends, strict=True)]
+    path = MAKERS["ros1 bag"](tmp_path, given)
+    assert open_recording(path, topic="/scan").overview().warnings == ()
+
+
+@pytest.mark.parametrize("limits", [(0.0, 0.0), (10.0, 0.1), (math.nan, math.nan)])
+def test_wrong_range_limits_are_refused_and_replaced(
+    limits: tuple[float, float], tmp_path: Path, scans: list[Scan]
+) -> None:
+    path = MAKERS["ros1 bag"](tmp_path, [replace(s, range_min=limits[0], range_max=limits[1]) for s in scans])
+    with pytest.raises(RecordingError, match=r"give those of the laser with --range-limits MIN,MAX"):
+        list(open_recording(path).scans())
+    assert {(s.range_min, s.range_max) for s in open_recording(path, range_limits="0.1,20").scans()} == {(0.1, 20.0)}
 
 
 @pytest.mark.parametrize("name", ["a.mcap", "out.mcap"])

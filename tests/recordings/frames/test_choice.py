@@ -367,7 +367,7 @@ def test_other_pose_errors_are_one_line(bag: Bag, messages, options: dict, error
 
 
 def test_a_format_without_frames_has_no_pose_topic_and_no_mounts(tmp_path: Path) -> None:
-    (tmp_path / "a.clf").write_text("")
+    (tmp_path / "a.clf").write_text("# CARMEN\n")
     with pytest.raises(RecordingError, match=r"--pose-topic is for recordings with poses on separate topics"):
         open_recording(tmp_path / "a.clf", pose_topic="/odom")
     with pytest.raises(RecordingError, match=r"--mount is for recordings with frames in their scans"):
