@@ -5,7 +5,8 @@ A jump is a step that no robot makes, from a localisation or a damaged transform
 For the drift scans a second apart are laid on each other: the later scan is matched with the earlier one, from the
 relative pose that the recorded poses give (ego_motion/fit.py). The motion of its walls in the match, across themselves,
 is the displacement of a wall in a second by the poses; sliding along a wall is not visible. Exact poses leave the noise
-of the ranges and of the match: a centimetre or less.
+of the ranges and of the match: a centimetre or less. A sensor without recorded motion is taken to stand still, and the
+same displacement shows whether it does.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gridtrack.common.geometry import SE2, wrap_angle
+from gridtrack.common.geometry import SE2, same_pose, wrap_angle
 from gridtrack.common.scan import Scan
 
 MIN_JUMP_M, MIN_JUMP_RAD = 0.3, math.radians(20.0)
@@ -42,8 +43,13 @@ DRIFT_LIMIT_M = 0.04
 
 @dataclass(slots=True)
 class PoseDrift:
-    """The displacements of walls between pairs of scans of one sensor by its poses, metres in PAIR_S."""
+    """The displacements of walls between pairs of scans of one sensor by its poses, metres in PAIR_S.
 
+    The pairs are of scans between which it moved by its poses; with `at_rest`, of those between which it did not, and
+    a scan that lies on too little of the earlier one counts as displaced without limit.
+    """
+
+    at_rest: bool = False
     displacements_m: array[float] = field(default_factory=lambda: array("d"))
     _start_ns: int = 0
     _earlier: Scan | None = None
@@ -67,11 +73,12 @@ class PoseDrift:
         way_m = math.hypot(between.x, between.y)
         turned = abs(between.theta) > PAIR_TURNED_RAD
         moved = PAIR_MOVED_M < way_m < PAIR_JUMPED_M or (way_m <= PAIR_MOVED_M and turned)
-        if not moved or since_s > LONGEST_PAIR_S:
+        wanted = same_pose(self._earlier.world_T_sensor, scan.world_T_sensor) if self.at_rest else moved
+        if not wanted or since_s > LONGEST_PAIR_S:
             self._begin(scan, before)
             return
         displaced_m = displacement_m(self._earlier, self._earlier_motion, scan, motion_since(before, scan))
-        if displaced_m is not None:
+        if displaced_m is not None and (self.at_rest or math.isfinite(displaced_m)):
             self.displacements_m.append(displaced_m * PAIR_S / since_s)
         self._earlier = None
         self._next_ns = scan.stamp_ns + int(SPARSER * (scan.stamp_ns - self._start_ns))
@@ -83,6 +90,28 @@ class PoseDrift:
     def median_m(self) -> float | None:
         """The median displacement, metres in PAIR_S; None for fewer than ENOUGH_PAIRS."""
         return float(np.median(self.displacements_m)) if len(self.displacements_m) >= ENOUGH_PAIRS else None
+
+    @property
+    def upper_quartile_m(self) -> float | None:
+        """The displacement that a quarter of the pairs exceeds, metres in PAIR_S; None for fewer than ENOUGH_PAIRS."""
+        if len(self.displacements_m) < ENOUGH_PAIRS:
+            return None
+        return float(np.quantile(self.displacements_m, 0.75, method="lower"))
+
+    def unrest(self, remedy: str) -> str:
+        """One line about scans that move while the poses rest, with the `remedy`, a command; else empty.
+
+        A robot may stand still for most of a recording: a quarter of the pairs decides.
+        """
+        quartile_m = self.upper_quartile_m
+        if quartile_m is None or quartile_m < DRIFT_LIMIT_M:
+            return ""
+        by = f"by {quartile_m:.2f} m or more" if math.isfinite(quartile_m) else "too far to lay the scans on each other"
+        return (
+            f"no motion is recorded, but it moves: in a quarter of {len(self.displacements_m)} pairs of scans the walls"
+            f" move {by} in a second, and every score is of turning walls: take the poses from the scans with"
+            f" `{remedy}`"
+        )
 
     def problem(self, remedy: str) -> str:
         """One line about poses that disagree with the scans, with the `remedy`, a command; else empty."""
@@ -107,7 +136,8 @@ def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: 
     """The displacement of common walls of two scans by their poses: root mean square across the walls, metres.
 
     `moved` and `moves` are the motion of the sensor at each scan and its duration in seconds, for scans with beam
-    times. None if too small a part of the later scan, or of its walls, lies on the earlier one for a match.
+    times. Infinite if too small a part of the later scan, or of its walls, lies on the earlier one for a match; None
+    for too few returns.
     """
     from scipy.spatial import cKDTree
 
@@ -127,7 +157,7 @@ def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: 
     fit = fit_at(pose, walls, map_points, KERNELS_M[-1])
     shared = share_on_map(pose, returns, map_points, KERNELS_M[-1], len(returns.points))
     if shared < settings.min_inlier_share or np.count_nonzero(fit.on_map) < settings.min_returns:
-        return None
+        return math.inf
     off = pose.inverse() @ between
     across = walls.jacobian[fit.on_map] @ [off.x, off.y, off.theta]
     return float(np.sqrt(np.mean(np.square(across))))

@@ -181,7 +181,8 @@ class Recording(ABC):
         """The warnings about the scans; poses from matching the scans are not compared with them."""
         drift = ""
         if not self.pose_problem and not self.info.poses.startswith(MATCHED_POSES):
-            drift = survey.pose_drift(self.import_command(["--ego-motion", "refined"]))
+            commands = (self.import_command(["--ego-motion", source]) for source in ("refined", "kiss-icp"))
+            drift = survey.pose_drift(*commands)
         return [*survey.warnings(), *([drift] if drift else [])]
 
     def _pose_problem_of(self, survey: Survey) -> str:

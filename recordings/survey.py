@@ -54,6 +54,7 @@ class SensorSurvey:
     with_truth: int = 0
     jumps: PoseJumps = field(default_factory=PoseJumps)
     drift: PoseDrift = field(default_factory=PoseDrift)
+    rest: PoseDrift = field(default_factory=lambda: PoseDrift(at_rest=True))
 
     def add(self, scan: Scan) -> None:
         """Add the sensor's next scan."""
@@ -73,6 +74,8 @@ class SensorSurvey:
         self.with_truth += scan.scene is not None
         self.jumps.add(scan.stamp_ns, scan.world_T_sensor)
         self.drift.add(scan)
+        if not self.moved:
+            self.rest.add(scan)
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
@@ -143,9 +146,15 @@ class Survey:
         """The warnings about the ranges and the poses of the sensors."""
         return [text for sensor in self.sensors.values() for text in sensor.warnings(self.first_ns)]
 
-    def pose_drift(self, remedy: str) -> str:
-        """A warning about the first sensor with poses that disagree with its scans, with the `remedy`; else empty."""
-        found = ((name, sensor.drift.problem(remedy)) for name, sensor in self.sensors.items())
+    def pose_drift(self, refine: str, match: str) -> str:
+        """A warning about the first sensor with poses that disagree with its scans; else empty.
+
+        The remedies are commands: `refine` corrects recorded motion, `match` finds it where none is recorded.
+        """
+        found = (
+            (name, sensor.drift.problem(refine) if sensor.moved else sensor.rest.unrest(match))
+            for name, sensor in self.sensors.items()
+        )
         return next((f"sensor '{name}': {problem}" for name, problem in found if problem), "")
 
     @property
@@ -243,6 +252,7 @@ def _values(sensor: SensorSurvey) -> dict[str, Any]:
         "counts": {name: getattr(sensor, name) for name in SURVEY_COUNTS},
         "jumps": {name: getattr(sensor.jumps, name) for name in POSE_JUMPS},
         "drift": sensor.drift.displacements_m.tolist(),
+        "rest": sensor.rest.displacements_m.tolist(),
     }
 
 
@@ -260,6 +270,7 @@ def _sensor(values: Mapping[str, Any], stamps_ns: NDArray[np.int64], ranges: NDA
         beams=set(values["beams"]),
         longest_rest_ns=tuple(values["longest_rest_ns"]),
         jumps=PoseJumps(**values["jumps"]),
-        drift=PoseDrift(array("d", values["drift"])),
+        drift=PoseDrift(displacements_m=array("d", values["drift"])),
+        rest=PoseDrift(at_rest=True, displacements_m=array("d", values["rest"])),
         **values["counts"],
     )

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
-from gridtrack.recordings import import_recording, open_recording
+from gridtrack.recordings import import_recording, open_recording, packaged_recording
 from gridtrack.recordings.pose_checks import DRIFT_LIMIT_M, ENOUGH_PAIRS, PoseDrift, PoseJumps
 
 DRIVES = Path(__file__).parents[2] / "data" / "drives"
@@ -129,6 +131,41 @@ def test_a_sensor_at_rest_and_a_short_drive_have_no_drift() -> None:
     few = drift_of(drifting(SE2(theta=0.1), seconds=5.0))
     assert 0 < len(few.displacements_m) < ENOUGH_PAIRS
     assert (few.median_m, few.problem("...")) == (None, "")
+
+
+def unrest_of(recorded: list[Scan]) -> str:
+    """What is said about these scans without their poses."""
+    rest = PoseDrift(at_rest=True)
+    for scan in recorded:
+        rest.add(replace(scan, world_T_sensor=SE2()))
+    return rest.unrest("COMMAND")
+
+
+@pytest.mark.parametrize(
+    ("motion", "by"),
+    [
+        ({"speed": 0.0}, None),
+        ({"speed": 0.01}, None),
+        ({"speed": 0.2}, "by 0.1"),
+        ({"speed": 0.0, "error": SE2(theta=0.03)}, None),
+        ({"speed": 3.0}, "by 0.3"),
+        ({"speed": 0.2, "seconds": 7.0}, None),
+    ],
+)
+def test_a_sensor_without_recorded_motion_that_moves_is_told(motion: dict[str, Any], by: str | None) -> None:
+    """The errors of `drifting` are of the recorded poses, which are left out; seven seconds are too few pairs."""
+    told = unrest_of(drifting(**{"error": SE2(), **motion}))
+    assert (by is None) == (told == "")
+    assert (told if by is None else f"it moves: in a quarter of 11 pairs of scans the walls move {by}") in told
+
+
+def test_a_robot_that_stands_for_half_of_the_time_is_told() -> None:
+    driven, stood = drifting(SE2(), speed=0.3), drifting(SE2(), speed=0.0)
+    assert "but it moves" in unrest_of([*stood, *(replace(s, stamp_ns=s.stamp_ns + 15 * SECOND_NS) for s in driven)])
+
+
+def test_people_who_pass_a_sensor_at_rest_are_no_motion() -> None:
+    assert open_recording(packaged_recording("leg_tracker")).overview().warnings == ()
 
 
 SINGLE_RETURNS = np.where(np.arange(360) % 9 == 0, 8.0 + np.arange(360) % 5, np.inf).astype(np.float32)
