@@ -73,6 +73,11 @@ class FramedRecording(Recording):
         return RecordingInfo(site=name_from(self.path), poses=poses)
 
     @property
+    def stamp_remedy(self) -> str:
+        """As in every recording."""
+        return "take the times of reception with --stamps received"
+
+    @property
     def pose_problem(self) -> str:
         """Why the poses of the sensors cannot be used, and what to do; empty if they can."""
         return self.chains.problem
@@ -172,7 +177,10 @@ class FramedRecording(Recording):
     def _placed(self, scans: ScansOnChains, message: EncodedMessage) -> Iterator[Scan]:
         """The scans that no longer wait once the scan in a message is added."""
         framed = self.scan_of(message)
-        framed = replace(framed, scan=with_meaning(framed.scan, self.options))
+        scan = with_meaning(framed.scan, self.options)
+        if self.options.stamps == "received":
+            scan = replace(scan, stamp_ns=message.received_ns)
+        framed = replace(framed, scan=scan)
         if frame_name(framed.frame) == self._tree.sensors.get(message.topic):
             yield from scans.scan(framed)
         else:

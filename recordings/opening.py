@@ -18,6 +18,7 @@ OPTION_PURPOSE = {
     "topic": "--topic is for recordings with several topics",
     "cloud_slice": "--cloud-slice is for ROS recordings with point clouds",
     "pose_topic": "--pose-topic is for recordings with poses on separate topics (ROS, Foxglove)",
+    "stamps": "--stamps is for ROS recordings and CARMEN logs",
     "mounts": "--mount is for recordings with frames in their scans (ROS, Foxglove)",
 }
 
@@ -41,7 +42,7 @@ def open_recording(path: Path | str, *, growth: Growth | None = None, **options:
     if recording_format is None:
         raise RecordingError(f"{path}: {_why_unknown(path, registry)}")
     for name, purpose in OPTION_PURPOSE.items():
-        if getattr(given, name) not in (None, ()) and name not in recording_format.options:
+        if name in given.model_fields_set and name not in recording_format.options:
             raise RecordingError(f"{path}: {purpose}; a {recording_format.name} has no use for it: leave it out")
     if growth is not None:
         _require_growing(path, recording_format)

@@ -11,7 +11,7 @@ from gridtrack.common.config import Settings, parse_pairs, validated
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.options import Option, from_text
-from gridtrack.common.scan import MAX_ANGLE_RAD, MAX_POSITION_M, MAX_RANGE_M
+from gridtrack.common.scan import MAX_ANGLE_RAD, MAX_POSITION_M, MAX_RANGE_M, MAX_RATE_HZ, MIN_RATE_HZ
 
 MOUNT_FORM = "SENSOR=X,Y,ANGLE, as in front_laser=0.4,0.2,45deg (metres; deg or rad; ',mirrored' if upside down)"
 NoReturn = Literal["max", "zero", "nan"]
@@ -76,6 +76,19 @@ def codes_in(value: Any) -> Any:
     """`max,zero`, or several such texts, as a tuple of codes."""
     texts = [value] if isinstance(value, str) else value
     return tuple(part.strip() for text in texts for part in text.split(","))
+
+
+def parse_stamps(text: str) -> float | str:
+    """Read `header`, `received` or a rate, `10hz`, in Hz. Raises ConfigurationError."""
+    if text in ("header", "received"):
+        return text
+    try:
+        rate_hz = float(text.lower().removesuffix("hz"))
+    except ValueError:
+        rate_hz = math.nan
+    if not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
+        raise ConfigurationError(f"--stamps {text}: expected header, received, or a rate such as 10hz")
+    return rate_hz
 
 
 def parse_limits(text: str) -> tuple[float, float]:
@@ -156,6 +169,12 @@ class ReadOptions(Settings):
     angles: Annotated[tuple[float, float] | None, Option(metavar="FIRST,LAST"), from_text(parse_angles)] = None
     """Angles of the first and the last beam, in place of wrong ones in the recording: -135deg,135deg"""
 
+    stamps: Annotated[float | Literal["header", "received"], Option(metavar="SOURCE"), from_text(parse_stamps)] = (
+        "header"
+    )
+    """Source of the stamps of scans: header; received, the time of reception; or a rate for scans without usable
+    stamps, such as 10hz (CARMEN logs)"""
+
     @property
     def meaning(self) -> dict[str, str]:
         """The options that change the numbers of scans, and their values as on the command line; empty if not given."""
@@ -163,4 +182,5 @@ class ReadOptions(Settings):
             "--no-return": ",".join(self.no_return),
             "--range-limits": ",".join(f"{limit:g}" for limit in self.range_limits or ()),
             "--angles": ",".join(f"{angle:.9g}rad" for angle in self.angles or ()),
+            "--stamps": f"{self.stamps:g}hz" if isinstance(self.stamps, float) else self.stamps.replace("header", ""),
         }

@@ -101,6 +101,11 @@ class Recording(ABC):
         return sensor
 
     @property
+    def stamp_remedy(self) -> str:
+        """What to do about many stamps that are alike or in disorder; empty if nothing."""
+        return ""
+
+    @property
     def pose_problem(self) -> str:
         """Why the poses of the sensors cannot be used, and what to do; empty if they can."""
         return ""
@@ -234,7 +239,7 @@ class Recording(ABC):
             self.warnings.append(f"{self.path}: {NO_MORE_WARNINGS}" if full else line)
 
     def _in_order(self, topics: Topics) -> Iterator[Scan]:
-        order = StampOrder(self.warn)
+        order = StampOrder(self.warn, self.stamp_remedy)
         try:
             for scan in filter(self._is_known, self._before_damage(topics)):
                 yield from order.push(self._as_options_say(scan))

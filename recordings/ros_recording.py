@@ -31,7 +31,7 @@ POSES = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
 )
-ROS_OPTIONS = ("topic", "cloud_slice", "pose_topic", "mounts")
+ROS_OPTIONS = ("topic", "cloud_slice", "pose_topic", "mounts", "stamps")
 POINT_FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
@@ -139,6 +139,10 @@ class RosRecording(FramedRecording):
     def __init__(self, path: Path, options: ReadOptions) -> None:
         """Raises RecordingError if rosbags is not installed."""
         super().__init__(path, options)
+        if isinstance(options.stamps, float):
+            raise RecordingError(
+                f"{path}: --stamps {options.stamps:g}hz: messages have times of reception: use received"
+            )
         try:
             import rosbags.typesys  # noqa: F401
             from rosbags.serde import SerdeError

@@ -25,6 +25,8 @@ FAR_NS, FAR_PERIODS = 10_000_000_000, 10
 """The first or last scan of a sensor is damaged if it is further than both from its only neighbour."""
 BEAMS_OFF, ANGLE_ROUNDING = 1.5, 1e-3
 """Limits of the contradiction between the angles of a header: in beams, and as a share of the field of view."""
+MANY_ALIKE = 0.1
+"""Share of scans with stamps not after the one before, from which the stamps as a whole are in question."""
 NOT_AFTER = "not stamped after the one before, left out"
 FAR_OFF = "with a stamp far from the neighbouring ones, left out"
 
@@ -132,8 +134,9 @@ class StampOrder:
     with the number of scans and the time of the first.
     """
 
-    def __init__(self, warn: Callable[[str], None]) -> None:
-        self._warn = warn
+    def __init__(self, warn: Callable[[str], None], remedy: str = "") -> None:
+        """`remedy`: what to do about many stamps that are alike or in disorder."""
+        self._warn, self._remedy = warn, remedy
         self._waiting: list[tuple[int, int, Scan]] = []
         self._numbers = itertools.count()
         self._pushed = 0
@@ -178,7 +181,11 @@ class StampOrder:
             yield heapq.heappop(self._waiting)[2]
         for fault, (count, at_ns) in self._faults.items():
             first_s = max(at_ns - (self._first_ns or 0), 0) / 1e9
-            self._warn(f"{fault}: {count} of them, the first {first_s:.3f} s after the first scan")
+            text = f"{fault}: {count} of them, the first {first_s:.3f} s after the first scan"
+            if NOT_AFTER in fault and count > MANY_ALIKE * self._pushed:
+                text = f"{fault}: {count} of {self._pushed}; their stamps are alike or in disorder"
+                text += f": {self._remedy}" if self._remedy else ""
+            self._warn(text)
         if self._first_ns is None and self._faults:
             raise RecordingError(f"no scan can be used: {next(iter(self._faults))}")
 

@@ -12,6 +12,7 @@ import re
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from decimal import Decimal, InvalidOperation
 from functools import cached_property
 from pathlib import Path
@@ -63,7 +64,7 @@ class CarmenLog(Recording):
 
     def read(self, topics: Topics) -> Iterator[Scan]:
         """As in every recording."""
-        wanted = self.options.topic
+        wanted, read = self.options.topic, -1
         for number, words in _lines(self.path):
             kind = words[0]
             topics.add(kind, "CARMEN", kind in ("FLASER", "ROBOTLASER1"))
@@ -78,7 +79,19 @@ class CarmenLog(Recording):
                         f" {scan.ranges.size} beams: 180 deg are assumed, as in CARMEN; if that is wrong, use"
                         " ROBOTLASER1 lines, which contain the angles"
                     )
-                yield scan
+                yield self._stamped(scan, words[-1], read := read + 1)
+
+    @property
+    def stamp_remedy(self) -> str:
+        """As in every recording."""
+        return "give the laser's rate, as in --stamps 10hz, or take the logger's times with --stamps received"
+
+    def _stamped(self, scan: Scan, logger_time: str, number: int) -> Scan:
+        """Scan `number` with the stamp that the options name."""
+        source = self.options.stamps
+        if isinstance(source, float):
+            return replace(scan, stamp_ns=round(number * 1e9 / source))
+        return replace(scan, stamp_ns=_stamp_ns(logger_time)) if source == "received" else scan
 
     def _scan(self, kind: str, words: list[str], line: int) -> Scan:
         try:
@@ -95,7 +108,7 @@ def is_carmen_log(path: Path, head: bytes) -> bool:
     return head.startswith(tuple(PACKED)) or FIRST_LINE.match(head) is not None
 
 
-CARMEN_FORMAT = RecordingFormat("CARMEN log", CARMEN_SUFFIXES, is_carmen_log, CarmenLog)
+CARMEN_FORMAT = RecordingFormat("CARMEN log", CARMEN_SUFFIXES, is_carmen_log, CarmenLog, ("topic", "stamps"))
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
