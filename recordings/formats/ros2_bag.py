@@ -1,9 +1,18 @@
-"""ROS 2 bags kept in SQLite: a folder with its metadata, or one `.db3` file."""
+"""ROS 2 bags kept in SQLite: a folder with or without its metadata, or one `.db3` or `.db3.zstd` file.
+
+A recorder that was killed leaves messages in a side file, `.db3-wal`, and no metadata. Such a file is read from a copy,
+into which SQLite writes the side file: the bag itself stays as it is.
+"""
 
 from __future__ import annotations
 
+import re
+import shutil
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import zstandard
 
@@ -16,6 +25,9 @@ from gridtrack.recordings.registry import RecordingFormat
 from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording
 
 SQLITE_MAGIC = b"SQLite format 3\x00"
+DATABASES = (".db3", ".db3.zstd")
+NUMBERED = re.compile(r"(.*)_(\d+)\.db3")
+"""The name of a bag and the number of one of its files."""
 METADATA_FILE = "metadata.yaml"
 MAX_METADATA_BYTES = 1 << 20
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -27,20 +39,77 @@ class Ros2Bag(RosRecording):
 
     def messages(self) -> Iterator[EncodedMessage]:
         """All messages in the order of reception. Raises DamageError if the bag is cut off or corrupt."""
-        from rosbags.rosbag2 import Reader
+        file_bytes, budget = _check_files(self.path), ReadBudget()
+        with TemporaryDirectory(prefix="gridtrack-bag-") as copies:
+            for path in _readable(self.path, Path(copies)):
+                yield from _messages_in(path, budget, file_bytes)
 
-        file_bytes = _check_files(self.path)
-        budget = ReadBudget()
-        try:
-            with Reader(self.path) as reader:
-                for connection, received_ns, data in reader.messages():
-                    budget.take_record(file_bytes)
-                    budget.take_bytes(len(data), file_bytes)
-                    yield EncodedMessage(connection.topic, connection.msgtype, received_ns, "cdr", data)
-        except DamageError:
-            raise
-        except Exception as error:  # noqa: BLE001  damage makes the reader raise KeyError, TypeError and others, too
-            raise DamageError(f"damaged ({type(error).__name__}: {error})") from None
+
+def _messages_in(path: Path, budget: ReadBudget, file_bytes: int) -> Iterator[EncodedMessage]:
+    from rosbags.rosbag2 import Reader
+
+    try:
+        with Reader(path) as reader:
+            for connection, received_ns, data in reader.messages():
+                budget.take_record(file_bytes)
+                budget.take_bytes(len(data), file_bytes)
+                yield EncodedMessage(connection.topic, connection.msgtype, received_ns, "cdr", data)
+    except DamageError:
+        raise
+    except Exception as error:  # noqa: BLE001  damage makes the reader raise KeyError, TypeError and others, too
+        raise DamageError(f"damaged ({type(error).__name__}: {error})") from None
+
+
+def _readable(path: Path, copies: Path) -> Iterator[Path]:
+    """What the reader opens, one after the other: the folder, or its files, packed or unfinished ones as copies.
+
+    Raises DamageError.
+    """
+    folder = path if path.is_dir() else path.parent
+    files = databases_in(folder) if path.is_dir() else [path]
+    unfinished = [file for file in files if _side_file(file).exists()]
+    if (folder / METADATA_FILE).is_file() and not unfinished and (path.is_dir() or _is_packed_in(folder, path)):
+        yield folder
+        return
+    for file in files:
+        copy = copies / f"{file.name.removesuffix('.zstd')}"
+        if file.suffix == ".zstd":
+            with file.open("rb") as packed, copy.open("wb") as unpacked:
+                zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
+        elif _side_file(file).exists():
+            shutil.copyfile(file, copy)
+            shutil.copyfile(_side_file(file), _side_file(copy))
+            with closing(sqlite3.connect(copy)) as database:
+                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        yield copy if copy.exists() else file
+        copy.unlink(missing_ok=True)
+
+
+def _is_packed_in(folder: Path, file: Path) -> bool:
+    """Whether a file is the only one of a bag with packed messages: its metadata says so. Raises DamageError."""
+    from ruamel.yaml import YAML
+
+    bag = YAML(typ="safe").load((folder / METADATA_FILE).read_text("utf-8"))["rosbag2_bagfile_information"]
+    if not bag.get("compression_format") or file.suffix == ".zstd":
+        return False
+    if [Path(name).name for name in bag["relative_file_paths"]] != [file.name]:
+        raise DamageError(f"one file of a bag with packed messages: name the folder {folder}")
+    return True
+
+
+def _side_file(file: Path) -> Path:
+    """Where SQLite keeps messages that are not yet in the file."""
+    return file.with_name(f"{file.name}-wal")
+
+
+def databases_in(folder: Path) -> list[Path]:
+    """The SQLite files in a folder in the order in which a recorder writes them: bag_2 before bag_10."""
+
+    def number(file: Path) -> tuple[int, str]:
+        numbered = NUMBERED.match(file.name)
+        return (int(numbered[2]) if numbered else 0, file.name)
+
+    return sorted((file for file in folder.iterdir() if file.name.endswith(DATABASES)), key=number)
 
 
 def _check_files(path: Path) -> int:
@@ -85,11 +154,17 @@ def _check_unpacked(path: Path) -> None:
             raise DamageError(f"{path.name}: damaged ({error})") from None
 
 
+def _is_one_bag(folder: Path) -> bool:
+    """Whether the numbered SQLite files in a folder without metadata have the name of one bag."""
+    names = [NUMBERED.match(file.name) for file in databases_in(folder)]
+    return len({name and name[1] for name in names}) == 1 and None not in names
+
+
 def is_ros2_bag(path: Path, head: bytes) -> bool:
-    """Whether it is an SQLite file, or the folder of a ROS 2 bag without MCAP files."""
+    """Whether it is an SQLite file, or the folder of one ROS 2 bag without MCAP files."""
     if path.is_dir():
-        return (path / METADATA_FILE).is_file() and not mcap_files(path)
-    return head.startswith(SQLITE_MAGIC)
+        return ((path / METADATA_FILE).is_file() or _is_one_bag(path)) and not mcap_files(path)
+    return head.startswith(SQLITE_MAGIC) or (path.name.endswith(".db3.zstd") and head.startswith(ZSTD_MAGIC))
 
 
-ROS2_BAG_FORMAT = RecordingFormat("ROS 2 bag", (".db3",), is_ros2_bag, Ros2Bag, ROS_OPTIONS)
+ROS2_BAG_FORMAT = RecordingFormat("ROS 2 bag", DATABASES, is_ros2_bag, Ros2Bag, ROS_OPTIONS)

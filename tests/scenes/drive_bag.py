@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -164,12 +164,12 @@ class Ros:
         path: Path,
         messages: Iterable[Message],
         storage: StoragePlugin = StoragePlugin.SQLITE3,
-        compression: Writer1.CompressionFormat | None = None,
+        compression: Any = None,
         chunk_bytes: int = 1 << 20,
     ) -> Path:
         """A bag of the messages in the order of their reception: a file for ROS 1, a folder for ROS 2.
 
-        `storage` is for ROS 2; `compression` and `chunk_bytes` are for ROS 1.
+        `storage` is for ROS 2, `chunk_bytes` for ROS 1. `compression` is a format for ROS 1, a mode for ROS 2.
         """
         opened: Any
         if self.version == 1:
@@ -179,6 +179,8 @@ class Ros:
                 opened.set_compression(compression)
         else:
             opened, encode = Writer2(path, version=9, storage_plugin=storage), ROS2.serialize_cdr
+            if compression is not None:
+                opened.set_compression(compression, CompressionFormat.ZSTD)
         with opened as writer:
             connections: dict[str, Any] = {}
             for topic, kind, received_ns, message in sorted(messages, key=lambda m: m[2]):

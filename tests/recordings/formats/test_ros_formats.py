@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import math
+import shutil
+import sqlite3
 import struct
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import MAX_RANGE_M, Scan
 from gridtrack.recordings import CloudSlice, import_recording, open_recording
+from gridtrack.recordings.opening import recordings_at
 
 from scenes.drive_bag import CLOUD, LASER, Message, Ros
 
@@ -118,6 +123,48 @@ def ros2_bag(folder: Path, scans: Iterable[Scan], storage: StoragePlugin = Stora
     return ROS2.write(folder / "a", messages_of(ROS2, scans), storage)
 
 
+def unfinished(folder: Path, scans: Iterable[Scan]) -> Path:
+    """A bag whose recorder was killed: the second half of its messages in the side file, and no metadata."""
+    (whole,) = ros2_bag(folder, scans).glob("*.db3")
+    bag = folder / "killed"
+    bag.mkdir()
+    writing = shutil.copyfile(whole, folder / "writing.db3")
+    with closing(sqlite3.connect(writing, isolation_level=None)) as database:
+        rows = database.execute("SELECT * FROM messages ORDER BY timestamp").fetchall()
+        late = rows[len(rows) // 2 :]
+        database.execute("DELETE FROM messages WHERE timestamp >= ?", (min(row[2] for row in late),))
+        database.execute("VACUUM")
+        database.execute("PRAGMA journal_mode=WAL")
+        database.execute("PRAGMA wal_autocheckpoint=0")
+        database.executemany(f"INSERT INTO messages VALUES ({','.join('?' * len(rows[0]))})", late)
+        for name in ("writing.db3", "writing.db3-wal"):
+            shutil.copyfile(folder / name, bag / name.replace("writing", "killed_0"))
+    return bag
+
+
+def split_without_metadata(folder: Path, scans: Iterable[Scan]) -> Path:
+    """Two files of one bag, whose numbers sort otherwise than their names."""
+    bag, every = folder / "split", list(scans)
+    bag.mkdir()
+    for number, part in ((2, every[:20]), (10, every[20:])):
+        (folder / str(number)).mkdir()
+        (file,) = ros2_bag(folder / str(number), part).glob("*.db3")
+        file.rename(bag / f"split_{number}.db3")
+    return bag
+
+
+def packed_file(folder: Path, scans: Iterable[Scan]) -> Path:
+    (file,) = ros2_bag(folder, scans).glob("*.db3")
+    path = folder / "a_0.db3.zstd"
+    path.write_bytes(zstandard.compress(file.read_bytes()))
+    return path
+
+
+def packed_messages(folder: Path, scans: Iterable[Scan]) -> Path:
+    bag = ROS2.write(folder / "a", messages_of(ROS2, scans), compression=CompressionMode.MESSAGE)
+    return next(bag.glob("*.db3*"))
+
+
 MAKERS: dict[str, Callable[[Path, list[Scan]], Path]] = {
     "ros1 bag": ros1_bag,
     "ros1 bag, bz2": lambda folder, scans: ros1_bag(folder, scans, Writer1.CompressionFormat.BZ2),
@@ -126,6 +173,10 @@ MAKERS: dict[str, Callable[[Path, list[Scan]], Path]] = {
     "ros2 bag, one db3": lambda folder, scans: next(ros2_bag(folder, scans).glob("*.db3")),
     "ros2 bag, mcap": lambda folder, scans: ros2_bag(folder, scans, StoragePlugin.MCAP),
     "ros2 mcap": lambda folder, scans: next(ros2_bag(folder, scans, StoragePlugin.MCAP).glob("*.mcap")),
+    "ros2 bag, packed messages, one db3": packed_messages,
+    "ros2 bag, db3.zstd": packed_file,
+    "ros2 bag, side file of SQLite": unfinished,
+    "ros2 bag, two db3 without metadata": split_without_metadata,
     "ros1 mcap": lambda folder, scans: ros1_mcap(folder / "a.mcap", messages_of(ROS1, scans)),
 }
 
@@ -306,6 +357,24 @@ def test_wrong_range_limits_are_refused_and_replaced(
     with pytest.raises(RecordingError, match=r"give those of the laser with --range-limits MIN,MAX"):
         list(open_recording(path).scans())
     assert {(s.range_min, s.range_max) for s in open_recording(path, range_limits="0.1,20").scans()} == {(0.1, 20.0)}
+
+
+def test_reading_a_bag_with_a_side_file_changes_no_file(tmp_path: Path, scans: list[Scan]) -> None:
+    bag = unfinished(tmp_path, scans)
+    before = {file.name: file.read_bytes() for file in bag.iterdir()}
+    assert len(list(open_recording(bag).scans())) == len(scans)
+    assert {file.name: file.read_bytes() for file in bag.iterdir()} == before
+
+
+def test_a_folder_of_single_databases_is_no_bag(tmp_path: Path, scans: list[Scan]) -> None:
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        (file,) = ros2_bag(tmp_path / name, scans).glob("*.db3")
+        file.rename(tmp_path / f"{name}.db3")
+        shutil.rmtree(tmp_path / name)
+    assert recordings_at(tmp_path) == [tmp_path / "one.db3", tmp_path / "other.db3"]
+    with pytest.raises(RecordingError, match="a folder, but not a recording"):
+        open_recording(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["a.mcap", "out.mcap"])
