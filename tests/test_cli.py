@@ -32,6 +32,8 @@ from gridtrack.reports.contract import contract_line
 
 from scenes.command_line import gridtrack
 
+pytestmark = pytest.mark.usefixtures("trackers_here")
+
 DEMO = str(packaged_recording("leg_tracker"))
 PACKAGE = str(Path(DEMO).parents[2])
 NOT_OF_A_COMPARISON = "points= and weights= are for rows of a comparison"

@@ -42,7 +42,7 @@ from studies.worlds_results import (
 
 ROOT = Path(__file__).parents[2]
 PERIODS_S = (0.25, 0.26, 0.166667)
-SKILLS = {"oracle": 1.0, "persistence": 0.5, "kalman": 0.8, "dogma": 0.498, "dilated-convgru": 0.798}
+SKILLS = {"oracle": 1.0, "persistence": 0.5, "kalman": 0.8, "dogma": 0.4995, "dilated-convgru": 0.7995}
 
 
 def trials_of(
@@ -179,19 +179,16 @@ def test_each_pair_of_contenders_has_its_difference_and_is_marked_if_it_may_be_c
 
 
 def test_worlds_with_refined_poses_replace_those_with_the_poses_of_the_wheels(tmp_path: Path) -> None:
-    lasers = {f"world-{10 + k}": (STANDS, DRIVES, ODOMETRY)[k // 7] for k in range(21)}
+    lasers = {f"world-{10 + k}": (STANDS, DRIVES, ODOMETRY)[k // 2] for k in range(6)}
     drivers = [name for name, laser in lasers.items() if laser == ODOMETRY]
     recorded = scores_of(tmp_path / "recorded", list(lasers), {"persistence": 0.5, "kalman": 0.55})
     refined = scores_of(tmp_path / "refined", drivers, {"persistence": 0.5, "kalman": 0.95})
     tables = poses_section(recorded, refined, lasers, drift=measured_table(("",), [])).tables
     assert tables["by laser"].columns[1::2] == tuple(
-        f"{kind}, 0.5 s" for kind in ("stands (7)", "drives (7)", "drives, odometry (7)", "drives, refined")
+        f"{kind}, 0.5 s" for kind in ("stands (2)", "drives (2)", "drives, odometry (2)", "drives, refined")
     )
-    verdicts = {
-        name: [row[-1] for row in table.rows][-1]
-        for name, table in (("recorded", aim_table(recorded)), ("refined", tables["aim"]))
-    }
-    assert verdicts == {"recorded": "not met", "refined": "met"}
+    before, after = (float(table.rows[-1][1]) for table in (aim_table(recorded), tables["aim"]))
+    assert 0.0 < before < 0.1 < after
 
 
 def test_the_laser_of_a_world_stands_or_drives_with_exact_poses_or_with_those_of_its_wheels(tmp_path: Path) -> None:
@@ -352,7 +349,7 @@ RUNS = {
     " --results TMP/real.json",
     "site_minutes": "--tracker kalman --minutes 1 --trainings TMP/weights --out TMP/run --results TMP/minutes.json",
     "site_start": "--tracker kalman --out TMP/run --results TMP/site_start.json",
-    "moving": "--drive car-202 --drive robot-201 --tracker persistence"
+    "moving": "--drive car-202 --drive car-204 --drive robot-201 --drive robot-203 --tracker persistence"
     " --tracker kalman --out TMP/run --results TMP/drives.json",
 }
 """Arguments of the studies that compare trackers. TMP is a folder of the test."""
@@ -364,7 +361,7 @@ def check_words(*words: str | Path) -> None:
 
 
 def gridtrack(*words: str | Path) -> None:
-    """In place of the command line: checks the words, and draws the results of the first two recordings."""
+    """In place of the command line: checks the words, and draws the results of the first four recordings."""
     check_words(*words)
     command, *rest = map(str, words)
     out = Path(rest[rest.index("--out") + 1])
@@ -372,7 +369,7 @@ def gridtrack(*words: str | Path) -> None:
         shutil.copytree(ROOT / "data" / "weights" / "kalman", out / "kalman")
         return
     recordings = rest[: next(k for k, word in enumerate(rest) if word.startswith("--"))]
-    names = [Path(recording).name.partition(".")[0] for recording in recordings[:2]]
+    names = [Path(recording).name.partition(".")[0] for recording in recordings[:4]]
     chosen = [after for word, after in pairwise(rest) if word == "--tracker"]
     labels = [text.partition("=")[0] if "=" in text.partition(":")[0] else text.partition(":")[0] for text in chosen]
     skills = {label: 0.5 + 0.05 * k for k, label in enumerate(labels)} | {"oracle": 1.0}
