@@ -20,7 +20,7 @@ CHAINS = (
 def assert_scored(summary: dict[str, Any], tracker: str) -> None:
     (trial,) = summary["trackers"][tracker]["recordings"].values()
     assert trial["outcome"] == "ok"
-    assert trial["frames_scored"] == trial["frames_expected"] > 5
+    assert trial["frames_scored"] == trial["frames_expected"] > 3
 
 
 @pytest.mark.usefixtures("trackers_here")
@@ -34,7 +34,7 @@ def test_a_drive_is_compared_without_an_option_about_poses(
     ros.write(tmp_path / "drive.bag", made.two_scanner_drive(ros, 8_000))
     # A ROS 1 bag with every tracker that there is, with general weights where it needs any.
     trackers = () if version == 1 else ("--tracker", "persistence", "--tracker", "blank")
-    shown = gridtrack("compare", "drive.bag", *trackers, "--every", "0.5s").stderr
+    shown = gridtrack("compare", "drive.bag", *trackers, "--every", "1s", "--horizon", "1s").stderr
     assert f"drive.bag: {CHAINS}\n" in shown
     (path,) = tmp_path.glob("runs/*/summary.json")
     summary = json.loads(path.read_text())
