@@ -32,8 +32,6 @@ from gridtrack.reports.contract import contract_line
 
 from scenes.command_line import gridtrack
 
-pytestmark = pytest.mark.usefixtures("trackers_here")
-
 DEMO = str(packaged_recording("leg_tracker"))
 PACKAGE = str(Path(DEMO).parents[2])
 NOT_OF_A_COMPARISON = "points= and weights= are for rows of a comparison"
@@ -105,6 +103,7 @@ def test_a_broken_library_has_another_exit_code_than_a_worse_tracker(tmp_path):
     assert (done.returncode, "built for another numpy" in done.stderr) == (3, True)
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_the_undamaged_part_of_a_truncated_recording_can_be_used(tmp_path):
     cut, out = tmp_path / "cut.mcap", ("--out", tmp_path / "out")
     content = Path(DEMO).read_bytes()
@@ -234,12 +233,14 @@ def test_a_check_counts_its_verdicts():
     assert contract_line("mine", results) == "mine keeps the contract: 1 passed, 1 not applicable"
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_a_tracker_with_learned_weights_for_the_site_is_checked_on_the_recording():
     rows = json.loads(gridtrack("trackers", "check", "static-map", "--recording", DEMO, "--json").stdout)
     assert {row["verdict"] for row in rows} == {"passed", "not applicable"}
     assert list(rows[0]) == ["clause", "verdict", "observed", "mend", "requirement", "reason"]
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_a_check_gives_a_verdict_on_each_clause_and_exit_code_1_for_a_violation(bad_trackers):
     lines = gridtrack("trackers", "check", "counts-predictions", code=1).stdout.splitlines()
     assert [line.split()[0] for line in lines[:2]] == ["passed", "passed"]
@@ -259,6 +260,7 @@ def test_an_import_gives_the_content_of_what_it_wrote_as_json(tmp_path):
     assert info["sensors"]["scan"]["scans"] == 1265
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_a_tracker_is_trained_compared_and_reported(tmp_path):
     weights, run = tmp_path / "weights", tmp_path / "run"
     stretches = (f"{DEMO}@0s-20s", "--validation", f"{DEMO}@75s-81s")
@@ -282,6 +284,7 @@ def test_a_training_whose_weights_cannot_be_written_does_not_start(tmp_path):
     assert "trial" not in done.stdout
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_a_trial_that_did_not_complete_is_exit_code_3(tmp_path):
     done = gridtrack(
         "compare", f"{DEMO}@114s-118s", "--tracker", "blank", "--tracker", "static-map", "--weights", tmp_path,
