@@ -207,6 +207,7 @@ def test_the_help_of_degraded_input_names_every_kind():
     assert [field.alias for field in Degradation.model_fields.values() if field.alias not in described] == []
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_every_registered_tracker_is_listed_with_its_sites_or_as_untrained(tmp_path):
     toml = tmp_path / "trackers.toml"
     toml.write_text(
