@@ -388,6 +388,7 @@ def test_a_study_compares_with_valid_commands_and_writes_its_results(
     monkeypatch.setattr(moving, "recording_of", lambda kind, drive, *_: Path(f"{drive}.mcap"))
     monkeypatch.setattr(moving, "joined_recording", lambda kind, *_: Path("validation.mcap"))
     monkeypatch.setattr(moving, "errors_of", lambda _: (np.ones((2, 2)), 1.0))
+    monkeypatch.setattr(moving, "KINDS", ("perfect", "ignored", "beside"))
     words = [word.replace("TMP", str(tmp_path)) for word in RUNS[name].split()]
     importlib.import_module(f"studies.{name}").main(words)
     sections = read_sections(Path(words[-1]))
