@@ -72,6 +72,7 @@ SMALLER = (
     ("drive_0.mcap --tracker kalman", "drive_0.mcap --tracker persistence --tracker kalman"),
     ("dilated-convgru:stage=classes,class_layers=1", "kalman:stage=classes"),
     ("stage=classes", "stage=classes,labelled_scans=20"),
+    ("linear=dilated-convgru:weights=FOLDER --tracker dilated-convgru", "linear=kalman:weights=FOLDER"),
     ("--tracker persistence --tracker static-map --engine", "--tracker blank --engine"),
     ("--tracker static-map --engine", "--tracker blank --engine"),
     ("--engine ray --address head:6379", "--engine local"),
