@@ -20,6 +20,7 @@ from nbclient import NotebookClient
 import gridtrack
 from gridtrack.evaluation.runs.run_record import read_run_record
 
+from scenes.programs_here import programs_here
 from scenes.report_page import data_of
 
 ROOT = Path(__file__).parents[1]
@@ -30,9 +31,10 @@ RECORDING = "data/leg_tracker/leg_tracker.mcap@114s-124s"
 def compared(tmp_path_factory):
     out = tmp_path_factory.mktemp("python") / "run"
     rows = ["persistence", "map=static-map"]
-    return gridtrack.compare(
-        RECORDING, trackers=rows, out=out, every_s=0.5, horizon_s="1s", jobs=1, limits={"memory_mb": 2000}
-    )
+    with programs_here():
+        return gridtrack.compare(
+            RECORDING, trackers=rows, out=out, every_s=0.5, horizon_s="1s", jobs=1, limits={"memory_mb": 2000}
+        )
 
 
 def test_a_comparison_returns_its_run_with_the_command_that_repeats_it(compared):
@@ -64,6 +66,7 @@ def test_differences_are_a_row_for_each_headline_test(compared):
     assert compared.differences["f1"].null_count() == 0
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_several_recordings_are_pooled_and_their_names_escaped(tmp_path):
     hostile = shutil.copy(RECORDING.partition("@")[0], tmp_path / "<i>hall.mcap")
     stretches = [f"{hostile}@100s-110s", RECORDING]
