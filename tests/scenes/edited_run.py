@@ -35,6 +35,13 @@ def put(scope, stratum, output, *values, **options):
     scope["strata"].setdefault(stratum, {}).setdefault(score, {})[name] = estimate(*values, **options)
 
 
+def describe(summary, name, title, outputs, **fields):
+    """Describe a score that the run does not have; `outputs`: the fields of each, by name."""
+    described = [{"name": output, "title": title, **own} for output, own in outputs.items()]
+    score = {"name": name, "title": title, "about": f"About {name}.", "thresholded": False, "outputs": described}
+    summary["scores"].append(score | fields)
+
+
 def trial_of(summary, label, recording="crossing"):
     """A trial in a summary."""
     return summary["trackers"][label]["recordings"][recording]
