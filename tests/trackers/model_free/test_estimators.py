@@ -96,7 +96,7 @@ def error(means, truth):
 @pytest.mark.parametrize(("speed", "turn_rate"), [(1.5, 0.0), (8.0, 0.0), (1.5, 0.4), (5.0, 0.3)])
 def test_after_a_second_the_velocity_is_known(estimator, covariance, limit, speed, turn_rate):
     rng, truth = np.random.default_rng(0), moving(1.0, speed, turn_rate)
-    ends = [follow(estimator, measurements(truth, covariance, rng), covariance)[0][-1] for _ in range(40)]
+    ends = [follow(estimator, measurements(truth, covariance, rng), covariance)[0][-1] for _ in range(60)]
     off = error(np.array(ends), truth[-1])[:, 3:5]
     assert np.sqrt((off**2).sum(axis=1).mean()) <= limit
 
