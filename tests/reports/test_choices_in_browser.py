@@ -56,12 +56,12 @@ def ahead_of(page, figure):
     return page.locator(f"#{figure}").get_by_label("Ahead").locator("option:checked").inner_text()
 
 
-@pytest.mark.parametrize("figure", WITH_HORIZON)
-def test_another_recording_has_the_chosen_time_ahead(page, figure):
-    assert ahead_of(page, figure) == "1 s", "at the start"
-    for recording, ahead in {"slow": "1 s", "uneven": "1.05 s", "fast": "1 s"}.items():
-        page.locator(f"#{figure}").get_by_label("Recording").select_option(recording)
-        assert ahead_of(page, figure) == ahead
+def test_another_recording_has_the_chosen_time_ahead(page):
+    for figure in WITH_HORIZON:
+        assert ahead_of(page, figure) == "1 s", "at the start"
+        for recording, ahead in {"slow": "1 s", "uneven": "1.05 s", "fast": "1 s"}.items():
+            page.locator(f"#{figure}").get_by_label("Recording").select_option(recording)
+            assert ahead_of(page, figure) == ahead, figure
 
 
 def test_the_nearest_time_is_taken_and_what_was_chosen_comes_back(page):
