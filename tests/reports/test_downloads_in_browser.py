@@ -62,6 +62,12 @@ def test_hidden_cells_have_the_time_in_words(page):
     assert [float(row[heading.index("good")]) for row in rows] == pytest.approx([0.5, 0.4, 0.3])
 
 
+def test_a_side_of_squares_is_a_number_of_cells(page):
+    heading, *rows = numbers_of(page, "scale")
+    assert heading[0] == "side in cells"
+    assert [row[0] for row in rows] == ["1", "3", "5", "9"]
+
+
 def test_a_rate_is_a_number_but_where_there_was_none(page):
     heading, *rows = numbers_of(page, "conditions")
     assert heading[0] == "rate of frames"

@@ -286,19 +286,6 @@ def test_every_figure_redraws_with_every_choice_and_reads_values_by_keyboard(ope
             assert figure.locator(".readout span").count() >= 1
 
 
-def test_a_figure_downloads_as_svg_and_csv(opened):
-    page, _ = opened()
-    scale = page.locator("#scale")
-    with page.expect_download() as saved:
-        scale.get_by_role("button", name="CSV").click()
-    heading, *rows = saved.value.path().read_text().splitlines()
-    assert heading.startswith('"side in cells"')
-    assert [row.split(",")[0] for row in rows] == ["1", "3", "5", "9"]
-    with page.expect_download() as saved:
-        scale.get_by_role("button", name="SVG").click()
-    assert saved.value.path().read_text().startswith("<svg")
-
-
 def test_without_scripts_one_still_picture_remains(browser, hostile_report):
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()

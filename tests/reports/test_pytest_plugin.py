@@ -33,18 +33,10 @@ class Session(NamedTuple):
 def run_pytest(folder: Path, code: str, *arguments: str) -> Session:
     """Run pytest, in this process and with no other plugin, on a file test_it.py with this code."""
     (folder / "test_it.py").write_text(code)
-    plugins = [
-        "--disable-plugin-autoload",
-        "-p",
-        "gridtrack.reports.pytest_plugin",
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "no:unraisableexception",
-    ]
+    plugins = "--disable-plugin-autoload -p gridtrack.reports.pytest_plugin -p no:cacheprovider"
     where = ["--rootdir", folder, "--import-mode", "importlib", folder / "test_it.py"]
     with redirect_stdout(io.StringIO()) as out:
-        ended = pytest.main(["-q", *plugins, *map(str, where), *arguments])
+        ended = pytest.main(["-q", *plugins.split(), *map(str, where), *arguments])
     sys.modules.pop("test_it", None)
     return Session(int(ended), out.getvalue())
 
