@@ -1,5 +1,6 @@
 """Runs with other contents: a JSON file of a run's folder changed, and estimates put into a summary."""
 
+import copy
 import json
 import shutil
 
@@ -17,6 +18,28 @@ def edit(run, change, file="summary.json"):
 def edited(run, target, change, file="summary.json"):
     """A copy of the run in which `change(content)` changed a file."""
     return edit(shutil.copytree(run, target, dirs_exist_ok=True), change, file)
+
+
+def with_again(run, target, change=lambda crossing, again: None):
+    """A copy of the run whose recording `crossing` is there a second time, as `again`.
+
+    `change` gets the strata of each row on both.
+    """
+
+    def add(content):
+        recordings = content["recordings"] if "trackers" in content else content["configuration"]["recordings"]
+        recordings["again"] = recordings["crossing"]
+        for row in content.get("trackers", {}).values():
+            row["recordings"]["again"] = copy.deepcopy(row["recordings"]["crossing"])
+            change(*(row["recordings"][name]["strata"] for name in ("crossing", "again")))
+
+    run = edit(edited(run, target, add), add, "run.json")
+    for folder in list(run.glob("*@crossing")):
+        shutil.copytree(folder, run / folder.name.replace("@crossing", "@again"))
+        edit(
+            run / folder.name.replace("@crossing", "@again"), lambda one: one.update(recording="again"), "outcome.json"
+        )
+    return run
 
 
 def estimate(value, low=None, high=None, p=None, steps=STEPS):
