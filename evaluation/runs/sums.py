@@ -287,7 +287,7 @@ class _Checked:
     def read_row_group(self, group: int, columns: Sequence[str]) -> Any:
         """The columns of a row group."""
         try:
-            return self._file.read_row_group(group, columns=columns)
+            return self._file.read_row_group(group, columns=columns, use_threads=False)
         except (OSError, ArrowException) as error:
             raise _unreadable(self._path, error) from None
 
