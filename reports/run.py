@@ -34,6 +34,7 @@ THRESHOLD = ScoreDescription(
     name="threshold",
     title="Threshold",
     about="Cells with at least this probability are called occupied.",
+    thresholded=False,
     outputs=(OutputDescription(name="threshold", title="Threshold"),),
 )
 """The threshold of each step, which is shown as a score is."""

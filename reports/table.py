@@ -335,7 +335,10 @@ def _unscored(name: str, output: str) -> ScoreDescription:
     """The headline score of a run in which nothing was scored."""
     title = name.upper()
     return ScoreDescription(
-        name=name, title=title, outputs=(OutputDescription(name=output, title=title, better="higher"),)
+        name=name,
+        title=title,
+        thresholded=False,
+        outputs=(OutputDescription(name=output, title=title, better="higher"),),
     )
 
 
