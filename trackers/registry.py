@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import os
 import re
 import sys
 from collections.abc import Iterator
@@ -161,14 +162,15 @@ def _source_files(package: str) -> Iterator[tuple[str, Path]]:
     """The name and the file of each loaded module that belongs to `package` or lies beside it."""
     top = getattr(sys.modules.get(package), "__file__", None)
     root = Path(top).parent if top else None
+    below = f"{root}{os.sep}" if root is not None and root.name not in INSTALLED else None
     for name, module in list(sys.modules.items()):
-        path = Path(getattr(module, "__file__", None) or "")
-        if path.is_file() and (name.partition(".")[0] == package or (root is not None and _is_below(path, root))):
-            yield name, path
+        file = getattr(module, "__file__", None) or ""
+        if name.partition(".")[0] == package or (below is not None and _is_own(file, below)):
+            path = Path(file)
+            if path.is_file():
+                yield name, path
 
 
-def _is_below(path: Path, root: Path) -> bool:
-    """Whether a file lies below `root`, and not in a library that is installed there."""
-    if root.name in INSTALLED or not path.is_relative_to(root):
-        return False
-    return not set(INSTALLED) & set(path.relative_to(root).parts)
+def _is_own(file: str, below: str) -> bool:
+    """Whether a file lies below a folder, and not in a library that is installed there."""
+    return file.startswith(below) and not set(INSTALLED) & set(Path(file.removeprefix(below)).parts)
