@@ -15,19 +15,15 @@ NAMES = {"kalman": {}, "persistence": {"recall": 0.4, "seed": 7}}
 
 
 @pytest.fixture
-def baseline(write_run, regress, tmp_path):
+def baseline(baseline_of):
     """A baseline of two trackers on twenty recordings."""
-    path = tmp_path / "baseline.json"
-    assert regress(write_run("then", NAMES), "--baseline", path, "--update").code == 0
-    return path
+    return baseline_of(NAMES)
 
 
 @pytest.fixture
-def short_baseline(write_run, regress, tmp_path):
+def short_baseline(baseline_of):
     """A baseline of two trackers on two recordings: too few for significance."""
-    path = tmp_path / "short.json"
-    assert regress(write_run("then", NAMES, recordings=2), "--baseline", path, "--update").code == 0
-    return path
+    return baseline_of(NAMES, recordings=2)
 
 
 @pytest.mark.parametrize("content", ["not even JSON", '{"schema": 2, "trackers": {}}'])
@@ -122,9 +118,8 @@ def test_on_too_few_units_any_fall_is_worse_unless_a_tolerance_is_stated(short_b
     assert regress(run, "--baseline", short_baseline, "--tolerance", "kalman=0.05").code == 0
 
 
-def test_of_one_short_recording_each_pair_has_one_statement_and_one_rule(write_run, regress, tmp_path):
-    path = tmp_path / "one.json"
-    assert regress(write_run("then", NAMES, recordings=1), "--baseline", path, "--update").code == 0
+def test_of_one_short_recording_each_pair_has_one_statement_and_one_rule(baseline_of, write_run, regress, tmp_path):
+    path = baseline_of(NAMES, recordings=1)
     run = write_run("now", {**NAMES, "kalman": {"loss": 0.05}}, recordings=1)
     done = regress(run, "--baseline", path, "--markdown", tmp_path / "said.md")
     told = [line for line in done.out.splitlines() if "kalman" in line and ": F1 " in line]
@@ -135,10 +130,8 @@ def test_of_one_short_recording_each_pair_has_one_statement_and_one_rule(write_r
     assert "On one recording" not in (tmp_path / "said.md").read_text()
 
 
-def test_no_stated_fall_is_larger_than_the_score_itself(write_run, regress, tmp_path):
-    path = tmp_path / "low.json"
-    low = {"net": {"recall": 0.1}}
-    assert regress(write_run("then", low, recordings=2), "--baseline", path, "--update").code == 0
+def test_no_stated_fall_is_larger_than_the_score_itself(baseline_of, write_run, regress, tmp_path):
+    path = baseline_of({"net": {"recall": 0.1}}, recordings=2)
     run = write_run("now", {"net": {"recall": 0.1, "loss": 0.05}}, recordings=2)
     done = regress(run, "--baseline", path)
     listed = [line for line in done.out.splitlines() if "on one recording" in line and "net on" in line]

@@ -38,7 +38,7 @@ class Own(Tracker):
 
 
 @pytest.fixture
-def compared(install, record, progress, regress, tmp_path, monkeypatch):
+def compared(install, record, progress, regress, tmp_path, monkeypatch, trackers_here):
     """A run of `own`, its baseline, and a trackers.toml that names another environment of it, `old`."""
     site = install("own", {"own": "own_tracker:Own"}, {"own_tracker.py": TRACKER})
     recording = record("one", seconds=8, stretches={}, wall_m=3.0)
