@@ -232,24 +232,19 @@ EXTRA = {"latent": 0.3 + 0.1 * RNG.random(len(RECORDINGS)), "shot": np.zeros(len
 def class_trial(folder, label, number, extra, **how):
     """A trial with scans that cost HARD + `extra` nats a cell, at every step, on visible cells only."""
     tracker = "one-shot" if label == "shot" else ""
-    ended = synthetic.write_trial(
-        folder, label, RECORDINGS[number], 0.6, seed=number, frames=FRAMES, tracker=tracker, **how
-    )
+    how = {"seed": number, "frames": FRAMES, "tracker": tracker, "scores": (F1,)} | how
+    ended = synthetic.write_trial(folder, label, RECORDINGS[number], 0.6, **how)
     if extra is None:
         return ended
     facts = TrialFacts(0.2, synthetic.STEPS, ended.strata, half(synthetic.STEPS), CLASSES, CLASSES)
     kept = TrialSums(ended.folder)
     layouts = {**kept.layouts, "class_log_loss": Layout(("visible",), CLASS_LOG_LOSS.parts(facts))}
-    frames, every = kept.frames, np.arange(FRAMES)
-    sums = {
-        s: kept.by_frame(s, range(synthetic.STEPS + 1), kept.layouts[s].strata, kept.layouts[s].parts)
-        for s in kept.scores
-    }
+    frames = kept.frames
+    cells = kept.by_frame("f1", range(synthetic.STEPS + 1), ended.strata, kept.layouts["f1"].parts)
     with SumsWriter(ended.folder, layouts, synthetic.STEPS) as writer:
-        for frame in every:
+        for frame in range(FRAMES):
             stamp, digest = int(frames.stamps_ns[frame]), str(frames.delivered[frame])
-            for score, own in sums.items():
-                writer.add(stamp, digest, score, own.values[frame])
+            writer.add(stamp, digest, "f1", cells.values[frame])
             loss = HARD[number, frame] + extra[number]
             scan = np.zeros((synthetic.STEPS + 1, 1, len(layouts["class_log_loss"].parts)))
             scan[..., :3], scan[..., 3] = (CELLS * loss, loss, 1.0), CELLS

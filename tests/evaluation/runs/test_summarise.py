@@ -13,7 +13,7 @@ from gridtrack.evaluation.referee.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.evaluation.runs import estimates, sums
 from gridtrack.evaluation.runs.finished import headline_steps
 from gridtrack.evaluation.runs.summarise import _related, _reversed_rankings, summarise
-from gridtrack.evaluation.runs.summary import Estimate, PooledSummary, RunSummary, TrackerSummary, TrialSummary
+from gridtrack.evaluation.runs.summary import Estimate, PooledSummary, TrackerSummary, TrialSummary
 from gridtrack.evaluation.runs.sums import ScoresError, TrialSums
 from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.scores.log_loss import LOG_LOSS
@@ -371,10 +371,3 @@ def test_no_reversed_ranking_is_reported_where_the_order_stays(other):
 def test_the_reversed_pair_with_the_largest_lead_at_both_thresholds_is_named():
     (line,) = reversed_lines({"a": (0.62, 0.50), "b": (0.60, 0.51), "c": (0.50, 0.60)})
     assert "a is above c" in line
-
-
-def test_a_summary_with_curves_of_another_length_is_refused(twenty):
-    content = twenty[1].model_dump(by_alias=True)
-    content["trackers"]["good"]["pooled"]["strata"]["dynamic"]["f1"]["f1"]["value"] = [0.5] * 20
-    with pytest.raises(ValueError, match="good on all recordings, dynamic: 20 steps, expected 21"):
-        RunSummary.model_validate(content)
