@@ -75,7 +75,7 @@ def test_fit_reaches_the_frames_of_its_stretches_and_nothing_else_of_a_recording
     card = train_tracker(
         Recipe(tracker="nosy", options=options, recordings=(str(path),), out=tmp_path / "weights"), lines.append
     )
-    nothing = dict.fromkeys(("members", "attributes", "objects", "stack", "command", "traces"), [])
+    nothing = {key: [] for key in ("members", "attributes", "objects", "stack", "command", "traces")}
     assert json.loads(found.read_text()) == nothing | {"frames": [40, 50]}
     assert "looked around" in lines  # a slow machine reports its progress before
     assert str(path) in read_card(card).command
