@@ -124,7 +124,7 @@ def test_a_trial_that_is_taken_away_in_mid_run_changes_no_count(settings, progre
 @pytest.mark.usefixtures("staged", "slurm")
 def test_short_trials_share_jobs_and_change_no_count(settings, progress, tmp_path):
     """With more trials than nodes the two running jobs claim the waiting tasks, also after a tracker that fails."""
-    rows = ("dies=staged:crash_at=60", *(f"staged{number}=staged" for number in range(7)))
+    rows = ("dies=staged:crash_at=60", *(f"staged{number}=staged" for number in range(4)))
     before = completed()
     run(resolve(settings(*rows, engine="slurm")), (), progress)
     assert 0 < len(completed() - before) < len(rows)
