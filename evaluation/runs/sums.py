@@ -29,7 +29,7 @@ SUMS_FILE = "sums.parquet"
 SUMS_VERSION: Final = 1
 ROW_GROUP = 64
 """Scored frames that are kept in memory before they are written."""
-KEPT_BYTES = 256 << 20
+READ_ROWS_BYTES = 256 << 20
 """Rows of all trials of a run that are kept once they are read; the others are read again."""
 _NAME = pa.dictionary(pa.int16(), pa.string())
 COLUMNS: dict[str, tuple[Any, str]] = {
@@ -132,11 +132,11 @@ class ScoredFrames:
 
 
 class KeptRows:
-    """Rows that have been read, of several trials: up to KEPT_BYTES of them, the first ones."""
+    """Rows that have been read, of several trials: up to READ_ROWS_BYTES of them, the first ones."""
 
     def __init__(self) -> None:
         self._rows: dict[tuple[Path, int], _Rows] = {}
-        self._left = KEPT_BYTES
+        self._left = READ_ROWS_BYTES
 
     def get(self, path: Path, group: int) -> _Rows | None:
         """The rows of a row group, if they are kept."""

@@ -219,7 +219,7 @@ def test_the_histograms_of_a_trial_are_read_once(tmp_path, monkeypatch):
 def test_a_run_with_sums_that_do_not_fit_in_memory_has_the_same_summary(twenty, monkeypatch):
     trials, expected = twenty
     monkeypatch.setattr(estimates, "KEPT_BYTES", 1)
-    monkeypatch.setattr(sums, "KEPT_BYTES", 100_000)
+    monkeypatch.setattr(sums, "READ_ROWS_BYTES", 100_000)
     assert summary_of(trials) == expected
 
 
