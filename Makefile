@@ -35,7 +35,7 @@ demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minut
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS)) --out runs/junction
 
 test: $(VENV)/.installed-dev ## run lint, types and all tests
-	$(MAKE) --jobs 2 --output-sync lint pytest
+	$(MAKE) --jobs 2 lint pytest
 
 pytest: $(VENV)/.installed-dev
 	$(PYTEST)

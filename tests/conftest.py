@@ -19,9 +19,22 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # workers fill the cores: two thr
 # a shell that runs the tests in the background has them ignore Ctrl-C, and with them every process that they start
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-PLUGINS = Path(__file__).parent / "plugins"
+TESTS = Path(__file__).parent
+PLUGINS = TESTS / "plugins"
+FIRST, LAST = ("contract", "trackers", "test_own_trackers.py", "test_general_weights.py"), ("docs", "studies")
+"""Tests that one worker runs first, which compile the kernels of the trackers, and tests that all run last."""
 
 Install = Callable[..., Path]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let a kernel be compiled once, and not by each worker at the same time."""
+
+    def place(item: pytest.Item) -> int:
+        folder = item.path.relative_to(TESTS).parts[0] if item.path.is_relative_to(TESTS) else ""
+        return (folder in LAST) - (folder in FIRST)
+
+    items.sort(key=place)
 
 
 @pytest.fixture(scope="session", autouse=True)
