@@ -19,22 +19,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # workers fill the cores: two thr
 # a shell that runs the tests in the background has them ignore Ctrl-C, and with them every process that they start
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-TESTS = Path(__file__).parent
-PLUGINS = TESTS / "plugins"
-FIRST, LAST = ("contract", "trackers", "test_own_trackers.py", "test_general_weights.py"), ("docs", "studies")
-"""Tests that one worker runs first, which compile the kernels of the trackers, and tests that all run last."""
+PLUGINS = Path(__file__).parent / "plugins"
 
 Install = Callable[..., Path]
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Let a kernel be compiled once, and not by each worker at the same time."""
-
-    def place(item: pytest.Item) -> int:
-        folder = item.path.relative_to(TESTS).parts[0] if item.path.is_relative_to(TESTS) else ""
-        return (folder in LAST) - (folder in FIRST)
-
-    items.sort(key=place)
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -81,11 +68,11 @@ def burglar(install: Install) -> None:
     install("burglar", {"burglar": "burglar:Burglar"}, {module.name: module.read_text()})
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
-    """Chromium; the test is skipped where there is none.
+    """Chromium, one for all tests; they are skipped where there is none.
 
-    Its driver runs an event loop: none may be left when the tests of another module need one of their own.
+    Its driver runs an event loop in this thread: what needs a loop of its own runs in another thread.
     """
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
     if (program := shutil.which("chromium")) is None:

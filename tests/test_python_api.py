@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import nbformat
@@ -141,7 +142,9 @@ def test_the_trackers_end_if_their_notebook_is_killed(notebook):
 
 def test_the_example_notebook_runs_in_any_folder(tmp_path):
     notebook = nbformat.read(ROOT / "examples" / "notebook" / "first_comparison.ipynb", as_version=4)
-    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    client = NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}})
+    with ThreadPoolExecutor() as thread:  # the browser of other tests has the event loop of this one
+        thread.submit(client.execute).result()
     shown = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     assert any("text/html" in output.get("data", {}) for output in shown)
     assert not [output for output in shown if output.output_type == "error"]

@@ -1,7 +1,6 @@
 """The folder of a run on a synthetic scene: a wall, a moving block, and the cells that it occludes; its page opened."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -154,18 +153,6 @@ def write_run(run, trackers=None, broken=(), notices=(), chosen_on="crossing@0s-
     summarise({RECORDING: described}, trials, list(notices), interrupted=False).write(run)
     write_run_record(run, {RECORDING: described})
     return run
-
-
-@pytest.fixture(scope="package")
-def browser():
-    """Chromium, one for all tests of reports; they are skipped where there is none."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
-    if (program := shutil.which("chromium")) is None:
-        pytest.skip("Chromium is not installed (Debian: apt install chromium)")
-    with playwright.sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        yield chromium
-        chromium.close()
 
 
 @pytest.fixture(scope="session")
