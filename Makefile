@@ -8,8 +8,9 @@ JUNCTION := $(wildcard data/junction/test-*.tracks) --validation data/junction/v
 DEMO_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
-# one worker more than processors: many tests wait for the processes that they start
-PYTEST := $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
+# two workers more than processors: many tests wait for the processes that they start
+# and with bytecode, whatever the environment says: hundreds of processes import the package
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 2) --dist worksteal --durations=10
 # with general weights: they have seen no recording of a site
 GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
@@ -19,7 +20,7 @@ folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
 trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))
 
-.PHONY: help demo demo-junction test check coverage lint bench results worlds-results real-results schemas docs figures size screenshots ablations returns junction weights baseline clean
+.PHONY: help demo demo-junction test pytest check coverage lint bench results worlds-results real-results schemas docs figures size screenshots ablations returns junction weights baseline clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
@@ -33,7 +34,10 @@ demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minut
 	rm -rf runs/junction
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS)) --out runs/junction
 
-test: lint ## run lint, types and all tests
+test: $(VENV)/.installed-dev ## run lint, types and all tests
+	$(MAKE) --jobs 2 lint pytest
+
+pytest: $(VENV)/.installed-dev
 	$(PYTEST)
 
 check: $(VENV)/.installed-dev ## lint and test what changed since the last commit, for a minute (SINCE=main: since that revision)

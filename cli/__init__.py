@@ -95,7 +95,7 @@ def main() -> None:
         _fail(error, str(error))
     except OSError as error:
         _fail(error, f"{error.filename}: {error.strerror}" if error.filename else str(error))
-    except Exception as error:
+    except Exception as error:  # noqa: BLE001  no crash may look like the verdict "worse"
         traceback.print_exception(error)
         sys.exit(CRASHED)
 

@@ -68,11 +68,11 @@ def burglar(install: Install) -> None:
     install("burglar", {"burglar": "burglar:Burglar"}, {module.name: module.read_text()})
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
-    """Chromium; the test is skipped where there is none.
+    """Chromium, one for all tests; they are skipped where there is none.
 
-    Its driver runs an event loop: none may be left when the tests of another module need one of their own.
+    Its driver runs an event loop in this thread: what needs a loop of its own runs in another thread.
     """
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
     if (program := shutil.which("chromium")) is None:

@@ -103,6 +103,7 @@ def test_a_broken_library_has_another_exit_code_than_a_worse_tracker(tmp_path):
     assert (done.returncode, "built for another numpy" in done.stderr) == (3, True)
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_the_undamaged_part_of_a_truncated_recording_can_be_used(tmp_path):
     cut, out = tmp_path / "cut.mcap", ("--out", tmp_path / "out")
     content = Path(DEMO).read_bytes()
@@ -206,6 +207,7 @@ def test_the_help_of_degraded_input_names_every_kind():
     assert [field.alias for field in Degradation.model_fields.values() if field.alias not in described] == []
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_every_registered_tracker_is_listed_with_its_sites_or_as_untrained(tmp_path):
     toml = tmp_path / "trackers.toml"
     toml.write_text(
@@ -232,12 +234,14 @@ def test_a_check_counts_its_verdicts():
     assert contract_line("mine", results) == "mine keeps the contract: 1 passed, 1 not applicable"
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_a_tracker_with_learned_weights_for_the_site_is_checked_on_the_recording():
     rows = json.loads(gridtrack("trackers", "check", "static-map", "--recording", DEMO, "--json").stdout)
     assert {row["verdict"] for row in rows} == {"passed", "not applicable"}
     assert list(rows[0]) == ["clause", "verdict", "observed", "mend", "requirement", "reason"]
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_a_check_gives_a_verdict_on_each_clause_and_exit_code_1_for_a_violation(bad_trackers):
     lines = gridtrack("trackers", "check", "counts-predictions", code=1).stdout.splitlines()
     assert [line.split()[0] for line in lines[:2]] == ["passed", "passed"]
@@ -257,6 +261,7 @@ def test_an_import_gives_the_content_of_what_it_wrote_as_json(tmp_path):
     assert info["sensors"]["scan"]["scans"] == 1265
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_a_tracker_is_trained_compared_and_reported(tmp_path):
     weights, run = tmp_path / "weights", tmp_path / "run"
     stretches = (f"{DEMO}@0s-20s", "--validation", f"{DEMO}@75s-81s")
@@ -280,6 +285,7 @@ def test_a_training_whose_weights_cannot_be_written_does_not_start(tmp_path):
     assert "trial" not in done.stdout
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_a_trial_that_did_not_complete_is_exit_code_3(tmp_path):
     done = gridtrack(
         "compare", f"{DEMO}@114s-118s", "--tracker", "blank", "--tracker", "static-map", "--weights", tmp_path,

@@ -1,6 +1,6 @@
 """Every reader of untrusted input keeps one rule: a result, a part with a warning, or an error of one line.
 
-The long form is `make fuzz`.
+`make fuzz` goes on with inputs of hypothesis.
 """
 
 from __future__ import annotations
@@ -12,13 +12,9 @@ import pytest
 from fuzz.damage import SeededChoices
 from fuzz.readers import READERS
 from fuzz.rule import Inputs, finding
-from fuzz.sources import DrawnChoices
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 CASES = 300
 """Damaged files of the corpus: made anew from their seeds, each seed for the reader whose turn it is."""
-EXAMPLES = 8
 
 
 @pytest.fixture(scope="module")
@@ -43,15 +39,3 @@ def test_a_damaged_file_of_the_corpus_gives_a_result_or_one_line(name: str, inpu
     mine = range(list(READERS).index(name), CASES, len(READERS))
     found = Counter(inputs.check(name, SeededChoices(case)).refused for case in mine)
     assert found[True], "no damage was noticed: the corpus tests nothing"
-
-
-@pytest.mark.parametrize("name", READERS)
-def test_a_fuzzed_file_gives_a_result_or_one_line(name: str, inputs: Inputs) -> None:
-    @settings(
-        max_examples=EXAMPLES, database=None, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
-    )
-    @given(st.data())
-    def fuzzed(data: st.DataObject) -> None:
-        inputs.check(name, DrawnChoices(data))
-
-    fuzzed()

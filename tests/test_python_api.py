@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import nbformat
@@ -20,6 +21,7 @@ from nbclient import NotebookClient
 import gridtrack
 from gridtrack.evaluation.runs.run_record import read_run_record
 
+from scenes.programs_here import programs_here
 from scenes.report_page import data_of
 
 ROOT = Path(__file__).parents[1]
@@ -30,9 +32,10 @@ RECORDING = "data/leg_tracker/leg_tracker.mcap@114s-124s"
 def compared(tmp_path_factory):
     out = tmp_path_factory.mktemp("python") / "run"
     rows = ["persistence", "map=static-map"]
-    return gridtrack.compare(
-        RECORDING, trackers=rows, out=out, every_s=0.5, horizon_s="1s", jobs=1, limits={"memory_mb": 2000}
-    )
+    with programs_here():
+        return gridtrack.compare(
+            RECORDING, trackers=rows, out=out, every_s=0.5, horizon_s="1s", jobs=1, limits={"memory_mb": 2000}
+        )
 
 
 def test_a_comparison_returns_its_run_with_the_command_that_repeats_it(compared):
@@ -64,6 +67,7 @@ def test_differences_are_a_row_for_each_headline_test(compared):
     assert compared.differences["f1"].null_count() == 0
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_several_recordings_are_pooled_and_their_names_escaped(tmp_path):
     hostile = shutil.copy(RECORDING.partition("@")[0], tmp_path / "<i>hall.mcap")
     stretches = [f"{hostile}@100s-110s", RECORDING]
@@ -138,7 +142,9 @@ def test_the_trackers_end_if_their_notebook_is_killed(notebook):
 
 def test_the_example_notebook_runs_in_any_folder(tmp_path):
     notebook = nbformat.read(ROOT / "examples" / "notebook" / "first_comparison.ipynb", as_version=4)
-    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    client = NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}})
+    with ThreadPoolExecutor() as thread:  # the browser of other tests has the event loop of this one
+        thread.submit(client.execute).result()
     shown = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     assert any("text/html" in output.get("data", {}) for output in shown)
     assert not [output for output in shown if output.output_type == "error"]

@@ -62,12 +62,6 @@ def test_a_road_user_on_the_laser_is_a_fault_with_exit_code_3(annotations: Path)
     assert "fault: pedestrian on the laser in" in done.stdout
 
 
-def test_the_check_reads_a_packaged_recording() -> None:
-    done = gridtrack("simulate", "check", str(packaged_recording("junction/test-104")))
-    assert "1 minutes; longest standing time of a vehicle" in done.stdout
-    assert "fault" not in done.stdout
-
-
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

@@ -13,6 +13,8 @@ from gridtrack.recordings import packaged_recording
 
 from scenes.command_line import gridtrack
 
+pytestmark = pytest.mark.usefixtures("trackers_here")
+
 SHIPPED = Path(__file__).parents[1] / "data" / "weights" / "static-map"
 RECORDING = f"{packaged_recording('leg_tracker')}@90s-96s"
 SHORT = ("--horizon", "0.5s", "--every", "0.5s")

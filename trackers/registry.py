@@ -162,14 +162,15 @@ def _source_files(package: str) -> Iterator[tuple[str, Path]]:
     """The name and the file of each loaded module that belongs to `package` or lies beside it."""
     top = getattr(sys.modules.get(package), "__file__", None)
     root = Path(top).parent if top else None
+    below = f"{root}{os.sep}" if root is not None and root.name not in INSTALLED else None
     for name, module in list(sys.modules.items()):
         file = getattr(module, "__file__", None) or ""
-        # text first: thousands of modules are loaded beside a network
-        beside = root is not None and file.startswith(f"{root}{os.sep}") and _is_below(Path(file), root)
-        if (beside or name.partition(".")[0] == package) and Path(file).is_file():
-            yield name, Path(file)
+        if name.partition(".")[0] == package or (below is not None and _is_own(file, below)):
+            path = Path(file)
+            if path.is_file():
+                yield name, path
 
 
-def _is_below(path: Path, root: Path) -> bool:
-    """Whether a file below `root` is not in a library that is installed there."""
-    return root.name not in INSTALLED and not set(INSTALLED) & set(path.relative_to(root).parts)
+def _is_own(file: str, below: str) -> bool:
+    """Whether a file lies below a folder, and not in a library that is installed there."""
+    return file.startswith(below) and not set(INSTALLED) & set(Path(file.removeprefix(below)).parts)

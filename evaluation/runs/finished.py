@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.run_record import RecordingDescription
-from gridtrack.evaluation.runs.sums import ScoredFrames, TrialSums
+from gridtrack.evaluation.runs.sums import KeptRows, ScoredFrames, TrialSums
 from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.evaluation.scores.definition import Ratio
 from gridtrack.evaluation.scores.f1 import F1
@@ -102,6 +102,7 @@ class RunTrials:
         self._requested = reference
         self._blocks: dict[str, float] = {}
         self._sums: dict[str, TrialSums] = {}
+        self._kept = KeptRows()
 
     def reference_for(self, part: ComparedPart, among: Iterable[str] | None = None) -> str | None:
         """Label of the row that others are compared with: as requested, by its description, or the first row.
@@ -120,7 +121,7 @@ class RunTrials:
         """The sums of a trial. Raises ScoresError."""
         key = trial.folder.name
         if key not in self._sums:
-            self._sums[key] = TrialSums(trial.folder)
+            self._sums[key] = TrialSums(trial.folder, self._kept)
         return self._sums[key]
 
     def frames(self, trial: FinishedTrial) -> ScoredFrames:

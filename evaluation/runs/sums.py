@@ -29,6 +29,8 @@ SUMS_FILE = "sums.parquet"
 SUMS_VERSION: Final = 1
 ROW_GROUP = 64
 """Scored frames that are kept in memory before they are written."""
+READ_ROWS_BYTES = 256 << 20
+"""Rows of all trials of a run that are kept once they are read; the others are read again."""
 _NAME = pa.dictionary(pa.int16(), pa.string())
 COLUMNS: dict[str, tuple[Any, str]] = {
     "stamp_ns": (pa.int64(), "stamp of frame t, from which the forecast was made"),
@@ -129,12 +131,35 @@ class ScoredFrames:
         return np.fromiter((known.get(stamp) == digest for stamp, digest in mine), np.bool_, len(self.stamps_ns))
 
 
-class TrialSums:
-    """The sums in the folder of a trial, read score by score; every method raises ScoresError."""
+class KeptRows:
+    """Rows that have been read, of several trials: up to READ_ROWS_BYTES of them, the first ones."""
 
-    def __init__(self, folder: Path) -> None:
-        self.path = folder / SUMS_FILE
-        self.steps, self.layouts = _read_layouts(self.path)
+    def __init__(self) -> None:
+        self._rows: dict[tuple[Path, int], _Rows] = {}
+        self._left = READ_ROWS_BYTES
+
+    def get(self, path: Path, group: int) -> _Rows | None:
+        """The rows of a row group, if they are kept."""
+        return self._rows.get((path, group))
+
+    def keep(self, path: Path, group: int, rows: _Rows) -> None:
+        """Keep the rows of a row group, if there is room."""
+        if (size := rows.nbytes) <= self._left:
+            self._left -= size
+            self._rows[path, group] = rows
+
+
+class TrialSums:
+    """The sums in the folder of a trial, read score by score; every method raises ScoresError.
+
+    `kept`: rows that have been read, for several trials together; None: nothing is kept.
+    """
+
+    def __init__(self, folder: Path, kept: KeptRows | None = None) -> None:
+        self.path, self._kept = folder / SUMS_FILE, kept
+        with _opened(self.path) as file:
+            self._metadata = file.metadata
+            self.steps, self.layouts = _layouts_of(file)
         self._frames: dict[str, ScoredFrames] = {}
 
     @property
@@ -189,14 +214,13 @@ class TrialSums:
     def _groups(self) -> dict[str, list[int]]:
         """The row groups of each score."""
         groups: dict[str, list[int]] = {}
-        with _opened(self.path) as file:
-            metadata, column = file.metadata, list(COLUMNS).index("score")
-            for group in range(metadata.num_row_groups):
-                found = metadata.row_group(group).column(column).statistics
-                name = found.min if found is not None and found.has_min_max and found.min == found.max else None
-                if name not in self.layouts:
-                    raise ScoresError(f"{self.path}: a part of the table that is not of one known score; run it again")
-                groups.setdefault(name, []).append(group)
+        column = list(COLUMNS).index("score")
+        for group in range(self._metadata.num_row_groups):
+            found = self._metadata.row_group(group).column(column).statistics
+            name = found.min if found is not None and found.has_min_max and found.min == found.max else None
+            if name not in self.layouts:
+                raise ScoresError(f"{self.path}: a part of the table that is not of one known score; run it again")
+            groups.setdefault(name, []).append(group)
         return groups
 
     def _frames_of(self, score: str) -> ScoredFrames:
@@ -209,11 +233,18 @@ class TrialSums:
         return self._frames[score]
 
     def _row_groups(self, score: str) -> Iterator[_Rows]:
-        layout = self.layouts[score]
-        names, rows_of_frame = list(COLUMNS), (self.steps + 1) * len(layout.strata)
-        with _opened(self.path) as file:
-            for group in self._groups.get(score, ()):
-                yield _rows(self.path, file.read_row_group(group, columns=names), layout, rows_of_frame, self.steps)
+        for group in self._groups.get(score, ()):
+            rows = self._kept.get(self.path, group) if self._kept else None
+            if rows is None:
+                rows = self._read(group, self.layouts[score])
+                if self._kept:
+                    self._kept.keep(self.path, group, rows)
+            yield rows
+
+    def _read(self, group: int, layout: Layout) -> _Rows:
+        with _opened(self.path, self._metadata) as file:
+            table = file.read_row_group(group, columns=list(COLUMNS))
+        return _rows(self.path, table, layout, (self.steps + 1) * len(layout.strata), self.steps)
 
     def _require_parts(self, rows: _Rows, layout: Layout) -> None:
         if rows.entries[1].max(initial=0) >= len(layout.parts):
@@ -229,6 +260,11 @@ class _Rows:
     delivered: NDArray[np.str_]
     entries: tuple[NDArray[np.int64], NDArray[np.int64], Floats]
 
+    @property
+    def nbytes(self) -> int:
+        """The memory that they take, bytes."""
+        return sum(own.nbytes for own in (self.stamps_ns, self.delivered, *self.entries))
+
 
 def _rows(path: Path, table: Any, layout: Layout, rows_of_frame: int, steps: int) -> _Rows:
     """The rows of a row group, checked: every frame has all steps, each with all strata in order."""
@@ -239,10 +275,11 @@ def _rows(path: Path, table: Any, layout: Layout, rows_of_frame: int, steps: int
         raise ScoresError(f"{path}: a value or a row is missing; run it again")
     step, stratum = np.indices((steps + 1, len(layout.strata))).reshape(2, -1)
     stamps = columns["stamp_ns"].to_numpy().reshape(frames, rows_of_frame)
-    names = columns["stratum"].dictionary_decode().to_numpy(zero_copy_only=False).astype(np.str_)
+    names, own = columns["stratum"].dictionary.to_pylist(), columns["stratum"].indices.to_numpy()
+    expected = np.array([names.index(name) if name in names else -1 for name in layout.strata])
     whole = (
         (columns["step"].to_numpy().reshape(frames, rows_of_frame) == step).all()
-        and (names.reshape(frames, rows_of_frame) == np.array(layout.strata)[stratum]).all()
+        and (own.reshape(frames, rows_of_frame) == expected[stratum]).all()
         and (stamps == stamps[:, :1]).all()
     )
     ends, ends_of_values = (columns[name].offsets.to_numpy().astype(np.int64) for name in ("part", "value"))
@@ -263,9 +300,10 @@ def _add(unit, place, ends, parts, values, column, total):  # type: ignore[no-un
                     total[unit[row], place[row], column[parts[i]]] += values[i]
 
 
-def _opened(path: Path) -> Any:
+def _opened(path: Path, metadata: Any = None) -> Any:
+    """The Parquet file; `metadata` spares reading them again."""
     try:
-        return _Checked(parquet.ParquetFile(path), path)
+        return _Checked(parquet.ParquetFile(path, metadata=metadata), path)
     except (OSError, ArrowException) as error:
         raise _unreadable(path, error) from None
 
@@ -274,9 +312,13 @@ class _Checked:
     """A Parquet file of which every failure to read is a ScoresError."""
 
     def __init__(self, file: Any, path: Path) -> None:
-        self._file, self._path = file, path
-        self.metadata = file.metadata
-        self.schema = file.schema_arrow
+        self._file = file
+        self.path, self.metadata = path, file.metadata
+
+    @property
+    def schema(self) -> Any:
+        """The columns, with the metadata of the table."""
+        return self._file.schema_arrow
 
     def __enter__(self) -> Self:
         return self
@@ -287,30 +329,29 @@ class _Checked:
     def read_row_group(self, group: int, columns: Sequence[str]) -> Any:
         """The columns of a row group."""
         try:
-            return self._file.read_row_group(group, columns=columns)
+            return self._file.read_row_group(group, columns=columns, use_threads=False)  # most are small
         except (OSError, ArrowException) as error:
-            raise _unreadable(self._path, error) from None
+            raise _unreadable(self.path, error) from None
 
 
-def _read_layouts(path: Path) -> tuple[int, dict[str, Layout]]:
+def _layouts_of(file: Any) -> tuple[int, dict[str, Layout]]:
     """The steps and the layout of each score, of a table with the columns of this version."""
-    with _opened(path) as file:
-        schema = file.schema
-        columns = {name: schema.field(name).type for name in schema.names}
-        if columns != {name: kind for name, (kind, _) in COLUMNS.items()}:
-            raise ScoresError(f"{path}: columns {', '.join(schema.names)}; expected {', '.join(COLUMNS)}: run it again")
-        try:
-            described = json.loads((schema.metadata or {})[_METADATA])
-            if described["version"] != SUMS_VERSION:
-                raise ScoresError(
-                    f"{path}: version {described['version']} of this table, and this gridtrack reads version"
-                    f" {SUMS_VERSION}: read it with the gridtrack that wrote it, or compare again"
-                )
-            scores = described["scores"].items()
-            layouts = {name: Layout(tuple(one["strata"]), tuple(one["parts"])) for name, one in scores}
-            return int(described["steps"]), layouts
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise _unreadable(path, error) from None
+    path, schema = file.path, file.schema
+    columns = {name: schema.field(name).type for name in schema.names}
+    if columns != {name: kind for name, (kind, _) in COLUMNS.items()}:
+        raise ScoresError(f"{path}: columns {', '.join(schema.names)}; expected {', '.join(COLUMNS)}: run it again")
+    try:
+        described = json.loads((schema.metadata or {})[_METADATA])
+        if described["version"] != SUMS_VERSION:
+            raise ScoresError(
+                f"{path}: version {described['version']} of this table, and this gridtrack reads version"
+                f" {SUMS_VERSION}: read it with the gridtrack that wrote it, or compare again"
+            )
+        scores = described["scores"].items()
+        layouts = {name: Layout(tuple(one["strata"]), tuple(one["parts"])) for name, one in scores}
+        return int(described["steps"]), layouts
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise _unreadable(path, error) from None
 
 
 def _unreadable(path: Path, error: Exception) -> ScoresError:

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads scipy.special at its first use: most processes make no interval
 from numpy.typing import NDArray
-from scipy.special import expit, logit, stdtr, stdtrit
 
 from gridtrack.evaluation.scores.definition import Floats, Measure, Ratio, Scale, Sums, divided, value_of
 
@@ -138,7 +138,7 @@ def _interval_of_ratio(found: Replicates, scale: Scale, level: float) -> tuple[F
     """
     assert found.ratio is not None
     part, whole, counted = found.ratio.part, found.ratio.whole, found.ratio.counted and scale == "odds"
-    other, back = (whole - part, expit) if scale == "odds" else (whole, np.exp)
+    other, back = (whole - part, scipy.special.expit) if scale == "odds" else (whole, np.exp)
     of_part, of_other = (_log_without_each(sums, counted=counted) for sums in (part, other))
     freedom = degrees_of_freedom(part, other)
     reach = _quantile(freedom, level) * _standard_error(of_part - of_other)
@@ -152,7 +152,7 @@ def _interval_of_ratio(found: Replicates, scale: Scale, level: float) -> tuple[F
 
 
 def _interval_of_measure(found: Replicates, scale: Scale, level: float) -> tuple[Floats, Floats]:
-    forth, back = (logit, expit) if scale == "odds" else (np.log, np.exp)
+    forth, back = (scipy.special.logit, scipy.special.expit) if scale == "odds" else (np.log, np.exp)
     bounds = (_NEAREST_TO_0_OR_1, 1 - _NEAREST_TO_0_OR_1) if scale == "odds" else (0.0, np.inf)
     reach = _quantile(degrees_of_freedom(found.size), level) * _standard_error(forth(np.clip(found.without, *bounds)))
     with np.errstate(divide="ignore"):
@@ -186,7 +186,7 @@ def difference_of(value: Floats, error: Floats, freedom: Floats, level: float = 
     reach = _quantile(freedom, level) * error
     none = np.abs(value) <= WITHIN_ROUNDING
     with np.errstate(divide="ignore", invalid="ignore"):
-        p = np.where(none, 1.0, 2 * stdtr(freedom, -np.abs(value) / error))
+        p = np.where(none, 1.0, 2 * scipy.special.stdtr(freedom, -np.abs(value) / error))
     unknown = np.isnan(value) | (~none & (error <= WITHIN_ROUNDING) & (freedom < LEAST_AGREEING - 1))
     return IntervalEstimate(value, *(np.where(unknown, np.nan, x) for x in (value - reach, value + reach, p)))
 
@@ -250,5 +250,5 @@ def _standard_error(without: Floats) -> Floats:
 
 def _quantile(freedom: Floats, level: float) -> Floats:
     """Two-sided quantile of Student's t."""
-    quantile: Floats = stdtrit(freedom, 0.5 + level / 2)
+    quantile: Floats = scipy.special.stdtrit(freedom, 0.5 + level / 2)
     return quantile

@@ -13,7 +13,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
-from gridtrack.recordings import open_recording, packaged_recording, write_native
+from gridtrack.recordings import Recording, open_recording, packaged_recording, write_native
 
 from docs.pages import ROOT
 from scenes import drive_bag as drive
@@ -24,6 +24,12 @@ DRIVE_MS = 8000
 FRONT = Laser("front_laser", SE2(0.4, 0.2, 0.8))
 REAR = Laser("rear_laser", SE2(-0.4, 0.0, 3.1), mirrored=True, offset_ms=40)
 LASER = Laser("laser", SE2(-0.14, 0.0, 0.0))
+JUNCTION = {
+    "test-101.tracks": ("test-101.tracks", 8.0),
+    "validation.tracks": ("test-102.tracks", 8.0),
+    "train.tracks": ("test-103.tracks", 12.0),
+}
+"""Recordings of the junction: the beginnings of these files."""
 
 
 def hall_scans(seconds: float) -> Iterator[Scan]:
@@ -110,25 +116,32 @@ def _points(scan: Scan) -> np.ndarray:
 
 
 def data(folder: Path, *, own_weights: bool = False) -> None:
-    """`data` of a clone; `own_weights` may be written to."""
-    (folder / "data").mkdir()
-    for name in ("junction", "leg_tracker"):
-        (folder / "data" / name).symlink_to(ROOT / "data" / name)
+    """`data` of a clone, with the recordings JUNCTION; `own_weights` may be written to."""
+    (folder / "data" / "junction").mkdir(parents=True)
+    for name, (source, seconds) in JUNCTION.items():
+        recording = open_recording(ROOT / "data" / "junction" / source)
+        part(recording, folder / "data" / "junction" / name, 0.0, seconds)
+    (folder / "data" / "leg_tracker").symlink_to(ROOT / "data" / "leg_tracker")
     if own_weights:
         shutil.copytree(ROOT / "data" / "weights", folder / "data" / "weights")
     else:
         (folder / "data" / "weights").symlink_to(ROOT / "data" / "weights")
 
 
+def part(recording: Recording, path: Path, start_s: float, end_s: float) -> None:
+    """Write a stretch of a recording as a native recording."""
+    info = recording.info.model_copy(update={"stretches": {}})
+    with path.open("wb") as file:
+        write_native(file, info, recording.scans(start_s, end_s))
+
+
 def hall_recordings(folder: Path, *names: str) -> None:
     """Native recordings of ten seconds of the hall each, one after the other, none of them in `hall_bag`."""
     recording = open_recording(packaged_recording("leg_tracker"))
-    info = recording.info.model_copy(update={"stretches": {}})
     for k, name in enumerate(names):
         path = folder / name
         path.parent.mkdir(exist_ok=True)
-        with path.open("wb") as file:
-            write_native(file, info, recording.scans(40.0 + 10.0 * k, 50.0 + 10.0 * k))
+        part(recording, path, 40.0 + 10.0 * k, 50.0 + 10.0 * k)
 
 
 def annotations(path: Path) -> None:
@@ -179,11 +192,7 @@ def training(folder: Path) -> None:
 
 
 def simulation(folder: Path) -> None:
-    data(folder)
-
-
-def slurm(folder: Path) -> None:
-    hall_recordings(folder, "my.mcap")
+    """The simulations need no files."""
 
 
 PLACES: dict[str, Callable[[Path], None]] = {
@@ -192,6 +201,5 @@ PLACES: dict[str, Callable[[Path], None]] = {
     "own tracker": own_tracker,
     "training": training,
     "simulation": simulation,
-    "slurm": slurm,
 }
 """The files that the commands of a theme need, by theme."""

@@ -1,4 +1,4 @@
-"""The workflows of docs/ci.md run as they stand, each line by the shell of its service."""
+"""The workflows of docs/ci.md run as they stand: each line by the shell of its service, the gridtrack in it here."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -42,6 +43,7 @@ class Mine(Tracker):
 
 Line = tuple[str, bool]
 """A shell line, and whether it runs after a failure too."""
+Command = Callable[..., Any]
 
 
 def steps(number: int) -> list[Line]:
@@ -53,7 +55,7 @@ def steps(number: int) -> list[Line]:
 
 
 @pytest.fixture
-def repository(tmp_path: Path, install: Callable[..., Path]) -> Path:
+def repository(tmp_path: Path, install: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> Path:
     """A repository with a recording and the tracker `my-tracker`; `pip` installs nothing there: it is installed."""
     install("my-tracker", {"my-tracker": "mine:Mine"}, {"mine.py": TRACKER})
     folder = tmp_path / "repository"
@@ -64,8 +66,11 @@ def repository(tmp_path: Path, install: Callable[..., Path]) -> Path:
         write_native(file, info, (scan(index, angles) for index in range(80)))
     programs = tmp_path / "bin"
     programs.mkdir()
-    for name, line in (("pip", 'test "$*" = "install ."'), ("gridtrack", f'"{sys.executable}" -m gridtrack.cli "$@"')):
-        write_program(programs / name, line)
+    write_program(programs / "pip", 'test "$*" = "install ."')
+    write_program(programs / "gridtrack", 'printf "%s\\0" "$@" > ../words')
+    monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(folder / "summary.md"))
+    monkeypatch.chdir(folder)
     return folder
 
 
@@ -85,19 +90,16 @@ def scan(index: int, angles: np.ndarray) -> Scan:
     )  # fmt: skip
 
 
-def run_lines(folder: Path, lines: list[Line]) -> int:
+def run_lines(gridtrack: Command, lines: list[Line]) -> int:
     """The exit code of the first line that fails; after it only the lines run that always do."""
-    programs = folder.parent / "bin"
-    environment = {
-        **os.environ,
-        "PATH": f"{programs}:{os.environ['PATH']}",
-        "GITHUB_STEP_SUMMARY": str(folder / "summary.md"),
-    }
-    code = 0
+    words, code = Path("../words"), 0
     for line, always in lines:
         if always or not code:
-            done = subprocess.run(["bash", "-e", "-c", line], cwd=folder, env=environment, check=False)
-            code = code or done.returncode
+            words.unlink(missing_ok=True)
+            done = subprocess.run(["bash", "-e", "-c", line], check=False).returncode
+            if words.exists():  # of the gridtrack in the line
+                done = gridtrack(*words.read_text().split("\0")[:-1]).code
+            code = code or done
     return code
 
 
@@ -106,24 +108,27 @@ def test_both_services_run_the_same_lines() -> None:
     assert gitlab == [line for line, always in steps(0) if not always]
 
 
-def test_a_job_passes_with_its_baseline_times_in_turns_and_fails_once_the_tracker_is_broken(repository: Path) -> None:
+@pytest.mark.usefixtures("trackers_here")
+def test_a_job_passes_with_its_baseline_times_in_turns_and_fails_once_the_tracker_is_broken(
+    repository: Path, gridtrack: Command
+) -> None:
     made = [(line, False) for line in commands(PAGE)]
-    assert (len(made), run_lines(repository, made)) == (2, 0)
+    assert (len(made), run_lines(gridtrack, made)) == (2, 0)
     shutil.rmtree(repository / "runs")
-    assert run_lines(repository, steps(0)) == 0
+    assert run_lines(gridtrack, steps(0)) == 0
     assert ElementTree.parse(repository / "junit.xml").getroot().get("failures") == "0"
     assert (repository / "regress.md").read_text().startswith("## gridtrack regress: no worse")
     assert (repository / "runs/now/report/index.html").is_file()
 
     offer_base(repository)
-    code = run_lines(repository, steps(1))
+    code = run_lines(gridtrack, steps(1))
     timed = (repository / "regress.md").read_text()
     assert "| my-tracker | update | base |" in timed
     assert code == int("| worse | my-tracker |" in timed)  # by chance: the machine of a test may be busy
 
     shutil.rmtree(repository / "runs")
     (repository.parent / "site/mine.py").write_text(TRACKER.replace("self.last = frame.occupied", "pass"))
-    assert run_lines(repository, steps(0)) == 1
+    assert run_lines(gridtrack, steps(0)) == 1
     assert int(ElementTree.parse(repository / "junit.xml").getroot().get("failures", "0")) > 0
     assert "## gridtrack regress: worse" in (repository / "summary.md").read_text()
 

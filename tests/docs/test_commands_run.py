@@ -1,8 +1,8 @@
 """The commands of the pages run in this process: a theme is a folder, and the blocks of pages that share its files.
 
 Equal commands of a theme run once, and long ones on less: SMALLER. `make`, `python -m studies...` and `ros2` do nothing
-here; test_commands.py checks that targets and modules exist, and tests/studies runs the modules. docs/ci.md has a test
-of its own.
+here; test_commands.py checks that targets and modules exist, and tests/studies runs the modules. The engines Ray and
+Slurm are tested in tests/evaluation/engines. docs/ci.md has a test of its own.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -25,12 +24,12 @@ from gridtrack.cli import app
 from docs import places
 from docs.pages import name_of, shell_blocks
 from docs.test_commands import CURRENT
-from studies.support.slurm_machine import missing_programs, slurm_machine
+from scenes.programs_here import programs_here
 
 THEMES = {
     "hall": (
         *("README.md", "docs/export.md", "docs/export.md 2", "docs/importing.md", "docs/importing.md 2"),
-        *("docs/scale.md", "docs/scale.md 3", "docs/weights.md 2", "docs/statistics.md"),
+        *("docs/scale.md", "docs/scale.md 2", "docs/scale.md 3", "docs/weights.md 2", "docs/statistics.md"),
         *("docs/viewers.md", "docs/viewers.md 2", "docs/follow.md"),
     ),
     "formats": (
@@ -51,7 +50,6 @@ THEMES = {
         *("docs/junction.md 2", "docs/drives.md", "data/drives/README.md"),
         *("docs/worlds.md", "docs/worlds.md 2", "data/worlds/README.md"),
     ),
-    "slurm": ("docs/scale.md 2",),
 }
 """The blocks of each theme, in order: the page, and the number of the block on it from the second on."""
 
@@ -59,11 +57,8 @@ SMALLER = (
     ("train=0s-600s", "train=0s-14s"),
     ("validation=600s-700s --stretch test=700s-", "validation=14s-20s --stretch test=20s-"),
     ("train=0s-75s --stretch validation=75s-90s --stretch test=90s-", "train=0s-20s"),
-    ("data/junction/test-*.tracks", "data/junction/test-101.tracks@0s-12s data/junction/test-102.tracks@0s-12s"),
-    ("data/junction/train.tracks", "data/junction/validation.tracks@20s-40s"),
-    ("data/junction/validation.tracks ", "data/junction/validation.tracks@0s-8s "),
-    ("data/junction/validation.tracks@0s-90s", "data/junction/validation.tracks@0s-8s"),
-    ("data/junction/validation.tracks@0s-60s", "data/junction/validation.tracks@0s-8s"),
+    ("data/junction/validation.tracks@0s-90s", "data/junction/validation.tracks"),
+    ("data/junction/validation.tracks@0s-60s", "data/junction/validation.tracks"),
     ("compare my.bag ", "compare my.bag@0s-12s "),
     ("my.bag@60s- --validation my.bag@0s-60s", "my.bag@20s- --validation my.bag@0s-8s"),
     ("RECORDING...", "my.bag@0s-12s"),
@@ -71,23 +66,23 @@ SMALLER = (
     ("train kalman my.mcap", "train static-map my.mcap"),
     ("train kalman places", "train static-map places"),
     ("site=kalman:card=site --tracker general=kalman:", "site=static-map:card=site --tracker general=static-map:"),
-    ("devices=4,batch=32", "devices=1,updates=2,channels=2,repetitions=1"),
+    ("train dilated-convgru:devices=4,batch=32", "train static-map"),
     ("--tracker kalman --weights", "--tracker static-map --weights"),
     ("--tracker kalman --deadline", "--tracker blank --deadline"),
     ("drive_0.mcap --tracker kalman", "drive_0.mcap --tracker persistence --tracker kalman"),
+    ("dilated-convgru:stage=classes,class_layers=1", "kalman:stage=classes"),
     ("stage=classes", "stage=classes,labelled_scans=20"),
-    (
-        "class_layers=1 ",
-        "class_layers=1,class_channels=16,class_learning_rate=0.01,class_weight_decay=0.01,class_weights=none ",
-    ),
+    ("linear=dilated-convgru:weights=FOLDER --tracker dilated-convgru", "linear=kalman:weights=FOLDER"),
     ("--tracker persistence --tracker static-map --engine", "--tracker blank --engine"),
-    ("--tracker static-map --engine ray", "--tracker blank --engine ray --address local"),
-    ("--engine ray --address head:6379", "--engine ray --address local"),
-    ("partition=long,timeout_min=240", "partition=low"),
+    ("--tracker static-map --engine", "--tracker blank --engine"),
+    ("--engine ray --address head:6379", "--engine local"),
+    ("--engine slurm --slurm partition=long,timeout_min=240", "--engine local"),
+    ("--engine ray", "--engine local"),
     ("my.mcap --tracker persistence --tracker static-map --segment 20s", "my.bag --tracker blank --segment 10s"),
     ("weights=DIR", "weights=data/weights"),
     ("FOLDER", "data/weights"),
-    ("--minutes 75", "--minutes 0.5"),
+    ("--minutes 75", "--minutes 0.2 --start 30s"),
+    ("junction --minutes 1", "junction --minutes 0.2 --start 30s"),
     ("--count 400 --minutes 1.5", "--count 1 --minutes 0.2"),
     ("--count 20 --minutes 1", "--count 1 --minutes 0.2"),
     ("--count 10 --minutes 1", "--count 1 --minutes 0.2"),
@@ -104,9 +99,6 @@ SMALLER = (
 
 LONG = ("gridtrack simulate drive-set", "gridtrack train --recipe")
 """Commands that take an hour and cannot be made shorter."""
-
-OWN_PROCESS = ("--engine", "--follow")
-"""Options of commands that are about processes."""
 
 
 def named_blocks() -> Iterator[tuple[str, str]]:
@@ -136,16 +128,13 @@ def commands_of(theme: str) -> dict[str, str]:
 def test_the_commands_of_the_pages_run(theme: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if theme == "simulation":
         pytest.importorskip("sumolib", reason="needs the extra sim")
-    if theme == "slurm" and missing_programs():
-        pytest.skip(f"not installed: {', '.join(missing_programs())}")
     site = tmp_path / "site"
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(site))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH")))))
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
     places.PLACES[theme](tmp_path)
-    with slurm_machine() if theme == "slurm" else nullcontext() as configuration:
-        monkeypatch.setenv("SLURM_CONF", str(configuration))
+    with programs_here():
         for command, name in commands_of(theme).items():
             run(command, f"{name}: {command}")
 
@@ -182,14 +171,9 @@ def expanded(typed: str) -> list[str]:
 
 
 def gridtrack(words: list[str], where: str) -> str:
-    """The output of a gridtrack command that ends well, in this process if it is not about processes."""
+    """The output of a gridtrack command that ends well, with its trackers and trainings in this process."""
     if words[0] in ("compare", "recording"):
         remove(Path(words[words.index("--out") + 1] if "--out" in words else "runs/latest"))  # of an earlier page
-    if set(OWN_PROCESS) & set(words):
-        command = [sys.executable, "-m", "gridtrack.cli", *words]
-        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
-        assert done.returncode == 0, f"{where}\n{done.stdout[-2000:]}"
-        return done.stdout
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, f"{where}\n{result.output[-2000:]}\n{result.exception!r}"
     return result.stdout

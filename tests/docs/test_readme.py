@@ -18,6 +18,7 @@ from docs.pages import PAGES, ROOT, blocks, name_of
 BLOCKS = [(page, block) for page in PAGES for block in blocks(page, "python")]
 
 
+@pytest.mark.usefixtures("trackers_here")
 @pytest.mark.parametrize(("page", "block"), BLOCKS, ids=[name_of(page) for page, _ in BLOCKS])
 def test_a_python_block_runs(page: Path, block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "data").symlink_to(ROOT / "data")  # a block may write into runs

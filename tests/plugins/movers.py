@@ -5,14 +5,14 @@ from typing import Literal
 import numpy as np
 
 from gridtrack.common.config import Settings
-from gridtrack.trackers.contract import Forecast, Tracker
+from gridtrack.trackers.contract import Forecast, TrackedObject, Tracker
 
 
 class Options(Settings):
     scale: float = 1.0
     """Its velocities are the true ones times this."""
-    gives: Literal["all", "cyclist", "now", "late", "nothing"] = "all"
-    """Which velocities: all, those near the cyclist, step 0 alone, or none in its first two forecasts."""
+    gives: Literal["all", "cyclist", "now", "late", "nothing", "object"] = "all"
+    """Which velocities: all, those near the cyclist, step 0 alone, or none in its first two forecasts; or an object."""
 
 
 def to_and_fro(time_s, period_s, reach_m):
@@ -33,9 +33,12 @@ class Mover(Tracker):
 
     def predict(self, steps):
         self.forecasts += 1
-        return Forecast(
-            np.repeat(self.last.occupied[None].astype(np.float32), steps + 1, axis=0), velocity=self.flow(steps)
-        )
+        shown = np.repeat(self.last.occupied[None].astype(np.float32), steps + 1, axis=0)
+        if self.options.gives == "object":
+            box = np.array([1.0, self.last.stamp_ns * 1e-9 % 4, 0.0, 1.0, 1.0], np.float32)
+            still = np.zeros(2, np.float32), np.eye(4, dtype=np.float32)
+            return Forecast(shown, objects=(TrackedObject(1, box, *still),))
+        return Forecast(shown, velocity=self.flow(steps))
 
     def flow(self, steps):
         grid, gives = self.stream.grid, self.options.gives

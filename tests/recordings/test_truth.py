@@ -38,17 +38,6 @@ def drawn(cover):
     return ["".join(".#i"[cell] for cell in row) for row in cover[::-1]]
 
 
-def test_a_box_is_a_ring_of_outline_around_its_interior():
-    truth = truth_grid(scene(objects=[body(box(0.5, 1.5, 4, 3))]), GRID, HERE)
-    assert drawn(truth.cover) == [
-        "#####",
-        "#iii#",
-        "#iii#",
-        "#####",
-        ".....",
-    ]
-
-
 def test_a_slope_passes_through_the_cells_in_which_it_has_length():
     truth = truth_grid(scene(static=[outline((0.5, 0.5), (4.5, 0.5), (0.5, 4.5))]), GRID, HERE)
     assert drawn(truth.cover) == [
@@ -68,17 +57,6 @@ def test_an_edge_on_a_border_is_in_the_cell_that_starts_there():
         ".#i#.",
         ".###.",
         ".....",
-    ]
-
-
-def test_outlines_are_clipped_to_the_grid():
-    truth = truth_grid(scene(static=[box(2.5, -50, 100, 52.5), box(40, 40, 1, 1)]), GRID, HERE)
-    assert drawn(truth.cover) == [
-        ".....",
-        ".....",
-        "..###",
-        "..#ii",
-        "..#ii",
     ]
 
 

@@ -1,7 +1,6 @@
 """The folder of a run on a synthetic scene: a wall, a moving block, and the cells that it occludes; its page opened."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -27,6 +26,7 @@ from gridtrack.recordings.observation import Observation
 from gridtrack.reports.page import render_report
 from gridtrack.trackers.contract import Forecast
 
+from scenes.edited_run import edited
 from scenes.report_page import HOSTILE
 from scenes.synthetic_run import DESCRIBED, description, write_run_record
 from scenes.synthetic_run import write_trial as write_drawn_trial
@@ -155,18 +155,6 @@ def write_run(run, trackers=None, broken=(), notices=(), chosen_on="crossing@0s-
     return run
 
 
-@pytest.fixture(scope="package")
-def browser():
-    """Chromium, one for all tests of reports; they are skipped where there is none."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
-    if (program := shutil.which("chromium")) is None:
-        pytest.skip("Chromium is not installed (Debian: apt install chromium)")
-    with playwright.sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        yield chromium
-        chromium.close()
-
-
 @pytest.fixture(scope="session")
 def run_folder(tmp_path_factory):
     """A run of two trackers and two of the floor that all finished, and one tracker that crashed half-way."""
@@ -225,28 +213,29 @@ def make_run():
 @pytest.fixture(scope="session")
 def hostile_report(run_folder, tmp_path_factory):
     """A page on which the tracker `fair` has a hostile name."""
-    run = shutil.copytree(run_folder, tmp_path_factory.mktemp("browser") / "run")
-    summary = json.loads((run / "summary.json").read_text())
-    summary["trackers"] = {HOSTILE if k == "fair" else k: v for k, v in summary["trackers"].items()}
-    (run / "summary.json").write_text(json.dumps(summary))
+
+    def rename(summary):
+        summary["trackers"] = {HOSTILE if k == "fair" else k: v for k, v in summary["trackers"].items()}
+
+    run = edited(run_folder, tmp_path_factory.mktemp("browser") / "run", rename)
     (run / "fair@crossing").rename(run / f"{HOSTILE}@crossing")
     return render_report([run])
 
 
 @pytest.fixture
 def opened(browser, hostile_report):
-    """Opens the page with a fragment and gives it and its player; it had no error and no request in the end."""
+    """Opens a page with a fragment and gives it and its player; it had no error and no request in the end."""
     pages, faults = [], []
 
-    def open_at(fragment="", width=1280):
-        page = browser.new_page(viewport={"width": width, "height": 900})
+    def open_at(fragment="", width=1280, report=hostile_report, **options):
+        page = browser.new_page(viewport={"width": width, "height": 900}, **options)
         pages.append(page)
         page.set_default_timeout(60_000)
         page.on("console", lambda message: message.type == "error" and faults.append(message.text))
         page.on("pageerror", lambda error: faults.append(str(error)))
         page.on("dialog", lambda dialog: (faults.append(dialog.message), dialog.dismiss()))
         page.on("request", lambda one: one.url.startswith(("file:", "data:")) or faults.append(one.url))
-        page.goto(hostile_report.as_uri() + fragment)
+        page.goto(report.as_uri() + fragment)
         player = page.locator(".player[data-ready]")
         player.wait_for()
         return page, player

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import shutil
 
@@ -16,6 +17,7 @@ from gridtrack.reports.score_figures import score_figures
 from gridtrack.reports.table import headline_tables
 
 from scenes import synthetic_run as synthetic
+from scenes.edited_run import edited, put, trial_of
 from scenes.report_page import data_of, opened
 
 RECORDINGS = [f"seed-{i:02}" for i in range(20)]
@@ -61,6 +63,11 @@ def curves_of(run):
     return curves
 
 
+@pytest.fixture(scope="module")
+def curves(run):
+    return curves_of(run)
+
+
 def ends_at_half(curve):
     """Precision with the ends of its interval at the point of the cells that are called occupied at 0.5."""
     at = curve["p"].index(pytest.approx(PROBABILITY_EDGES[-1 - TOP_BIN], rel=1e-3))
@@ -72,9 +79,8 @@ def expected_at_half(scope, stratum, step=int(STEP)):
     return [point.value, point.low, point.high]
 
 
-def test_precision_at_the_threshold_in_use_has_the_interval_of_the_summary(run):
+def test_precision_at_the_threshold_in_use_has_the_interval_of_the_summary(run, curves):
     (read,) = read_runs([run])
-    curves = curves_of(run)
     for label in SKILLS:
         for stratum in ("in-motion", "visible"):
             expected = expected_at_half(read.summary.trackers[label].pooled, stratum)
@@ -87,7 +93,7 @@ def test_precision_at_the_threshold_in_use_has_the_interval_of_the_summary(run):
 def long_run(tmp_path_factory):
     """One recording that is long enough for twenty blocks."""
     described = {"long": synthetic.description(steps=4)}
-    return written(tmp_path_factory.mktemp("runs") / "long", described, steps=4, frames=2200)
+    return written(tmp_path_factory.mktemp("runs") / "long", described, 4, frames=500, every_s=5)
 
 
 def test_blocks_of_one_long_recording_are_those_of_the_summary(long_run):
@@ -108,8 +114,8 @@ def test_where_the_blocks_cannot_be_found_the_curves_have_no_bands_and_a_notice_
     assert [notice.partition(": ")[0] for notice in notices] == ["persistence", "no intervals of precision over recall"]
 
 
-def test_where_scores_have_no_interval_precision_has_none(run):
-    curve = curves_of(run)[RECORDINGS[0], "good"]["pr_auc"]["in-motion"][STEP]
+def test_where_scores_have_no_interval_precision_has_none(curves):
+    curve = curves[RECORDINGS[0], "good"]["pr_auc"]["in-motion"][STEP]
     assert "low" not in curve["precision"]
 
 
@@ -119,7 +125,7 @@ def test_recordings_of_other_periods_have_curves_together_where_their_scores_are
         name: synthetic.description(period_s=period_s, steps=8)
         for name, period_s in zip(RECORDINGS, periods_s, strict=True)
     }
-    run = written(tmp_path / "run", described, 8, frames=2)
+    run = written(tmp_path / "run", described, 8, {"good": 0.8}, frames=2)
     (read,) = read_runs([run])
     horizons_s = read.summary.pooled_horizons_s
     assert horizons_s == (0.0, 0.5, 1.0)
@@ -174,13 +180,20 @@ def test_a_file_without_intervals_has_no_columns_of_their_ends(page):
     assert page.locator("#precision-recall polygon.band").count() == 0
 
 
-@pytest.fixture(scope="module")
-def crowded(tmp_path_factory):
-    """Eight trackers, each a little better than the one before."""
-    run = tmp_path_factory.mktemp("runs") / "crowded"
-    described = dict.fromkeys(RECORDINGS, synthetic.description(steps=2, period_s=0.5))
-    skills = {f"tracker {n}": 0.2 + 0.1 * n for n in range(8)}
-    return render_report([written(run, described, 2, skills, frames=2)])
+@pytest.fixture
+def crowded(run_folder, tmp_path):
+    """Eight trackers, each a little better than the one before, with intervals."""
+
+    def into_eight(summary):
+        good = summary["trackers"]["good"]
+        summary["trackers"] = {f"tracker {n}": copy.deepcopy(good) for n in range(8)}
+        summary["differences"] = summary["pairs"] = []
+        for n in range(8):
+            shutil.copytree(run_folder / "good@crossing", tmp_path / "run" / f"tracker {n}@crossing")
+            f1 = 0.2 + 0.1 * n
+            put(trial_of(summary, f"tracker {n}"), "in-motion", "f1.f1", f1, f1 - 0.1, f1 + 0.1)
+
+    return render_report([edited(run_folder, tmp_path / "run", into_eight)])
 
 
 def test_of_many_bands_that_of_the_line_next_to_the_pointer_is_drawn(browser, crowded):

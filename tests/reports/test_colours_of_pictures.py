@@ -10,7 +10,7 @@ FREE, OCCUPIED, UNSEEN = (5, 26), (28, 26), (31, 26)
 """Row and column of cells that the moving block does not hide at the first moment."""
 
 
-@pytest.fixture(params=["light", "dark"])
+@pytest.fixture(scope="module", params=["light", "dark"])
 def moments(browser, hostile_report, request):
     """The section of the moments of a page in one scheme, and the scheme."""
     page = browser.new_page(viewport={"width": 1280, "height": 2400}, color_scheme=request.param)
@@ -19,6 +19,11 @@ def moments(browser, hostile_report, request):
     page.locator(".player[data-ready]").wait_for()
     yield page.locator("#moments"), request.param
     page.close()
+
+
+def show(section, moment):
+    section.page.get_by_role("slider", name="time").fill(str(moment))
+    section.page.locator(f'.player[data-ready="{moment} 1"]').wait_for()
 
 
 def pixels(locator):
@@ -40,6 +45,7 @@ def near(one, other):
 
 def test_the_input_has_the_colours_of_the_bar(moments):
     section, scheme = moments
+    show(section, 0)
     bar = pixels(section.locator(".legend svg image").first)
     key = pixels(section.locator(".key.unobserved"))
     panel = pixels(section.locator("canvas").first)
@@ -52,10 +58,8 @@ def test_the_input_has_the_colours_of_the_bar(moments):
 
 def test_a_hit_has_the_colour_of_its_key(moments):
     section, _ = moments
-    page = section.page
-    page.get_by_label("tracker 1").select_option("good")
-    page.get_by_role("slider", name="time").fill("5")
-    page.locator('.player[data-ready="5 1"]').wait_for()
+    section.page.get_by_label("tracker 1").select_option("good")
+    show(section, 5)
     panel = section.locator(".moment-panel").nth(2)
     assert "4 hit" in panel.locator("small").inner_text()
     colours = pixels(panel.locator("canvas")).getcolors(1 << 20)

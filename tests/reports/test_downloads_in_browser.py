@@ -41,33 +41,35 @@ def report(run_folder, tmp_path_factory):
     return render_report([run])
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def page(browser, report):
+    """One page for all tests: they make the choices that they depend on."""
     with opened(browser, report) as page:
         yield page
 
 
-@pytest.fixture
-def numbers_of(page):
-    """`numbers_of(figure)`: the rows of its CSV file."""
-
-    def numbers_of(figure):
-        with page.expect_download() as saved:
-            page.locator(f"#{figure}").get_by_role("button", name="CSV").click()
-        return list(csv.reader(saved.value.path().read_text().splitlines()))
-
-    return numbers_of
+def numbers_of(page, figure):
+    """The rows of the CSV file of a figure."""
+    with page.expect_download() as saved:
+        page.locator(f"#{figure}").get_by_role("button", name="CSV").click()
+    return list(csv.reader(saved.value.path().read_text().splitlines()))
 
 
-def test_hidden_cells_have_the_time_in_words(numbers_of):
-    heading, *rows = numbers_of("hidden-time")
+def test_hidden_cells_have_the_time_in_words(page):
+    heading, *rows = numbers_of(page, "hidden-time")
     assert heading[0] == "time since the cell was last seen"
     assert [row[0] for row in rows] == AGES
     assert [float(row[heading.index("good")]) for row in rows] == pytest.approx([0.5, 0.4, 0.3])
 
 
-def test_a_rate_is_a_number_but_where_there_was_none(numbers_of):
-    heading, *rows = numbers_of("conditions")
+def test_a_side_of_squares_is_a_number_of_cells(page):
+    heading, *rows = numbers_of(page, "scale")
+    assert heading[0] == "side in cells"
+    assert [row[0] for row in rows] == ["1", "3", "5", "9"]
+
+
+def test_a_rate_is_a_number_but_where_there_was_none(page):
+    heading, *rows = numbers_of(page, "conditions")
     assert heading[0] == "rate of frames"
     assert [row[0] for row in rows] == ["untimed", "1", "4"]
 
@@ -82,34 +84,37 @@ def test_a_rate_is_a_number_but_where_there_was_none(numbers_of):
         ("conditions", {"recording": "crossing", "stratum": "in-motion", "score": "f1", "horizon, s": "0.5"}),
     ],
 )
-def test_a_file_has_the_choices_in_every_row(numbers_of, figure, choices):
-    heading, *rows = numbers_of(figure)
+def test_a_file_has_the_choices_in_every_row(page, figure, choices):
+    heading, *rows = numbers_of(page, figure)
     assert rows
     for row in rows:
         assert dict(zip(heading, row, strict=True)).items() >= choices.items()
     assert len(set(heading)) == len(heading)
 
 
-def test_one_tracker_has_the_same_f1_at_a_threshold_as_among_others(page, numbers_of):
+def test_one_tracker_has_the_same_f1_at_a_threshold_as_among_others(browser, report):
     """The thresholds of a line fall, and the rows of a file rise."""
-    page.locator("#threshold").get_by_label("Cells").select_option("visible")
-    heading, *rows = numbers_of("threshold")
-    among_others = {
-        (float(row[heading.index("threshold")]), float(row[heading.index("F1")])) for row in rows if row[0] == "fair"
-    }
-    for name in ("good", "persistence", "blank", "unlucky"):
-        page.locator("#trackers").get_by_role("button", name=name, exact=True).click()
-    heading, *rows = numbers_of("threshold")
+    with opened(browser, report) as page:
+        page.locator("#threshold").get_by_label("Cells").select_option("visible")
+        heading, *rows = numbers_of(page, "threshold")
+        among_others = {
+            (float(row[heading.index("threshold")]), float(row[heading.index("F1")]))
+            for row in rows
+            if row[0] == "fair"
+        }
+        for name in ("good", "persistence", "blank", "unlucky"):
+            page.locator("#trackers").get_by_role("button", name=name, exact=True).click()
+        heading, *rows = numbers_of(page, "threshold")
     assert heading[:2] == ["threshold", "fair"]
     assert len({f1 for _, f1 in among_others}) > 1
     assert {(float(row[0]), float(row[1])) for row in rows} == among_others
 
 
 @pytest.mark.parametrize(("call", "p50", "spread"), [("update", "2", 19), ("predict", "20", 0)])
-def test_the_file_of_times_has_memory_and_keeps_up_and_each_percentile_once(page, numbers_of, call, p50, spread):
+def test_the_file_of_times_has_memory_and_keeps_up_and_each_percentile_once(page, call, p50, spread):
     """Of the forecasts the spread was not kept."""
     page.locator("#latency").get_by_label("Call").select_option(call)
-    heading, *rows = numbers_of("latency")
+    heading, *rows = numbers_of(page, "latency")
     assert len(set(heading)) == len(heading)
     (fair,) = [dict(zip(heading, row, strict=True)) for row in rows if row[0] == "fair"]
     assert fair["p50, ms"] == p50
@@ -118,9 +123,9 @@ def test_the_file_of_times_has_memory_and_keeps_up_and_each_percentile_once(page
     assert sum(bool(fair[f"p{p}, ms"]) for p in range(0, 101, 5) if p not in (50, 95)) == spread
 
 
-def test_f1_of_a_forecast_of_zeros_and_ones_is_flat(page, numbers_of):
+def test_f1_of_a_forecast_of_zeros_and_ones_is_flat(page):
     page.locator("#threshold").get_by_label("Cells").select_option("visible")
-    heading, *rows = numbers_of("threshold")
+    heading, *rows = numbers_of(page, "threshold")
     own = [row for row in rows if row[0] == "persistence"]
     f1 = {float(row[heading.index("threshold")]): float(row[heading.index("F1")]) for row in own}
     assert len(f1) == 3

@@ -23,7 +23,7 @@ from gridtrack.reports.score_figures import score_figures
 from gridtrack.reports.scripts import ASSETS
 from gridtrack.reports.table import headline_tables
 
-from scenes.edited_run import put, trial_of, value_of
+from scenes.edited_run import describe, put, trial_of, value_of
 from scenes.report_page import data_of
 from scenes.synthetic_run import write_confusion
 
@@ -123,15 +123,15 @@ def test_invalid_conditions_are_refused_in_one_line(good_of, damage):
 
 def test_a_score_of_somebody_elses_package_is_shown_as_it_is_described(run_folder, tmp_path, summary_of):
     """The page knows no list of scores: it has the description from the summary."""
-    output = {"name": "depth", "title": "Surprise", "unit": "cells", "better": "lower", "tested": True, "decimals": 1}
+    output = {"unit": "cells", "better": "lower", "tested": True, "decimals": 1}
     run = shutil.copytree(run_folder, tmp_path / "run")
     summary = summary_of(run)
-    summary["scores"].append({"name": "surprise", "title": "Surprise", "about": "Ours.", "outputs": [output]})
+    describe(summary, "surprise", "Surprise", {"depth": output})
     put(trial_of(summary, "good"), "in-motion", "surprise.depth", 12.25, 11.5, 13.0)
     (run / "summary.json").write_text(json.dumps(summary))
     page = render_page(read_runs([run]))
     data = data_of(page)
-    assert data["scores"][-2]["outputs"] == [output]
+    assert data["scores"][-2]["outputs"] == [{"name": "depth", "title": "Surprise", **output}]
     assert "about" not in data["scores"][-2]
     (row,) = [row for row in data["recordings"][0]["rows"] if row["label"] == "good"]
     assert row["strata"]["in-motion"]["surprise"]["depth"]["low"] == [11.5] * (STEPS + 1)

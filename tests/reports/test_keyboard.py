@@ -57,13 +57,6 @@ def test_the_arrows_change_a_choice_and_the_figure_with_it(opened):
     assert page.evaluate("document.activeElement.tagName") == "SELECT", "the focus stays on the choice"
 
 
-def test_enter_opens_what_is_folded(opened):
-    page, _ = opened()
-    page.locator("details summary").last.focus()
-    page.keyboard.press("Enter")
-    assert page.locator("details").last.get_attribute("open") is not None
-
-
 def test_enter_opens_what_a_figure_means_and_escape_closes_it(opened):
     page, _ = opened()
     button = page.locator("#ranking button.meaning")

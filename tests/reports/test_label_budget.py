@@ -9,17 +9,10 @@ import pytest
 from gridtrack.reports.page import render_page, render_report
 from gridtrack.reports.run import read_runs
 
-from scenes.edited_run import put, trial_of
+from scenes.edited_run import describe, put, trial_of
 from scenes.report_page import data_of
 
 METHOD = "shot"
-
-
-def add_classes(summary):
-    """Describe the class log loss, which the run does not have."""
-    output = {"name": "per_scan", "title": "Class log loss", "unit": "nats a scan", "better": "lower"}
-    described = {"name": "class_log_loss", "title": "Class log loss", "compared_with": "classes", "outputs": [output]}
-    summary["scores"].append(described)
 
 
 @pytest.fixture
@@ -29,7 +22,8 @@ def budget_run(run_folder, tmp_path):
     def budget_run(scans, losses, options=()):
         run = shutil.copytree(run_folder, tmp_path / "run", dirs_exist_ok=True)
         summary, record = (json.loads((run / name).read_text()) for name in ("summary.json", "run.json"))
-        add_classes(summary)
+        loss = {"per_scan": {"unit": "nats a scan", "better": "lower"}}
+        describe(summary, "class_log_loss", "Class log loss", loss, compared_with="classes")
         for label, loss in losses.items():
             entry = summary["trackers"][label]
             entry |= {"tracker": METHOD, "options": dict(options).get(label, {})}

@@ -1,6 +1,8 @@
 """Long labels are shown whole at the width of a screen and of a telephone: in drawings, tables and facts."""
 
 import json
+from contextlib import ExitStack
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 
 from gridtrack.reports.page import render_report
 
+from scenes.report_page import opened
 from scenes.synthetic_run import write_confusion
 
 LONG = "new-dilated-convgru (general)"
@@ -33,22 +36,13 @@ def report(make_run, tmp_path_factory):
     return render_report([run])
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def open_wide(browser, report):
-    """Opens the page at a width."""
-    pages = []
-
-    def opened(width):
-        page = browser.new_page(viewport={"width": width, "height": 900})
-        pages.append(page)
-        page.set_default_timeout(60_000)
-        page.goto(report.as_uri())
-        page.locator("#every-score table").wait_for()
-        return page
-
-    yield opened
-    for page in pages:
-        page.close()
+    """The page at a width, opened once; no test changes it."""
+    with ExitStack() as pages:
+        yield cache(
+            lambda width: pages.enter_context(opened(browser, report, viewport={"width": width, "height": 900}))
+        )
 
 
 def boxes(page, selector):

@@ -1,9 +1,7 @@
 """The player in a browser: every control, by pointer and by keyboard alone, without an error and without a request."""
 
-import json
 import math
 import re
-import shutil
 from dataclasses import replace
 
 import pytest
@@ -12,6 +10,7 @@ from gridtrack.evaluation.referee.samples import KeptObject, read_samples
 from gridtrack.reports.page import render_report
 from gridtrack.reports.scripts import json_in_page
 
+from scenes.edited_run import with_again
 from scenes.report_page import HOSTILE, moments_of
 
 expect = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed").expect
@@ -159,16 +158,13 @@ canvas => {
 """
 
 
-def test_a_box_lies_where_the_object_is_now_and_where_its_velocity_takes_it(browser, run_folder, tmp_path, monkeypatch):
+def test_a_box_lies_where_the_object_is_now_and_where_its_velocity_takes_it(opened, run_folder, tmp_path, monkeypatch):
     """A body 1 m long and 0.5 m wide at (-1, 1), along y, at 2 m/s to the right: cells of 0.2 m from (-3.2, 0)."""
     body = KeptObject(7, (-1.0, 1.0, math.pi / 2, 1.0, 0.5), (2.0, 0.0))
     monkeypatch.setattr(
         "gridtrack.reports.player.read_samples", lambda path: (replace(s, objects=(body,)) for s in read_samples(path))
     )
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.set_default_timeout(120_000)
-    page.goto(render_report([run_folder], tmp_path).as_uri())
-    page.locator(".player[data-ready]").wait_for()
+    page, _ = opened(report=render_report([run_folder], tmp_path))
     panels = page.locator(".moment-panel canvas")
     across, down = panels.nth(0).evaluate(BOX_COLOURS)
     assert across[0] == pytest.approx(11 - 1.25, abs=0.3)
@@ -177,10 +173,9 @@ def test_a_box_lies_where_the_object_is_now_and_where_its_velocity_takes_it(brow
     assert across[0] == pytest.approx(11 - 1.25, abs=0.3), "dashed, where it is now"
     assert across[1] >= 11 + 10 + 1.25 - 0.3, "1 s later, 2 m to the right"
     assert down[1] == pytest.approx(32 - 2.5, abs=0.3)
-    page.close()
 
 
-def test_a_wipe_has_the_objects_of_each_tracker_on_its_own_side(browser, run_folder, tmp_path, monkeypatch):
+def test_a_wipe_has_the_objects_of_each_tracker_on_its_own_side(opened, run_folder, tmp_path, monkeypatch):
     """The body of the test above, of `good` alone: the wipe at column 16 is between where it is and where it goes."""
     body = KeptObject(7, (-1.0, 1.0, math.pi / 2, 1.0, 0.5), (2.0, 0.0))
 
@@ -188,10 +183,7 @@ def test_a_wipe_has_the_objects_of_each_tracker_on_its_own_side(browser, run_fol
         return (replace(one, objects=(body,) if "good@" in str(path) else ()) for one in read_samples(path))
 
     monkeypatch.setattr("gridtrack.reports.player.read_samples", of_good)
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.set_default_timeout(120_000)
-    page.goto(render_report([run_folder], tmp_path).as_uri())
-    page.locator(".player[data-ready]").wait_for()
+    page, _ = opened(report=render_report([run_folder], tmp_path))
     page.get_by_label("wipe between the first two").check()
     for good_at, beside in ((1, 2), (2, 1)):
         page.get_by_label(f"tracker {good_at}").select_option("good")
@@ -204,7 +196,6 @@ def test_a_wipe_has_the_objects_of_each_tracker_on_its_own_side(browser, run_fol
         else:
             assert across[0] == pytest.approx(16, abs=0.3)
             assert across[1] >= 11 + 10 + 1.25 - 0.3
-    page.close()
 
 
 def test_a_tracker_that_the_page_hides_has_no_panel_and_is_in_no_menu(opened):
@@ -237,7 +228,7 @@ RIGHT, HALF, WRONG, NOTHING = [4, 0, 0], [2, 2, 2], [0, 4, 4], [0, 0, 0]
     ],
 )
 def test_the_player_opens_at_the_most_different_moment_else_the_worst_else_the_first(
-    browser, run_folder, tmp_path, counts, line
+    opened, run_folder, tmp_path, counts, line
 ):
     """A page whose first two trackers have these counts, by moment, and in which nothing moves at any other."""
     html = render_report([run_folder], tmp_path).read_text("utf-8")
@@ -246,11 +237,8 @@ def test_the_player_opens_at_the_most_different_moment_else_the_worst_else_the_f
         moment["counts"] = [[*counts.get(at, (NOTHING, NOTHING)), *row[2:]] for row in moment["counts"]]
     moments = re.search(r'id="moments-0">(.*?)</script>', html, re.DOTALL)[1]
     (tmp_path / "changed.html").write_text(html.replace(moments, json_in_page(data)))
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.set_default_timeout(60_000)
-    page.goto((tmp_path / "changed.html").as_uri())
+    page, _ = opened(report=tmp_path / "changed.html")
     expect(page.locator(".player .why")).to_have_text(line.format(*data["trackers"]))
-    page.close()
 
 
 @pytest.mark.parametrize("width", [1280, 400])
@@ -261,13 +249,9 @@ def test_a_cell_is_large_and_nothing_is_cut_off(opened, width):
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (400, "dark")])
-def test_axe_finds_nothing_serious(browser, serious_findings, hostile_report, width, scheme):
-    page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
-    page.set_default_timeout(120_000)
-    page.goto(hostile_report.as_uri())
-    page.locator(".player[data-ready]").wait_for()
+def test_axe_finds_nothing_serious(opened, serious_findings, width, scheme):
+    page, _ = opened(width=width, color_scheme=scheme)
     assert serious_findings(page) == []
-    page.close()
 
 
 def test_every_figure_redraws_with_every_choice_and_reads_values_by_keyboard(opened):
@@ -286,19 +270,6 @@ def test_every_figure_redraws_with_every_choice_and_reads_values_by_keyboard(ope
             assert figure.locator(".readout span").count() >= 1
 
 
-def test_a_figure_downloads_as_svg_and_csv(opened):
-    page, _ = opened()
-    scale = page.locator("#scale")
-    with page.expect_download() as saved:
-        scale.get_by_role("button", name="CSV").click()
-    heading, *rows = saved.value.path().read_text().splitlines()
-    assert heading.startswith('"side in cells"')
-    assert [row.split(",")[0] for row in rows] == ["1", "3", "5", "9"]
-    with page.expect_download() as saved:
-        scale.get_by_role("button", name="SVG").click()
-    assert saved.value.path().read_text().startswith("<svg")
-
-
 def test_without_scripts_one_still_picture_remains(browser, hostile_report):
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()
@@ -315,26 +286,12 @@ def test_the_figure_of_times_says_the_frame_period_to_the_millisecond(opened):
 
 @pytest.fixture
 def two_recordings(run_folder, tmp_path):
-    """The report of a run that has its recording a second time, under another name."""
-    run = shutil.copytree(run_folder, tmp_path / "run")
-    for folder in list(run.glob("*@crossing")):
-        again = shutil.copytree(folder, run / folder.name.replace("@crossing", "@again"))
-        (again / "outcome.json").write_text((again / "outcome.json").read_text().replace('"crossing"', '"again"'))
-    summary, record = (json.loads((run / name).read_text()) for name in ("summary.json", "run.json"))
-    for recordings in (summary["recordings"], record["configuration"]["recordings"]):
-        recordings["again"] = recordings["crossing"]
-    for row in summary["trackers"].values():
-        row["recordings"]["again"] = row["recordings"]["crossing"]
-    (run / "summary.json").write_text(json.dumps(summary))
-    (run / "run.json").write_text(json.dumps(record))
-    return render_report([run])
+    """The report of a run that has its recording a second time, as `again`."""
+    return render_report([with_again(run_folder, tmp_path / "run")])
 
 
-def test_another_recording_keeps_the_chosen_trackers_and_the_horizon(browser, two_recordings):
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.set_default_timeout(60_000)
-    page.goto(two_recordings.as_uri())
-    page.locator(".player[data-ready]").wait_for()
+def test_another_recording_keeps_the_chosen_trackers_and_the_horizon(opened, two_recordings):
+    page, _ = opened(report=two_recordings)
     page.get_by_label("tracker 1").select_option("blank")
     page.get_by_label("tracker 2").select_option("none")
     page.get_by_role("slider", name="horizon").fill("2")
@@ -344,14 +301,10 @@ def test_another_recording_keeps_the_chosen_trackers_and_the_horizon(browser, tw
     chosen = player.locator(".menu select option:checked").all_text_contents()
     assert chosen[:4] == ["blank", "persistence", "blank", "none"]
     expect(player.locator(".slider output").nth(1)).to_have_text("+2 s")
-    page.close()
 
 
-def test_the_same_button_again_leads_to_such_a_moment_of_the_next_recording(browser, two_recordings):
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.set_default_timeout(60_000)
-    page.goto(two_recordings.as_uri())
-    page.locator(".player[data-ready]").wait_for()
+def test_the_same_button_again_leads_to_such_a_moment_of_the_next_recording(opened, two_recordings):
+    page, _ = opened(report=two_recordings)
     recording = page.locator("#moments").get_by_label("Recording")
     page.get_by_label("tracker 1").select_option("blank")
     for name in ("crossing", "again", "crossing"):
@@ -363,18 +316,14 @@ def test_the_same_button_again_leads_to_such_a_moment_of_the_next_recording(brow
             re.compile(r"^moment \d+ of 20, the worst of blank \+1 s; again: of the next recording$")
         )
         expect(page.locator(".player:visible").get_by_role("button", name="worst of the first")).to_be_focused()
-    page.close()
 
 
-def test_the_legend_has_the_cells_and_the_sensor_of_the_recording_on_screen(browser, two_recordings):
+def test_the_legend_has_the_cells_and_the_sensor_of_the_recording_on_screen(opened, two_recordings):
     """The second recording has cells of half the size, and its sensors are outside the window."""
     before, first, moments = two_recordings.read_text("utf-8").rpartition('"cell_m":0.2')
     moments = re.sub(r'"sensors":\[\[[^]]*\]\]', '"sensors":[[90.0,0.3]]', moments)
     two_recordings.write_text(before + first.replace("0.2", "0.1") + moments, "utf-8")
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.set_default_timeout(60_000)
-    page.goto(two_recordings.as_uri())
-    page.locator(".player[data-ready]").wait_for()
+    page, _ = opened(report=two_recordings)
     legend = page.locator("#moments > .legend")
     recording = page.locator("#moments").get_by_label("Recording")
     for name, words, sensor in (
@@ -385,4 +334,3 @@ def test_the_legend_has_the_cells_and_the_sensor_of_the_recording_on_screen(brow
         recording.select_option(name)
         expect(legend).to_contain_text(f"32 × 32 cells of {words} across")
         expect(legend.get_by_text("sensor").filter(visible=True)).to_have_count(sensor)
-    page.close()

@@ -3,7 +3,6 @@
 import json
 import shutil
 
-import numpy as np
 import pytest
 
 from gridtrack.reports.notices import notices_of
@@ -13,9 +12,8 @@ from gridtrack.reports.run_description import changes_of
 from gridtrack.reports.styles import styles_of
 from gridtrack.reports.table import headline_tables
 
+from scenes.edited_run import edited
 from scenes.report_page import opened
-
-STEPS = 20
 
 
 def changed(run, **fields):
@@ -32,7 +30,7 @@ def two(run_folder, tmp_path_factory):
     return runs
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def page(browser, two):
     with opened(browser, render_report(two), viewport={"width": 1280, "height": 900}) as page:
         yield page
@@ -60,6 +58,8 @@ def test_a_button_hides_the_row_of_one_run(page):
     assert "after: good" in names
     assert not page.locator(".headline tr", has_text="before: good").is_visible()
     assert page.locator(".headline tr", has_text="after: good").is_visible()
+    page.get_by_role("button", name="before: good", exact=True).click()
+    assert page.locator(".headline tr", has_text="before: good").is_visible()
 
 
 def test_each_run_has_its_answer_and_what_changed_stands_before_the_figures(page):
@@ -163,10 +163,12 @@ def test_a_notice_on_missing_intervals_names_its_run(two):
     assert [text.partition(": crossing: ")[0] for text in notices] == ["before", "after"]
 
 
-def test_a_colour_that_two_trackers_share_has_a_mark_of_its_own(make_run, tmp_path):
-    many = {f"net-{i}": ("net", lambda t: np.zeros((STEPS + 1, 32, 32), np.float32)) for i in range(9)}
-    runs = [make_run(tmp_path / name, many) for name in ("before", "after")]
-    styles = styles_of(read_runs(runs))
+def test_a_colour_that_two_trackers_share_has_a_mark_of_its_own(two, tmp_path):
+    def into_nine(summary):
+        summary["trackers"] = {f"net-{i}": summary["trackers"]["good"] for i in range(9)}
+        summary["differences"] = summary["pairs"] = []
+
+    styles = styles_of(read_runs([edited(run, tmp_path / run.name, into_nine) for run in two]))
     assert len(set(styles.values())) == len(styles) == 18
     assert styles["before: net-0"].split()[0] == styles["before: net-8"].split()[0]
     assert styles["after: net-8"].endswith("run1")

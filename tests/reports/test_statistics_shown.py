@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import json
 import re
-import shutil
 from itertools import combinations
 
 import pytest
@@ -21,11 +19,10 @@ from gridtrack.reports.differences import difference_table, groups_of
 from gridtrack.reports.formats import pull_request_markdown
 from gridtrack.reports.markdown import escaped
 from gridtrack.reports.notices import notices_of
-from gridtrack.reports.page import render_page
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_markdown, headline_tables, main_tables
 
-from scenes.edited_run import put
+from scenes.edited_run import edit, put
 from scenes.report_page import data_of
 
 RECORDINGS = [f"seed-{i:02}" for i in range(20)]
@@ -35,6 +32,20 @@ SKILLS = ("persistence", "good", "<b>even", "unlucky", "oracle")
 @pytest.fixture(scope="module")
 def run(twenty):
     return twenty
+
+
+@pytest.fixture
+def changed(run, tmp_path):
+    """`changed(change)` reads the run with another summary, which `change(summary)` changed."""
+
+    def changed(change):
+        for path in run.iterdir():
+            (tmp_path / path.name).symlink_to(path)
+        (tmp_path / "summary.json").unlink()
+        (tmp_path / "summary.json").write_text((run / "summary.json").read_text())
+        return read_runs([edit(tmp_path, change)])
+
+    return changed
 
 
 @pytest.fixture(scope="module")
@@ -74,17 +85,17 @@ def test_a_tracker_that_missed_a_recording_is_not_ranked_and_says_on_how_many(po
     assert '<li class="serious">unlucky: crashed on 1 of 20 recordings; 76 of 80 frames scored, not ranked' in page
 
 
-def test_a_tracker_that_failed_on_many_recordings_is_one_notice_wherever_notices_are(run, tmp_path):
+def test_a_tracker_that_failed_on_many_recordings_is_one_notice_wherever_notices_are(changed):
     """It crashed on 18 recordings for one reason and one other, and was out of time on one."""
-    folder = shutil.copytree(run, tmp_path / "run")
-    summary = json.loads((folder / "summary.json").read_text())
-    unlucky = summary["trackers"]["unlucky"]
-    failed = [("crashed", "no card")] * 18 + [("crashed", "killed"), ("timeout", "update: 5 s")]
-    for trial, (outcome, reason) in zip(unlucky["recordings"].values(), failed, strict=True):
-        trial |= {"outcome": outcome, "reason": reason, "frames_scored": 0}
-    unlucky["pooled"] |= {"outcome": "partial", "frames_scored": 0, "recordings_complete": 0}
-    (folder / "summary.json").write_text(json.dumps(summary))
-    runs = read_runs([folder])
+
+    def fail(summary):
+        unlucky = summary["trackers"]["unlucky"]
+        failed = [("crashed", "no card")] * 18 + [("crashed", "killed"), ("timeout", "update: 5 s")]
+        for trial, (outcome, reason) in zip(unlucky["recordings"].values(), failed, strict=True):
+            trial |= {"outcome": outcome, "reason": reason, "frames_scored": 0}
+        unlucky["pooled"] |= {"outcome": "partial", "frames_scored": 0, "recordings_complete": 0}
+
+    runs = changed(fail)
     expected = (
         "unlucky: crashed on 19 of 20 recordings (no card and others); timeout on 1 of 20 recordings (update: 5 s);"
         " nothing scored"
@@ -182,44 +193,40 @@ ALIKE, UNTESTED = "no difference shown", ""
         ),
     ],
 )
-def test_the_lead_says_from_which_rows_the_best_one_differs_significantly(run, pooled, tmp_path, verdicts, words):
+def test_the_lead_says_from_which_rows_the_best_one_differs_significantly(changed, pooled, verdicts, words):
     """`verdicts` on these rows and `good`, in place of those of the run, where all differ."""
-    folder = shutil.copytree(run, tmp_path / "run")
-    summary = json.loads((folder / "summary.json").read_text())
-    for family in summary["pairs"]:
-        for test in family["pairs"]:
-            other = test["tracker"] if test["other"] == "good" else test["other"]
-            test["verdict"] = verdicts.get(other, test["verdict"]) if "good" in test.values() else test["verdict"]
-        family["pairs"] = [test for test in family["pairs"] if test["verdict"]]
-    (folder / "summary.json").write_text(json.dumps(summary))
+
+    def judge(summary):
+        for family in summary["pairs"]:
+            for test in family["pairs"]:
+                other = test["tracker"] if test["other"] == "good" else test["other"]
+                test["verdict"] = verdicts.get(other, test["verdict"]) if "good" in test.values() else test["verdict"]
+            family["pairs"] = [test for test in family["pairs"] if test["verdict"]]
+
     at = pooled.columns.index(pooled.decisive)
     best, floor = (pooled.rows_in(group)[0].cells[at].text for group in ("ranked", "floor"))
     words = words.replace("FLOOR", f"the floor, persistence at {floor}").replace("F1", floor)
     expected = f"good has the highest F1 on in-motion cells 1 s ahead, {best}; {words}"
-    runs = read_runs([folder])
+    runs = changed(judge)
     assert answer_of(runs[0]).leads == (expected,)
     assert escaped(expected) in pull_request_markdown(runs, exported_tables(runs)[:1])
 
 
-def test_the_floor_that_no_tracker_beats_differs_significantly_or_not(run, tmp_path):
-    folder = shutil.copytree(run, tmp_path / "run")
-    summary = json.loads((folder / "summary.json").read_text())
-    summary["trackers"] = {label: summary["trackers"][label] for label in ("persistence", "<b>even")}
-    put(summary["trackers"]["persistence"]["pooled"], "in-motion", "f1.f1", 0.9, steps=5)
-    (folder / "summary.json").write_text(json.dumps(summary))
-    (lead,) = answer_of(read_runs([folder])[0]).leads
+def test_the_floor_that_no_tracker_beats_differs_significantly_or_not(changed):
+    def of_two(summary):
+        summary["trackers"] = {label: summary["trackers"][label] for label in ("persistence", "<b>even")}
+        put(summary["trackers"]["persistence"]["pooled"], "in-motion", "f1.f1", 0.9, steps=5)
+
+    (lead,) = answer_of(changed(of_two)[0]).leads
     assert lead.startswith("No tracker beats the floor on in-motion cells")
     assert lead.endswith("; they do not differ significantly.")
 
 
-def test_what_failed_stands_first_and_texts_of_several_recordings_are_one_notice(run, tmp_path):
-    folder = shutil.copytree(run, tmp_path / "run")
-    summary = json.loads((folder / "summary.json").read_text())
+def test_what_failed_stands_first_and_texts_of_several_recordings_are_one_notice(changed):
     everywhere = [f"{name}: no validation stretch, so thresholds are 0.5" for name in RECORDINGS]
     continued = [f"good on {name} continued after 1 failure inside it" for name in RECORDINGS[:2]]
-    summary["notices"] = [*everywhere, *continued, f"good on {RECORDINGS[3]} continued after 2 failures inside it"]
-    (folder / "summary.json").write_text(json.dumps(summary))
-    runs = read_runs([folder])
+    notices = [*everywhere, *continued, f"good on {RECORDINGS[3]} continued after 2 failures inside it"]
+    runs = changed(lambda summary: summary.update(notices=notices))
     texts = [notice.text for notice in notices_of(runs, headline_tables(runs))]
     assert texts == [
         "unlucky: crashed on 1 of 20 recordings; 76 of 80 frames scored, not ranked",
@@ -229,31 +236,30 @@ def test_what_failed_stands_first_and_texts_of_several_recordings_are_one_notice
     ]
 
 
-def test_the_answer_says_why_a_row_failed_in_few_words_and_how_far_forecasts_reach(run, tmp_path):
-    folder = shutil.copytree(run, tmp_path / "run")
-    summary = json.loads((folder / "summary.json").read_text())
-    summary["trackers"]["unlucky"]["recordings"]["seed-00"]["reason"] = f"<b>{'long ' * 100}"
-    unlike = summary["recordings"]["seed-01"]
-    unlike["horizons_s"] = [1.04 * horizon_s for horizon_s in unlike["horizons_s"]]
-    (folder / "summary.json").write_text(json.dumps(summary))
-    runs = read_runs([folder])
+def test_the_answer_says_why_a_row_failed_in_few_words_and_how_far_forecasts_reach(changed):
+    def change(summary):
+        summary["trackers"]["unlucky"]["recordings"]["seed-00"]["reason"] = f"<b>{'long ' * 100}"
+        unlike = summary["recordings"]["seed-01"]
+        unlike["horizons_s"] = [1.04 * horizon_s for horizon_s in unlike["horizons_s"]]
+
+    runs = changed(change)
     facts = {fact.name: fact.value for fact in answer_of(runs[0]).facts}
     assert facts["Compared on"].endswith(", the longest forecast 2.5 to 2.6 s ahead")
     assert facts["Not ranked"].startswith("unlucky: crashed on 1 of 20 recordings (<b>long long ")
     assert facts["Not ranked"].endswith("long l…)")
     assert len(facts["Not ranked"].partition(" (")[2].removesuffix(")")) <= 300
-    assert "unlucky: crashed on 1 of 20 recordings (&lt;b&gt;long" in render_page(runs)
+    (notice,) = [one.text for one in notices_of(runs, headline_tables(runs)) if one.text.startswith("unlucky")]
+    assert notice.startswith("unlucky: crashed on 1 of 20 recordings (<b>long")
 
 
-def test_a_difference_names_a_row_with_general_weights_as_the_table_does(run, tmp_path):
-    copy = shutil.copytree(run, tmp_path / "run")
-    summary = json.loads((copy / "summary.json").read_text())
-    for label in ("good", "persistence"):
-        row = summary["trackers"][label]
-        for scores in (row["pooled"], *row["recordings"].values()):
-            scores["card"] = "general"
-    (copy / "summary.json").write_text(json.dumps(summary))
-    (found,) = read_runs([copy])
+def test_a_difference_names_a_row_with_general_weights_as_the_table_does(changed):
+    def generalise(summary):
+        for label in ("good", "persistence"):
+            row = summary["trackers"][label]
+            for scores in (row["pooled"], *row["recordings"].values()):
+                scores["card"] = "general"
+
+    (found,) = changed(generalise)
     differences = difference_table(found, "all recordings")
     assert differences.reference == "persistence (general)"
     assert {row.name for row in differences.rows if row.tracker == "good"} == {"good (general)"}

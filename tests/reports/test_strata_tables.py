@@ -8,16 +8,11 @@ from gridtrack.reports.run import read_runs
 from gridtrack.reports.strata_tables import strata_tables
 from gridtrack.reports.table import headline_tables
 
-from scenes.edited_run import edit, put, trial_of
+from scenes.edited_run import describe, edit, put, trial_of
 
 THRESHOLDS = ("f1.f1", "f1.at_half", "f1.at_visible")
 """The outputs of F1 that are tested, in their order."""
 BUS = "<b>bus</b>"
-
-
-def describe(summary, name, title, outputs, **fields):
-    described = [{"name": output, "title": title, **own} for output, own in outputs.items()]
-    summary["scores"].append({"name": name, "title": title, "about": f"About {name}.", "outputs": described, **fields})
 
 
 def with_truth(summary):

@@ -24,7 +24,8 @@ def assert_agree(one, other):
     """Two runs have the same trials with the same files, records and counts."""
     assert one.keys() == other.keys()
     for name, (fields, tables, files) in one.items():
-        assert (fields, files) == (other[name][0], other[name][2])
+        assert fields == other[name][0]
+        assert files == other[name][2]
         assert tables.keys() == other[name][1].keys()
         assert all(table.equals(other[name][1][file]) for file, table in tables.items())
 

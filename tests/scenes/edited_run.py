@@ -1,5 +1,6 @@
 """Runs with other contents: a JSON file of a run's folder changed, and estimates put into a summary."""
 
+import copy
 import json
 import shutil
 
@@ -19,6 +20,28 @@ def edited(run, target, change, file="summary.json"):
     return edit(shutil.copytree(run, target, dirs_exist_ok=True), change, file)
 
 
+def with_again(run, target, change=lambda crossing, again: None):
+    """A copy of the run whose recording `crossing` is there a second time, as `again`.
+
+    `change` gets the strata of each row on both.
+    """
+
+    def add(content):
+        recordings = content["recordings"] if "trackers" in content else content["configuration"]["recordings"]
+        recordings["again"] = recordings["crossing"]
+        for row in content.get("trackers", {}).values():
+            row["recordings"]["again"] = copy.deepcopy(row["recordings"]["crossing"])
+            change(*(row["recordings"][name]["strata"] for name in ("crossing", "again")))
+
+    run = edit(edited(run, target, add), add, "run.json")
+    for folder in list(run.glob("*@crossing")):
+        shutil.copytree(folder, run / folder.name.replace("@crossing", "@again"))
+        edit(
+            run / folder.name.replace("@crossing", "@again"), lambda one: one.update(recording="again"), "outcome.json"
+        )
+    return run
+
+
 def estimate(value, low=None, high=None, p=None, steps=STEPS):
     """An estimate with the same number at every step, or the curves that are given."""
     curves = {"value": value, "low": low, "high": high, "p": p}
@@ -33,6 +56,13 @@ def put(scope, stratum, output, *values, **options):
     """Put the estimate of `output`, SCORE.OUTPUT, into a stratum of a trial, of what is pooled or of a difference."""
     score, _, name = output.partition(".")
     scope["strata"].setdefault(stratum, {}).setdefault(score, {})[name] = estimate(*values, **options)
+
+
+def describe(summary, name, title, outputs, **fields):
+    """Describe a score that the run does not have; `outputs`: the fields of each, by name."""
+    described = [{"name": output, "title": title, **own} for output, own in outputs.items()]
+    score = {"name": name, "title": title, "about": f"About {name}.", "thresholded": False, "outputs": described}
+    summary["scores"].append(score | fields)
 
 
 def trial_of(summary, label, recording="crossing"):

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterable, Mapping, Sequence
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import psutil
 
 from gridtrack.evaluation.engines.remote import TaskEnd
+from gridtrack.evaluation.runs.jobs import execute
 
-EXECUTE = "import sys; from gridtrack.evaluation.runs.jobs import execute; execute(sys.argv[1])"
+SERVER = multiprocessing.get_context("forkserver")
+SERVER.set_forkserver_preload(["gridtrack.evaluation.runs.jobs"])
 
 
 class ProcessCluster:
@@ -22,32 +25,44 @@ class ProcessCluster:
 
     def __init__(self, capacity: int = 2) -> None:
         self.capacity = capacity
-        self.started: list[subprocess.Popen[bytes]] = []
-        self.folders: list[Path] = []
+        self.started: list[BaseProcess] = []
 
-    def start(self, folders: Sequence[Path]) -> list[subprocess.Popen[bytes]]:
-        tasks = [subprocess.Popen([sys.executable, "-c", EXECUTE, str(folder)]) for folder in folders]
+    def start(self, folders: Sequence[Path]) -> list[BaseProcess]:
+        tasks = [SERVER.Process(target=run_task, args=(str(folder), dict(os.environ))) for folder in folders]
+        for task in tasks:
+            task.start()
         self.started += tasks
-        self.folders += folders
         return tasks
 
-    def ended(self, tasks: Sequence[subprocess.Popen[bytes]]) -> Mapping[subprocess.Popen[bytes], TaskEnd]:
-        codes = {task: task.poll() for task in tasks}
+    def ended(self, tasks: Sequence[BaseProcess]) -> Mapping[BaseProcess, TaskEnd]:
+        codes = {task: task.exitcode for task in tasks}
         return {
             task: TaskEnd(lost=code < 0, reason=f"signal {-code}" if code < 0 else "")
             for task, code in codes.items()
             if code is not None
         }
 
-    def cancel(self, tasks: Iterable[subprocess.Popen[bytes]], *, force: bool) -> None:
+    def cancel(self, tasks: Iterable[BaseProcess], *, force: bool) -> None:
         for task in tasks:
-            task.send_signal(signal.SIGKILL if force else signal.SIGINT)
+            signal_to(task, signal.SIGKILL if force else signal.SIGINT)
 
     def close(self) -> None:
         for task in self.started:
-            task.wait(60)
+            task.join(60)
 
     def trackers(self) -> list[psutil.Process]:
         """The processes that tasks have started and that still run."""
-        alive = (psutil.Process(task.pid) for task in self.started if task.poll() is None)
+        alive = (psutil.Process(task.pid) for task in self.started if task.is_alive())
         return [child for process in alive for child in process.children(recursive=True)]
+
+
+def run_task(folder: str, environment: Mapping[str, str]) -> None:
+    """Carry out a task with the environment of the test: the server of these processes began before it."""
+    os.environ.update(environment)
+    execute(folder)
+
+
+def signal_to(task: BaseProcess, number: int) -> None:
+    """Send a signal to a task that may have ended."""
+    if task.is_alive() and task.pid is not None:
+        os.kill(task.pid, number)

@@ -21,7 +21,7 @@ from gridtrack.evaluation.scores.brier import BRIER
 from gridtrack.evaluation.scores.calibration import CALIBRATION
 from gridtrack.evaluation.scores.cells import PROBABILITY_BINS, Tally, cells_of, for_calibration
 from gridtrack.evaluation.scores.class_log_loss import CLASS_LOG_LOSS
-from gridtrack.evaluation.scores.definition import TrialFacts
+from gridtrack.evaluation.scores.definition import ScoreDefinition, TrialFacts
 from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.scores.fss import FSS
 from gridtrack.evaluation.scores.log_loss import LOG_LOSS
@@ -47,8 +47,8 @@ DESCRIBED = {
     "one-shot": {"reference_for": ("classes",)},
 }
 """What these trackers describe themselves as, by their names."""
-SCORES = (F1, PR_AUC, LOG_LOSS, BRIER, CALIBRATION, FSS, SOFT_IOU)
-"""The scores that are counted; beam errors are drawn."""
+SCORES = (F1, PR_AUC, LOG_LOSS, BRIER, CALIBRATION, FSS, SOFT_IOU, BEAM_ERROR)
+"""The scores of a trial: beam errors are drawn, the others counted."""
 
 
 def description(
@@ -127,7 +127,6 @@ def counted_forecast(stamp_ns: int, last_ns: int, tally: Tally, neighbourhoods: 
     targets = tuple(Target.of_frame(frame([[1]], [[0]], stamp)) for stamp in (stamp_ns, last_ns))
     maps, ages = region_maps([[2]]), np.zeros((1, 1), np.uint8)
     made = ScoredForecast(Forecast(np.zeros((2, 1, 1), np.float32)), targets, maps, ages)
-    made.once(cells_of), made.once(neighbourhoods_of)
     made._counted.update({cells_of: tally, neighbourhoods_of: neighbourhoods})
     return made
 
@@ -168,25 +167,27 @@ def write_trial(
     start_s: int = 10,
     every_s: int = 1,
     steps: int = STEPS,
+    scores: Sequence[ScoreDefinition] = SCORES,
 ) -> FinishedTrial:
     """A trial's folder and record; `seed` draws the counts of its frames, one every `every_s` from `start_s` on.
 
-    Of them `scored` are scored where it ended early.
+    Of them `scored` are scored where it ended early. `scores` are those that it has.
     """
     folder = run / f"{label}@{recording}"
     folder.mkdir(parents=True)
     rng, drawn = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     done = frames if scored is None else scored
     thresholds = half(steps, strata)
-    counter = Counter((*SCORES, BEAM_ERROR), TrialFacts(0.2, steps, strata, thresholds))
-    cells = Counter(SCORES, TrialFacts(0.2, steps, strata, thresholds))
-    with SumsWriter(folder, counter.layouts, steps) as writer:
+    facts = TrialFacts(0.2, steps, strata, thresholds)
+    cells = Counter([score for score in scores if score is not BEAM_ERROR], facts)
+    with SumsWriter(folder, Counter(scores, facts).layouts, steps) as writer:
         for number in range(done):
             stamp_ns = (number * every_s + start_s) * 1_000_000_000
             digest, last_ns = (delivered + f"{number:x}").rjust(32, "0"), stamp_ns + round(steps * PERIOD_S * 1e9)
             counts = tally(rng, skill, strata, steps), neighbourhood_sums(drawn, skill, strata, steps)
             sums = cells.count(counted_forecast(stamp_ns, last_ns, *counts))
-            for score, own in {**sums, BEAM_ERROR.name: beam_sums(drawn, skill, steps)}.items():
+            beams = {BEAM_ERROR.name: beam_sums(drawn, skill, steps)} if BEAM_ERROR in scores else {}
+            for score, own in (sums | beams).items():
                 writer.add(stamp_ns, digest, score, own)
     record = TrialRecord(
         schema=TRIAL_SCHEMA,
@@ -208,7 +209,7 @@ def summary_of(trials, recordings=RECORDINGS, reference=None, **described):
     return summarise({n: description(**described) for n in recordings}, trials, [], False, reference)
 
 
-def write_rows(folder, skills, recordings=RECORDINGS, frames=8, apart_s=0, every_s=1, **broken):
+def write_rows(folder, skills, recordings=RECORDINGS, frames=8, apart_s=0, every_s=1, scores=SCORES, **broken):
     """Every label at its skill; seeds differ by recording and not by label, so frames are paired."""
     return [
         write_trial(
@@ -221,18 +222,19 @@ def write_rows(folder, skills, recordings=RECORDINGS, frames=8, apart_s=0, every
             scored=broken.get(label) if i == 0 else None,
             start_s=10 + i * apart_s,
             every_s=every_s,
+            scores=scores,
         )
         for i, name in enumerate(recordings)
         for label, skill in skills.items()
     ]
 
 
-def write_unlike(folder, periods_s, label="persistence", skill=0.6, seconds=2.5):
+def write_unlike(folder, periods_s, label="persistence", skill=0.6, seconds=2.5, scores=SCORES):
     """One recording of each period, described, and a trial on it."""
     steps = [round(seconds / period_s) for period_s in periods_s]
     names = [f"at-{period_s * 1000:.0f}-ms" for period_s in periods_s]
     trials = [
-        write_trial(folder, label, name, skill, seed=i, frames=3, steps=n)
+        write_trial(folder, label, name, skill, seed=i, frames=3, steps=n, scores=scores)
         for i, (name, n) in enumerate(zip(names, steps, strict=True))
     ]
     described = {

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import importlib
+import resource
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from gridtrack.recordings import open_recording
+
+from docs.places import part
+from scenes.command_line import gridtrack
+from scenes.programs_here import programs_here
 from studies.support.shipped import JUNCTION
 
 ROOT = Path(__file__).parents[2]
@@ -18,13 +24,22 @@ COMMANDS = sorted(
     for path in (ROOT / package).rglob("*.py")
     if path.stem != "__main__" and '__name__ == "__main__"' in path.read_text("utf-8")
 )
+
+
+def timed_here(words: Sequence[str]) -> tuple[float, resource.struct_rusage]:
+    """In place of a process: a command of gridtrack that runs in this one, trackers included."""
+    with programs_here():
+        gridtrack(*words)
+    return 1.0, resource.getrusage(resource.RUSAGE_SELF)
+
+
 QUICK = {
     "benchmarks.dogma": "--particles 1000",
     "benchmarks.ego_motion": "data/drives/car-202.tracks --scans 60 --out TMP/cost.json",
     "benchmarks.estimators": "--frames 5 --hours 0.001 --out TMP/estimators.json",
     "benchmarks.hour": "persistence --minutes 1 --out TMP/robustness.json",
     "benchmarks.inference": "--rounds 1 --out TMP/recurrent.json",
-    "benchmarks.model_free": "--frames 45 --out TMP/model-free.json",
+    "benchmarks.model_free": "--frames 10 --out TMP/model-free.json",
     "benchmarks.moving_sensor": "persistence --frames 3 --rounds 1 --out TMP/cost.json",
     "benchmarks.parts": "--runs 1",
     "benchmarks.scale": "--engine local --recordings 1 --out TMP/scale.json",
@@ -49,13 +64,20 @@ QUICK = {
 }
 """The arguments of each: the same code on seconds instead of minutes. TMP is a folder of the test."""
 SMALLER: dict[str, dict[str, Any]] = {
-    "benchmarks.model_free": {"MOVERS": (3,)},
+    "benchmarks.dogma": {"FRAMES": 30},
+    "benchmarks.estimators": {"TRACKS": 4},
+    "benchmarks.inference": {"SIZE": 48},
+    "benchmarks.model_free": {"MOVERS": (3,), "WARM_UP": 5},
+    "benchmarks.scale": {"SECONDS": 14, "_timed": timed_here},
+    "benchmarks.scoring": {"STEPS": 5},
     "studies.coverage": {"MEMORIES": {"2 s": {2.0: 1.0}}, "LENGTHS_S": (600,), "SPREADS": (0.0,), "LEVELS": (0.0,)},
     "studies.known_present": {"worlds_called": lambda _: ["data/worlds/test/indoors-corridor-1003.tracks@0s-8s"]},
     "studies.two_sensors": {"VALIDATION_FRAMES": 64, "STRATA": ("dynamic", "visible", "occluded", "occluded dynamic")},
     "studies.velocity_errors": {"RECORDINGS": [f"{JUNCTION / 'test-101.tracks'}@0s-12s"]},
 }
 """Constants of a module that are smaller here."""
+VALIDATED = ("studies.stage_costs", "studies.stage_errors")
+"""They take part of the validation recording of the junction: here of another one of eight seconds."""
 
 A_RUN = "needs the folder of a comparison"
 DRAWN = "test_comparisons.py runs it on drawn comparisons"
@@ -118,6 +140,9 @@ def test_a_quick_setting_runs(
     main = main_of(name)
     for constant, value in SMALLER.get(name, {}).items():
         monkeypatch.setattr(f"{name}.{constant}", value)
+    if name in VALIDATED:
+        monkeypatch.setattr(f"{name}.JUNCTION", tmp_path)
+        part(open_recording(JUNCTION / "test-101.tracks"), tmp_path / "validation.tracks", 0.0, 8.0)
     main(words)
     assert capsys.readouterr().out
     assert [word for word in words if word.startswith(str(tmp_path)) and not Path(word).exists()] == []

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import WeightsError
@@ -21,7 +19,6 @@ from gridtrack.trackers.baselines import (
     PersistenceTracker,
     StaticMapOptions,
     StaticMapTracker,
-    smoothed_rate,
 )
 from gridtrack.trackers.contract import FitTask, StreamSpec, StretchScore
 
@@ -155,16 +152,6 @@ def test_a_static_map_of_a_long_drive_is_refused_in_one_line(tmp_path: Path) -> 
     frames = [frame(all_seen, all_seen), frame(all_seen, all_seen, x=5000.0)]
     with pytest.raises(WeightsError, match="5002 cells, and a map has at most 4096 per side"):
         fitted(tmp_path, *frames)
-
-
-@given(st.lists(st.tuples(st.integers(0, 50), st.integers(0, 50)), min_size=1, max_size=9), st.floats(0.0, 100.0))
-def test_a_frequency_is_a_probability(counts: list[tuple[int, int]], prior_frames: float) -> None:
-    occupied = np.array([min(c) for c in counts])
-    visible = np.array([max(c) for c in counts])
-    visible[0] += 1
-    found = smoothed_rate(occupied, visible, occupied.sum() / visible.sum(), prior_frames)
-    assert found.dtype == np.float32
-    assert ((found >= 0.0) & (found <= 1.0)).all()
 
 
 def test_the_static_map_refuses_training_data_without_visible_cells(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from gridtrack.evaluation.scores.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation
 
 from scenes.agreement import assert_agree, counted, wait_until
-from scenes.process_cluster import ProcessCluster
+from scenes.process_cluster import ProcessCluster, signal_to
 from scenes.room import trial_of
 
 pytestmark = pytest.mark.usefixtures("staged")
@@ -91,7 +91,7 @@ def test_a_job_whose_process_is_killed_or_interrupted_starts_again_with_a_note(
     compare, progress, cluster, hangs, number, reason
 ):
     """As if its machine is lost, or a scheduler needs it for another user."""
-    progress.on_frame = lambda trial, delivered: delivered == HUNG and cluster.started[0].send_signal(number)
+    progress.on_frame = lambda trial, delivered: delivered == HUNG and signal_to(cluster.started[0], number)
     assert trial_of(compare(hangs), "staged").outcome == "ok"
     lost = f"staged@room: lost by the engine ({reason}); starts again, 1 of 2"
     assert [note for note in progress.notes if "lost" in note] == [lost]
@@ -121,7 +121,8 @@ def test_a_process_of_a_lost_machine_that_still_runs_changes_no_result(compare, 
 
     cluster.ended = without_the_first
     compare(hangs)
-    assert cut_off[0].wait(60) == 0
+    cut_off[0].join(60)
+    assert cut_off[0].exitcode == 0
     assert read_trial_record(tmp_path / "run" / "staged@room").outcome == "ok"
     assert not (tmp_path / "run" / ".engine").exists()
 
@@ -141,7 +142,7 @@ def test_an_interrupt_keeps_the_scores_and_leaves_no_process(compare, progress, 
     partial = trial_of(summary, "staged")
     assert (partial.outcome, 0 < partial.frames_scored < 16) == ("interrupted", True)
     assert not cluster.trackers()
-    assert {task.poll() for task in cluster.started} == {0}
+    assert {task.exitcode for task in cluster.started} == {0}
     assert trial_of(compare(*trackers, resume=True), "staged").outcome == "ok"
     assert len(cluster.started) == 3
 
@@ -206,10 +207,17 @@ def test_only_the_path_of_a_folder_travels_and_an_order_does_not_grow_with_the_r
 
 
 def test_an_invalid_reply_ends_the_job_with_one_line(compare, cluster, monkeypatch):
-    monkeypatch.setattr(
-        "scenes.process_cluster.EXECUTE",
-        "import sys, pathlib; pathlib.Path(sys.argv[1], 'reply.json').write_text('{\"record\": 3}')",
-    )
+    start = cluster.start
+
+    def replied(folders):
+        tasks = start(folders)
+        for task, folder in zip(tasks, folders, strict=True):
+            task.kill()
+            task.join()
+            (folder / "reply.json").write_text('{"record": 3}')
+        return tasks
+
+    monkeypatch.setattr(cluster, "start", replied)
     assert "reply.json: not as an engine writes it" in trial_of(compare("persistence"), "persistence").reason
 
 

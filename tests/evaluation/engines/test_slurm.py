@@ -68,22 +68,11 @@ def first_job():
     return found
 
 
-def cancelled(job, node):
-    of_slurm("scancel", job)
-
-
 def preempted(job, node):
     """Somebody with a higher priority needs the node."""
     script = "#!/bin/sh\nsleep 1\n"
     command = ("sbatch", "--partition=high", f"--nodelist={node}", "--output=/dev/null")
     subprocess.run(command, input=script, text=True, capture_output=True, check=True)
-
-
-def node_lost(job, node):
-    of_slurm("scontrol", "update", f"nodename={node}", "state=down", "reason=test")
-    wait_until(lambda: "NODE_FAIL" in of_slurm("squeue", "--states=all", f"--jobs={job}", "--format=%T"))
-    # refused where the node has come back by itself (ReturnToService)
-    subprocess.run(("scontrol", "update", f"nodename={node}", "state=resume"), capture_output=True, check=False)
 
 
 def killed(job, node):
@@ -92,12 +81,9 @@ def killed(job, node):
 
 @needs_slurm
 @pytest.mark.usefixtures("staged", "slurm")
-@pytest.mark.parametrize(
-    ("take_away", "reason"),
-    [(cancelled, "CANCELLED"), (preempted, "PREEMPTED"), (node_lost, "NODE_FAIL"), (killed, "FAILED: signal 9")],
-)
+@pytest.mark.parametrize(("take_away", "reason"), [(preempted, "PREEMPTED"), (killed, "FAILED: signal 9")])
 def test_a_trial_that_is_taken_away_in_mid_run_changes_no_count(settings, progress, tmp_path, take_away, reason):
-    """It alone starts again; the tracker that fails by itself never does."""
+    """It alone starts again; the tracker that fails by itself never does. Other states: test_slurm_job.py."""
     ended = []
 
     def end_its_job(trial, delivered):
@@ -124,7 +110,7 @@ def test_a_trial_that_is_taken_away_in_mid_run_changes_no_count(settings, progre
 @pytest.mark.usefixtures("staged", "slurm")
 def test_short_trials_share_jobs_and_change_no_count(settings, progress, tmp_path):
     """With more trials than nodes the two running jobs claim the waiting tasks, also after a tracker that fails."""
-    rows = ("dies=staged:crash_at=60", *(f"staged{number}=staged" for number in range(7)))
+    rows = ("dies=staged:crash_at=60", *(f"staged{number}=staged" for number in range(4)))
     before = completed()
     run(resolve(settings(*rows, engine="slurm")), (), progress)
     assert 0 < len(completed() - before) < len(rows)

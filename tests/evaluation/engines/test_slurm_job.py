@@ -106,12 +106,15 @@ def test_a_job_claims_no_further_task_after_an_interrupt_or_a_minute(job, monkey
     assert job(1) == [1]
 
 
-def test_a_task_has_ended_when_its_job_claims_another_and_is_lost_with_the_job_that_runs_it(job, folders, cluster):
+@pytest.mark.parametrize("state", sorted(slurm_cluster.ENDED_BY_SLURM))
+def test_a_task_has_ended_when_its_job_claims_another_and_is_lost_with_the_job_that_runs_it(
+    job, folders, cluster, state
+):
     """Also one that failed: its job lives on, so it was the tracker's own failure, which is never retried."""
     job(0, lambda number: number != 3)
-    tasks = tasks_of(folders, "NODE_FAIL", "RUNNING", "PENDING", "PENDING", "COMPLETED")
+    tasks = tasks_of(folders, state, "RUNNING", "PENDING", "PENDING", "COMPLETED")
     ends = cluster.ended(tasks)
-    assert ends == {tasks[0]: DONE, tasks[4]: DONE, tasks[3]: TaskEnd(lost=True, reason="NODE_FAIL")}
+    assert ends == {tasks[0]: DONE, tasks[4]: DONE, tasks[3]: TaskEnd(lost=True, reason=state)}
     assert (folders[0].parent / "cancelled").read_text().split() == ["--quiet", "7_3"]
 
 

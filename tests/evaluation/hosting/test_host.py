@@ -84,10 +84,11 @@ from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import launch
 options, log = {{"attacks": [["outlives", {LEFT!r}]]}}, Path({str(tmp_path / "stderr.log")!r})
-TrackerProcess(launch("burglar"), StreamSpec(GridSpec(), 0.125), options, Limits(), log).__enter__()
+TrackerProcess(launch("burglar"), StreamSpec(GridSpec(), 0.125), options, Limits(), log).__enter__().reset(0)
 """
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert "TrialEnded" in ended.stderr
     left = left_behind(LEFT)
+    for process in left:
+        process.kill()
+    assert "TrialEnded" in ended.stderr
     assert len(left) == 1
-    left[0].kill()

@@ -24,19 +24,19 @@ def of(update_periods: float, predict_periods: float = 0.0, frames: int = 12) ->
     return timeline(frames, PERIOD_MS, Costs((update_periods * PERIOD_MS,), (predict_periods * PERIOD_MS,)))
 
 
-def test_a_tracker_without_delay_misses_no_frame_and_forecasts_at_once() -> None:
-    assert of(0.0).missed == 0
-    assert of(0.0).newest.tolist() == list(range(12))
-
-
-def test_a_tracker_faster_than_a_period_misses_no_frame_and_is_one_frame_late() -> None:
-    assert of(0.3, 0.6).missed == 0
-    assert of(0.3, 0.6).newest.tolist() == [-1, *range(11)]
-
-
-def test_a_forecast_finished_exactly_at_a_frame_is_in_time_and_its_tracker_is_free() -> None:
-    assert of(0.5, 0.5).missed == 0
-    assert of(0.5, 0.5).newest.tolist() == [-1, *range(11)]
+@pytest.mark.parametrize(
+    ("update", "predict", "newest"),
+    [
+        pytest.param(0.0, 0.0, range(12), id="without delay it forecasts at once"),
+        pytest.param(0.3, 0.6, [-1, *range(11)], id="faster than a period it is one frame late"),
+        pytest.param(0.5, 0.5, [-1, *range(11)], id="finished exactly at a frame it is in time and free"),
+    ],
+)
+def test_a_tracker_that_needs_no_more_than_a_period_misses_no_frame(
+    update: float, predict: float, newest: list[int]
+) -> None:
+    assert of(update, predict).missed == 0
+    assert of(update, predict).newest.tolist() == list(newest)
 
 
 def test_a_tracker_that_needs_one_and_a_half_periods_misses_every_second_frame() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import sys
+import shutil
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.regression.baseline import digest_of
+from gridtrack.evaluation.regression.baseline import digest_of, write_baseline
+from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.runs.passes import AtStrength, CallTimes, Latency, Robustness
 from gridtrack.evaluation.runs.run_record import RUN_SCHEMA
 from gridtrack.evaluation.runs.scorekeeper import Counter
@@ -27,6 +28,7 @@ from gridtrack.evaluation.scores.log_loss import LOG_LOSS
 from gridtrack.evaluation.scores.neighbourhoods import NeighbourhoodSums
 from gridtrack.evaluation.scores.thresholds import half
 from gridtrack.recordings.degradation import Degradation
+from tests.conftest import Done
 
 from scenes.synthetic_run import counted_forecast
 
@@ -145,42 +147,76 @@ def split_of(recording: str, source: str) -> dict[str, Any]:
 
 
 WriteRun = Callable[..., Path]
+Written = Callable[[str, Callable[[Path], object]], Path]
+
+
+@pytest.fixture(scope="session")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
+    """`written(key, write)`: the folder that `write` has filled, once a session for each `key`."""
+    folders: dict[str, Path] = {}
+
+    def written(key: str, write: Callable[[Path], object]) -> Path:
+        if key not in folders:
+            folder = tmp_path_factory.mktemp("written")
+            write(folder)
+            folders[key] = folder
+        return folders[key]
+
+    return written
 
 
 @pytest.fixture
-def write_run(tmp_path: Path) -> WriteRun:
+def run_of(written: Written) -> WriteRun:
+    """`run_of(trackers, recordings)`: a run as of `write_run`, not to be changed."""
+    return lambda *given, **how: written(repr((given, how)), lambda folder: fill_run(folder, *given, **how))
+
+
+@pytest.fixture
+def write_run(tmp_path: Path, run_of: WriteRun) -> WriteRun:
     """`write_run(name, {label: {field of Made: value}}, recordings)` leaves a run's folder.
 
     With a `source` the recordings are its stretches, each `apart_s` after the one before it.
     """
+    return lambda name, *given, **how: Path(shutil.copytree(run_of(*given, **how), tmp_path / name))
 
-    def write_run(
-        name: str, given: Mapping[str, Mapping[str, Any]], recordings: int = 20, source: str = "", apart_s: int = 60
-    ) -> Path:
-        run = tmp_path / name
-        trackers = {label: Made(**fields) for label, fields in given.items()}
-        names = [f"junction-{number:02}" for number in range(recordings)]
-        for label, made in trackers.items():
-            for number, recording in enumerate(names):
-                write_trial(run, label, recording, made, number * apart_s)
-        trials = {
-            f"{label}@{recording}": {
-                "tracker": made.tracker or label,
-                "options": made.options,
-                "points": made.points,
-                "argv": made.argv,
-                "seed": made.run_seed,
-            }
-            for label, made in trackers.items()
-            for recording in names
+
+@pytest.fixture
+def baseline_of(tmp_path: Path, run_of: WriteRun, written: Written) -> Callable[..., Path]:
+    """`baseline_of({label: {field of Made: value}}, recordings)`: the file of a baseline."""
+
+    def baseline_of(*given: Any, **how: Any) -> Path:
+        measured = written(
+            repr(("baseline", given, how)),
+            lambda folder: write_baseline(folder / "baseline.json", [measure_run(run_of(*given, **how))]),
+        )
+        return Path(shutil.copy(measured / "baseline.json", tmp_path))
+
+    return baseline_of
+
+
+def fill_run(
+    run: Path, given: Mapping[str, Mapping[str, Any]], recordings: int = 20, source: str = "", apart_s: int = 60
+) -> None:
+    """Write the trials and the record of a run."""
+    trackers = {label: Made(**fields) for label, fields in given.items()}
+    names = [f"junction-{number:02}" for number in range(recordings)]
+    for label, made in trackers.items():
+        for number, recording in enumerate(names):
+            write_trial(run, label, recording, made, number * apart_s)
+    trials = {
+        f"{label}@{recording}": {
+            "tracker": made.tracker or label,
+            "options": made.options,
+            "points": made.points,
+            "argv": made.argv,
+            "seed": made.run_seed,
         }
-        configuration = {"recordings": {name: split_of(name, source) for name in names}, "trials": trials}
-        provenance = {"schema": RUN_SCHEMA, "command": ["gridtrack", "compare"], "versions": {"python": "3"}}
-        run.mkdir(exist_ok=True)
-        (run / "run.json").write_text(json.dumps({**provenance, "configuration": configuration, "status": "complete"}))
-        return run
-
-    return write_run
+        for label, made in trackers.items()
+        for recording in names
+    }
+    configuration = {"recordings": {name: split_of(name, source) for name in names}, "trials": trials}
+    provenance = {"schema": RUN_SCHEMA, "command": ["gridtrack", "compare"], "versions": {"python": "3"}}
+    (run / "run.json").write_text(json.dumps({**provenance, "configuration": configuration, "status": "complete"}))
 
 
 @pytest.fixture
@@ -207,26 +243,7 @@ def edit_baseline(edit: Callable[[Path, Callable[[Any], Any]], None]) -> Callabl
     return edit_baseline
 
 
-@dataclass
-class Done:
-    code: int
-    out: str
-    err: str
-
-
 @pytest.fixture
-def regress(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Done]:
-    """`gridtrack regress ARGUMENTS...`: its exit code and what it prints."""
-    from gridtrack.cli import main
-
-    def regress(*arguments: object) -> Done:
-        monkeypatch.setattr(sys, "argv", ["gridtrack", "regress", *map(str, arguments)])
-        capsys.readouterr()
-        code: Any = 0
-        try:
-            main()
-        except SystemExit as end:
-            code = end.code or 0
-        return Done(code, *capsys.readouterr())
-
-    return regress
+def regress(gridtrack: Callable[..., Done]) -> Callable[..., Done]:
+    """`gridtrack regress ARGUMENTS...` in this process."""
+    return lambda *arguments: gridtrack("regress", *arguments)

@@ -50,7 +50,7 @@ class Moody(Tracker):
 
 
 @pytest.fixture
-def folder(install, tmp_path):
+def folder(install, tmp_path, trackers_here):
     """What decides how the tracker `moody` does."""
     install("moody", {"moody": "moody_tracker:Moody"}, {"moody_tracker.py": MOODY})
     made = tmp_path / "mood"

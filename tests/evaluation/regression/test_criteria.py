@@ -12,24 +12,11 @@ FEW = tuple(f"junction-{number:02}" for number in range(4))
 
 
 @pytest.fixture
-def baseline_of(write_run, regress, tmp_path):
-    """`baseline_of(made, recordings=20)`: a baseline of the tracker `net`, from the fields of Made."""
-
-    def baseline_of(made, **run):
-        path = tmp_path / "baseline.json"
-        done = regress(write_run("then", {"net": made}, **run), "--baseline", path, "--update")
-        assert done.code == 0, done.err
-        return path
-
-    return baseline_of
-
-
-@pytest.fixture
 def judged(baseline_of, write_run, regress):
     """`judged(then, now)`: the exit code, the rows that are worse, and what was printed."""
 
     def judged(then, now, *options, **run):
-        path = baseline_of(then, **run)
+        path = baseline_of({"net": then}, **run)
         made = write_run("now", {"net": now}, **run)
         done = regress(made, "--baseline", path, "--json", *options)
         found = json.loads(done.out)
@@ -123,7 +110,7 @@ def test_more_recoveries_are_worse_and_as_many_are_not(judged, write_run, regres
 
 
 def test_a_baseline_edited_by_hand_is_not_measured(baseline_of, write_run, regress, edit):
-    path = baseline_of({}, recordings=2)
+    path = baseline_of({"net": {}}, recordings=2)
 
     def lower(content):
         for unit in content["runs"][0]["trackers"]["net"]["recordings"]["junction-00"]["units"]:
@@ -200,7 +187,7 @@ def test_a_fall_of_several_times_the_smallest_size_is_found_and_one_of_a_third_o
 
 
 def test_a_limit_that_is_the_same_everywhere_is_told_once(baseline_of, write_run, regress):
-    baseline = baseline_of({"recall": 0.7})
+    baseline = baseline_of({"net": {"recall": 0.7}})
     said = regress(write_run("now", {"net": {"recall": 0.7}}), "--baseline", baseline)
     told = [line for line in said.out.splitlines() if "could have shown: " in line]
     assert told == ["net: the smallest fall in F1 that this baseline could have shown: 0.0050 (visible, 0 to 0.5 s)"]

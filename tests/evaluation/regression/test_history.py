@@ -16,13 +16,12 @@ GOOD, FALLEN = {"kalman": {"seed": 1}, "<b>&": {"seed": 2}}, {"kalman": {"seed":
 
 
 @pytest.fixture
-def check(write_run, regress, tmp_path, monkeypatch):
+def check(baseline_of, write_run, regress, tmp_path, monkeypatch):
     """`check(name, trackers)` judges a run of these trackers with a history, in a git repository."""
     monkeypatch.chdir(tmp_path)
     git("init", "--quiet")
     git("commit", "--quiet", "--allow-empty", "--message", "one")
-    baseline = tmp_path / "baseline.json"
-    assert regress(write_run("then", GOOD), "--baseline", baseline, "--update").code == 0
+    baseline = baseline_of(GOOD)
 
     def check(name, trackers):
         run = tmp_path / name
@@ -67,13 +66,12 @@ def test_each_verdict_is_added_with_its_commit_and_scores_and_drawn(check, tmp_p
 
 
 def test_a_score_that_was_worse_has_a_panel_with_a_cross_and_a_line_through_all_panels_that_names_it(
-    write_run, regress, tmp_path
+    baseline_of, write_run, regress, tmp_path
 ):
     then = {"persistence": {"seed": 2}, "kalman": {"seed": 1}}
-    baseline = tmp_path / "baseline.json"
-    assert regress(write_run("then", then), "--baseline", baseline, "--update").code == 0
+    baseline = baseline_of(then, recordings=2)
     for name, nats in (("one", 0.1), ("two", 0.4)):
-        run = write_run(name, {**then, "kalman": {"seed": 1, "nats": nats}})
+        run = write_run(name, {**then, "kalman": {"seed": 1, "nats": nats}}, recordings=2)
         regress(run, "--baseline", baseline, "--history", tmp_path / "history")
     drawing = (tmp_path / "history" / "history.svg").read_text()
     panels = re.findall(r">([^<>]+, [\d.]+ to [\d.]+ s[^<>]*)</text>", drawing)
@@ -85,10 +83,9 @@ def test_a_score_that_was_worse_has_a_panel_with_a_cross_and_a_line_through_all_
     assert {"#55585e", "#1f6fd0"} <= set(re.findall("#[0-9a-f]{6}", drawing)), "the colours of floors and trackers"
 
 
-def test_a_run_that_was_worse_on_one_recording_alone_is_marked_too(write_run, regress, tmp_path):
-    baseline, history = tmp_path / "baseline.json", tmp_path / "history"
-    assert regress(write_run("then", {"net": {}}), "--baseline", baseline, "--update").code == 0
-    now = write_run("now", {"net": {"recoveries": 1}})
+def test_a_run_that_was_worse_on_one_recording_alone_is_marked_too(baseline_of, write_run, regress, tmp_path):
+    baseline, history = baseline_of({"net": {}}, recordings=2), tmp_path / "history"
+    now = write_run("now", {"net": {"recoveries": 1}}, recordings=2)
     assert regress(now, "--baseline", baseline, "--history", history).code == 1
     assert ": worse: a tracker on one recording, or its recoveries<" in (history / "history.svg").read_text()
 

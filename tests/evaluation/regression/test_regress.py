@@ -15,19 +15,15 @@ NAMES = {"kalman": {}, "persistence": {"recall": 0.4, "seed": 7}}
 
 
 @pytest.fixture
-def baseline(write_run, regress, tmp_path):
+def baseline(baseline_of):
     """A baseline of two trackers on twenty recordings."""
-    path = tmp_path / "baseline.json"
-    assert regress(write_run("then", NAMES), "--baseline", path, "--update").code == 0
-    return path
+    return baseline_of(NAMES)
 
 
 @pytest.fixture
-def short_baseline(write_run, regress, tmp_path):
+def short_baseline(baseline_of):
     """A baseline of two trackers on two recordings: too few for significance."""
-    path = tmp_path / "short.json"
-    assert regress(write_run("then", NAMES, recordings=2), "--baseline", path, "--update").code == 0
-    return path
+    return baseline_of(NAMES, recordings=2)
 
 
 @pytest.mark.parametrize("content", ["not even JSON", '{"schema": 2, "trackers": {}}'])
@@ -90,12 +86,9 @@ def test_a_tracker_that_lost_on_dynamic_cells_at_one_second_is_worse_there_and_o
     assert said.endswith("worse than the baseline: kalman\n")
 
 
-def test_another_seed_of_the_same_tracker_is_no_worse(baseline, write_run, regress):
-    assert regress(write_run("now", {**NAMES, "kalman": {"seed": 1}}), "--baseline", baseline).code == 0
-
-
-def test_a_better_tracker_is_no_worse(baseline, write_run, regress):
-    assert regress(write_run("now", {**NAMES, "kalman": {"loss": -0.1}}), "--baseline", baseline).code == 0
+@pytest.mark.parametrize("kalman", [{"seed": 1}, {"loss": -0.1}], ids=["another seed", "better"])
+def test_another_seed_and_a_better_tracker_are_no_worse(baseline, write_run, regress, kalman):
+    assert regress(write_run("now", {**NAMES, "kalman": kalman}), "--baseline", baseline).code == 0
 
 
 def test_a_significant_fall_within_the_margin_or_the_tolerance_passes(baseline, write_run, regress):
@@ -122,9 +115,8 @@ def test_on_too_few_units_any_fall_is_worse_unless_a_tolerance_is_stated(short_b
     assert regress(run, "--baseline", short_baseline, "--tolerance", "kalman=0.05").code == 0
 
 
-def test_of_one_short_recording_each_pair_has_one_statement_and_one_rule(write_run, regress, tmp_path):
-    path = tmp_path / "one.json"
-    assert regress(write_run("then", NAMES, recordings=1), "--baseline", path, "--update").code == 0
+def test_of_one_short_recording_each_pair_has_one_statement_and_one_rule(baseline_of, write_run, regress, tmp_path):
+    path = baseline_of(NAMES, recordings=1)
     run = write_run("now", {**NAMES, "kalman": {"loss": 0.05}}, recordings=1)
     done = regress(run, "--baseline", path, "--markdown", tmp_path / "said.md")
     told = [line for line in done.out.splitlines() if "kalman" in line and ": F1 " in line]
@@ -135,10 +127,8 @@ def test_of_one_short_recording_each_pair_has_one_statement_and_one_rule(write_r
     assert "On one recording" not in (tmp_path / "said.md").read_text()
 
 
-def test_no_stated_fall_is_larger_than_the_score_itself(write_run, regress, tmp_path):
-    path = tmp_path / "low.json"
-    low = {"net": {"recall": 0.1}}
-    assert regress(write_run("then", low, recordings=2), "--baseline", path, "--update").code == 0
+def test_no_stated_fall_is_larger_than_the_score_itself(baseline_of, write_run, regress, tmp_path):
+    path = baseline_of({"net": {"recall": 0.1}}, recordings=2)
     run = write_run("now", {"net": {"recall": 0.1, "loss": 0.05}}, recordings=2)
     done = regress(run, "--baseline", path)
     listed = [line for line in done.out.splitlines() if "on one recording" in line and "net on" in line]
@@ -163,23 +153,8 @@ def test_no_stated_fall_is_larger_than_the_score_itself(write_run, regress, tmp_
     ],
 )
 def test_where_no_fall_is_large_enough_the_sentence_of_a_row_says_why(baseline, margin, verdict, says):
-    row = VerdictRow(
-        "net",
-        "f1.f1",
-        "F1",
-        "dynamic",
-        "long",
-        "",
-        baseline,
-        baseline,
-        0.0,
-        margin,
-        float("inf"),
-        1.0,
-        None,
-        "",
-        verdict,
-    )
+    where = "net", "f1.f1", "F1", "dynamic", "long", ""
+    row = VerdictRow(*where, baseline, baseline, 0.0, margin, float("inf"), 1.0, None, "", verdict)
     assert sentence_of(row).split("; ")[-1] == says
 
 
@@ -263,15 +238,16 @@ def test_a_run_in_which_a_tracker_failed_or_nothing_was_scored_never_passes(
         assert short_baseline.read_bytes() == before
 
 
-def test_a_tracker_of_the_baseline_that_was_not_run_never_passes(short_baseline, write_run, regress):
-    done = regress(write_run("now", {"kalman": {}}, recordings=2), "--baseline", short_baseline)
-    assert done.code == 3
-    assert "tracker persistence of the baseline is missing in the run" in done.err
-
-
-def test_a_new_tracker_that_failed_does_not_pass_either(short_baseline, write_run, regress):
-    run = write_run("now", {**NAMES, "newcomer": {"outcome": "timeout", "scored": 3}}, recordings=2)
-    assert regress(run, "--baseline", short_baseline).code == 3
+@pytest.mark.parametrize(
+    ("trackers", "says"),
+    [
+        ({"kalman": {}}, "tracker persistence of the baseline is missing in the run"),
+        ({**NAMES, "newcomer": {"outcome": "timeout", "scored": 3}}, "newcomer@junction-00: timeout"),
+    ],
+)
+def test_a_missing_tracker_and_a_new_one_that_failed_never_pass(short_baseline, write_run, regress, trackers, says):
+    done = regress(write_run("now", trackers, recordings=2), "--baseline", short_baseline)
+    assert (done.code, says in done.err) == (3, True), done.err
 
 
 def damage(path):
@@ -314,11 +290,6 @@ def test_a_crash_is_not_measured_in_one_line_and_debug_shows_its_traceback(
     assert (debugged.code, "Traceback" in debugged.err) == (3, True)
 
 
-def test_wrong_use_keeps_its_exit_code_under_debug(write_run, regress, tmp_path):
-    done = regress("--debug", write_run("now", NAMES, recordings=1), "--baseline", tmp_path / "none.json")
-    assert (done.code, "Traceback" in done.err) == (2, True)
-
-
 def test_the_scores_of_another_trial_never_pass(short_baseline, write_run, regress):
     run = write_run("now", NAMES, recordings=2)
     one, two = (run / f"kalman@junction-0{n}" for n in (0, 1))
@@ -328,36 +299,16 @@ def test_the_scores_of_another_trial_never_pass(short_baseline, write_run, regre
     assert "kalman@junction-01: other frames were delivered" in done.err
 
 
-def test_other_frames_do_not_pair(short_baseline, write_run, regress, edit_baseline):
-    def deliver_others(content):
-        content["runs"][0]["trackers"]["kalman"]["recordings"]["junction-00"]["units"][0]["delivered"] = "0" * 32
-
-    edit_baseline(short_baseline, deliver_others)
-    done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline)
-    assert done.code == 3
-    assert "kalman@junction-00: other frames were delivered than for the baseline" in done.err
-
-
-def test_scores_by_other_rules_do_not_pair(short_baseline, write_run, regress, edit_baseline):
-    edit_baseline(short_baseline, lambda content: content["runs"][0].update(scoring_rules=2))
-    done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline)
-    assert done.code == 3
-    assert "the baseline was scored by other rules (number 2, the run by number 1)" in done.err
-
-
-def test_other_cells_do_not_pair(short_baseline, write_run, regress, edit_baseline):
-    def count_others(content):
-        unit = content["runs"][0]["trackers"]["kalman"]["recordings"]["junction-00"]["units"][0]
-        unit["sums"]["log_loss"]["dynamic"]["short"][1] += 1
-
-    edit_baseline(short_baseline, count_others)
-    done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline)
-    assert done.code == 3
-    assert "other strata or cells were scored" in done.err
-
-
 def kalman_of(baseline):
     return baseline["runs"][0]["trackers"]["kalman"]
+
+
+def unit_of(baseline):
+    return kalman_of(baseline)["recordings"]["junction-00"]["units"][0]
+
+
+def count_others(baseline):
+    unit_of(baseline)["sums"]["log_loss"]["dynamic"]["short"][1] += 1
 
 
 @pytest.mark.parametrize(
@@ -373,6 +324,9 @@ def kalman_of(baseline):
         (lambda b: kalman_of(b)["recordings"].pop("junction-00"), 2, "kalman was not measured on every"),
         (lambda b: kalman_of(b)["recordings"]["junction-00"].update(units=[]), 2, "units"),
         (lambda b: b["runs"][0].update(recordings={"a": {}}), 2, "not a baseline"),
+        (lambda b: unit_of(b).update(delivered="0" * 32), 3, "junction-00: other frames were delivered than for the"),
+        (count_others, 3, "other strata or cells were scored"),
+        (lambda b: b["runs"][0].update(scoring_rules=2), 3, "scored by other rules (number 2, the run by number 1)"),
     ],
 )
 def test_a_baseline_that_cannot_be_used_is_one_clear_line(
@@ -397,6 +351,8 @@ def test_a_corrupted_baseline_is_one_clear_line(content, write_run, regress, tmp
 def test_a_baseline_that_is_not_there_names_the_option_that_makes_it(write_run, regress, tmp_path):
     done = regress(write_run("now", NAMES, recordings=1), "--baseline", tmp_path / "none.json")
     assert (done.code, "--update makes one of the run" in done.err) == (2, True)
+    debugged = regress("--debug", tmp_path / "now", "--baseline", tmp_path / "none.json")
+    assert (debugged.code, "Traceback" in debugged.err) == (2, True), "wrong use keeps its exit code"
 
 
 @pytest.mark.parametrize(

@@ -17,46 +17,28 @@ from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
 
-TRACKER = '''
-from pathlib import Path
-import numpy as np
-from gridtrack.trackers.contract import Forecast, Tracker
-
-
-class Own(Tracker):
-    """Forecasts the last frame."""
-
-    def reset(self, seed):
-        pass
-
-    def update(self, frame):
-        self.last = frame.occupied
-
-    def predict(self, steps):
-        return Forecast(np.repeat(self.last[None].astype(np.float32), steps + 1, axis=0))
-'''
-
 
 @pytest.fixture
-def compared(install, record, progress, regress, tmp_path, monkeypatch):
-    """A run of `own`, its baseline, and a trackers.toml that names another environment of it, `old`."""
-    site = install("own", {"own": "own_tracker:Own"}, {"own_tracker.py": TRACKER})
+def compared(staged, record, progress, regress, tmp_path, monkeypatch, trackers_here):
+    """A run of `staged`, its baseline, and a trackers.toml that names another environment of it, `old`."""
     recording = record("one", seconds=8, stretches={}, wall_m=3.0)
     out = tmp_path / "now"
-    settings = CompareSettings(recordings=(str(recording),), trackers=("own", "blank"), out=out, horizon_s=1.0, jobs=1)
+    settings = CompareSettings(
+        recordings=(str(recording),), trackers=("staged", "blank"), out=out, horizon_s=1.0, jobs=1
+    )
     run(resolve(settings), ("gridtrack", "compare"), progress)
     baseline = tmp_path / "baseline.json"
     assert regress(out, "--baseline", baseline, "--update").code == 0
-    (tmp_path / "base.toml").write_text(f'[old]\npython = "{sys.executable}"\ntracker = "own"\n')
+    (tmp_path / "base.toml").write_text(f'[old]\npython = "{sys.executable}"\ntracker = "staged"\n')
     monkeypatch.setattr(turns, "TURN_ROUNDS", 2)
-    return out, baseline, site
+    return out, baseline
 
 
 @pytest.fixture
 def asked(compared, tmp_path):
     """The arguments of the check."""
-    out, baseline, _ = compared
-    return [out, "--baseline", baseline, "--speed-base", "own=old", "--trackers-toml", tmp_path / "base.toml"]
+    out, baseline = compared
+    return [out, "--baseline", baseline, "--speed-base", "staged=old", "--trackers-toml", tmp_path / "base.toml"]
 
 
 def times(monkeypatch, **ms: float) -> list[str]:
@@ -74,16 +56,16 @@ def times(monkeypatch, **ms: float) -> list[str]:
 def test_a_tracker_that_takes_longer_than_its_base_is_worse_and_both_get_each_frame_in_turns(
     asked, regress, monkeypatch
 ):
-    calls = times(monkeypatch, own=3.0, old=2.0)
+    calls = times(monkeypatch, staged=3.0, old=2.0)
     done = regress(*asked, "--json")
     verdict = json.loads(done.out)
     assert (done.code, verdict["verdict"]) == (1, "worse")
     assert [(row["label"], row["call"], row["base"], row["standing"]) for row in verdict["turns"]] == [
-        ("own", "update", "old", "worse"),
-        ("own", "predict", "old", "worse"),
+        ("staged", "update", "old", "worse"),
+        ("staged", "predict", "old", "worse"),
     ]
     assert [row["ratio"] for row in verdict["turns"]] == pytest.approx([1.5, 1.5])
-    assert calls.count("own") == calls.count("old")
+    assert calls.count("staged") == calls.count("old")
     # two frames have six calls: both trackers update and forecast on the first, and update on the second
     rounds = np.array(calls).reshape(2, -1, 6)
     firsts, seconds = rounds[:, :, 0], rounds[:, :, 4]
@@ -97,29 +79,29 @@ def test_a_tracker_that_takes_longer_than_its_base_is_worse_and_both_get_each_fr
 
 
 def test_a_tracker_that_takes_as_long_passes_and_its_ratio_is_told(asked, regress, monkeypatch, tmp_path):
-    times(monkeypatch, own=2.1, old=2.0)
+    times(monkeypatch, staged=2.1, old=2.0)
     page, junit = tmp_path / "page.md", tmp_path / "junit.xml"
     done = regress(*asked, "--markdown", page, "--junit", junit)
     assert done.code == 0
     assert (
-        "timed in turns: own: update takes 1.050 times as long as old's, in turns, 95 % interval [1.050, 1.050]"
+        "timed in turns: staged: update takes 1.050 times as long as old's, in turns, 95 % interval [1.050, 1.050]"
         in done.out
     )
-    assert "| no worse | own | update | old | 1.050 |" in page.read_text()
+    assert "| no worse | staged | update | old | 1.050 |" in page.read_text()
     assert "speed of update in turns with old" in junit.read_text()
 
 
-def test_what_cannot_be_timed_is_not_measured_and_wrong_use_is_told(asked, compared, regress, tmp_path):
-    out, baseline, site = compared
+def test_what_cannot_be_timed_is_not_measured_and_wrong_use_is_told(asked, compared, staged, regress):
+    out, baseline = compared
     assert (regress(*asked[:-2]).code, "no tracker 'old'" in regress(*asked[:-2]).err) == (2, True)
-    wrong = regress(out, "--baseline", baseline, "--speed-base", "own")
+    wrong = regress(out, "--baseline", baseline, "--speed-base", "staged")
     assert (wrong.code, "expected LABEL=NAME" in wrong.err) == (2, True)
-    wrong = regress(out, "--baseline", baseline, "--speed-base", "own2=blank")
-    assert (wrong.code, "the run has no tracker 'own2'; did you mean 'own'?" in wrong.err) == (2, True)
-    module = site / "own_tracker.py"
+    wrong = regress(out, "--baseline", baseline, "--speed-base", "staged2=blank")
+    assert (wrong.code, "the run has no tracker 'staged2'; did you mean 'staged'?" in wrong.err) == (2, True)
+    module = staged / "staged_tracker.py"
     module.write_text(module.read_text() + "# edited\n")
     edited = regress(*asked)
-    assert (edited.code, "own: the tracker's code was edited since the run" in edited.err) == (3, True)
+    assert (edited.code, "staged: the tracker's code was edited since the run" in edited.err) == (3, True)
     module.write_text("raise RuntimeError('broken')\n")
     assert regress(*asked).code == 3
 
@@ -133,4 +115,4 @@ def test_the_interval_is_students_t_over_rounds_of_the_logarithm() -> None:
 
 @pytest.mark.parametrize(("low", "verdict"), [(1.09, "no worse"), (1.11, "worse")])
 def test_a_ratio_is_worse_if_the_whole_interval_is_beyond_the_margin(low: float, verdict: str) -> None:
-    assert TurnsRow("own", "update", "old", 1.2, low, 1.3, 8, margin=0.1).verdict == verdict
+    assert TurnsRow("staged", "update", "old", 1.2, low, 1.3, 8, margin=0.1).verdict == verdict

@@ -14,20 +14,12 @@ from gridtrack.evaluation.runs.comparisons import _pair_tests
 from gridtrack.evaluation.runs.sums import Layout, SumsWriter, TrialSums
 from gridtrack.evaluation.scores.class_log_loss import CLASS_LOG_LOSS
 from gridtrack.evaluation.scores.definition import Output, TrialFacts
+from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.scores.thresholds import half
 from gridtrack.evaluation.statistics.jackknife import Replicates, holm
 
 from scenes import synthetic_run as synthetic
 from scenes.synthetic_run import RECORDINGS, summary_of, write_rows, write_unlike
-
-SKILLS = {"persistence": 0.6, "good": 0.8, "twin": 0.6, "unlucky": 0.9, "oracle": 1.0}
-
-
-@pytest.fixture(scope="module")
-def twenty(tmp_path_factory):
-    """Twenty recordings: one tracker better than persistence, one its twin, one that crashed once, a ceiling."""
-    trials = write_rows(tmp_path_factory.mktemp("twenty"), SKILLS, frames=6, unlucky=3)
-    return trials, summary_of(trials)
 
 
 def difference(summary, tracker):
@@ -70,7 +62,7 @@ def test_the_difference_from_the_reference_is_the_jackknifes_computed_one_record
 
 def test_better_is_said_where_it_is_shown_over_the_whole_family(twenty):
     good = difference(twenty[1], "good")
-    assert (good.recordings, good.reference, good.units, good.frames) == ("all recordings", "persistence", 20, 120)
+    assert (good.recordings, good.reference, good.units, good.frames) == ("all recordings", "persistence", 20, 80)
     assert {(t.stratum, t.horizon_s) for t in good.tests} == {
         (stratum, h) for stratum in ("in-motion", "dynamic", "visible") for h in (0.5, 1.0, 2.5)
     }
@@ -111,14 +103,14 @@ def test_the_ceiling_is_compared_with_nobody(twenty):
 
 
 def test_the_reference_can_be_named(tmp_path):
-    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, RECORDINGS[:2], frames=3)
+    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, RECORDINGS[:2], frames=3, scores=(F1,))
     summary = summary_of(trials, RECORDINGS[:2], reference="good")
     assert summary.reference == "good"
     assert [one.tracker for one in summary.differences] == ["persistence"]
 
 
 def test_of_nineteen_recordings_nothing_is_tested(tmp_path):
-    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, RECORDINGS[:19], frames=3)
+    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, RECORDINGS[:19], frames=2, scores=(F1,))
     summary = summary_of(trials, RECORDINGS[:19])
     found = difference(summary, "good")
     assert found.interval == "too short for an interval: 19 recordings, and 20 units are needed"
@@ -128,7 +120,7 @@ def test_of_nineteen_recordings_nothing_is_tested(tmp_path):
 
 
 def test_a_long_recording_is_cut_into_blocks_longer_than_the_cycle(tmp_path):
-    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, ["long"], frames=625, every_s=4)
+    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, ["long"], frames=625, every_s=4, scores=(F1,))
     found = {cycle: difference(summary_of(trials, ["long"], cycle_s=cycle), "good") for cycle in (None, 125.0, 127.0)}
     assert found[None].units == 25
     assert found[125.0].units == 20
@@ -136,7 +128,7 @@ def test_a_long_recording_is_cut_into_blocks_longer_than_the_cycle(tmp_path):
 
 
 def test_one_recording_cut_into_twenty_stretches_is_one_recording_and_gives_no_verdict(tmp_path):
-    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, RECORDINGS, frames=30, apart_s=30)
+    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, frames=30, apart_s=30, scores=(F1,))
     found = difference(summary_of(trials, source_sha256="one"), "good")
     assert re.fullmatch(
         r"too short for an interval: [1-6] units?, of 1 recording, blocks of at least \d+ s, and 20 are needed",
@@ -147,8 +139,8 @@ def test_one_recording_cut_into_twenty_stretches_is_one_recording_and_gives_no_v
 
 def test_twenty_recordings_of_unlike_periods_have_differences_at_the_headlines_horizons(tmp_path):
     periods_s = [0.05 + 0.005 * k for k in range(20)]
-    described, trials = write_unlike(tmp_path, periods_s)
-    _, better = write_unlike(tmp_path, periods_s, "good", 0.8)
+    described, trials = write_unlike(tmp_path, periods_s, scores=(F1,))
+    _, better = write_unlike(tmp_path, periods_s, "good", 0.8, scores=(F1,))
     good = difference(synthetic.summarise(described, [*trials, *better], [], False), "good")
     assert {(test.horizon_s, test.step) for test in good.tests} == {(0.5, 1), (1.0, 2), (2.5, 5)}
     assert {test.verdict for test in good.tests} == {"better"}
@@ -165,17 +157,17 @@ def test_frames_of_another_delivery_are_not_paired(tmp_path):
 
 
 def test_rows_with_the_same_frames_are_compared_where_one_more_received_others(tmp_path):
-    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8, "odd": 0.7}, frames=4)
+    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8, "odd": 0.7}, frames=2, scores=(F1,))
     odd = trials[2].record
     trials[2] = synthetic.write_trial(
-        tmp_path / "odd", odd.label, odd.recording, 0.7, seed=0, frames=4, delivered="f", tracker="odd"
+        tmp_path / "odd", "odd", odd.recording, 0.7, seed=0, frames=2, delivered="f", scores=(F1,)
     )
     summary = summary_of(trials)
     assert {(pair.tracker, pair.other) for family in summary.pairs for pair in family.pairs} == {
         ("persistence", "good")
     }
     assert {family.units for family in summary.pairs} == {20}
-    assert difference(summary, "good").frames == 80
+    assert difference(summary, "good").frames == 40
     assert difference(summary, "odd").interval.endswith("odd was delivered other frames than the rest on seed-00")
 
 
@@ -240,24 +232,19 @@ EXTRA = {"latent": 0.3 + 0.1 * RNG.random(len(RECORDINGS)), "shot": np.zeros(len
 def class_trial(folder, label, number, extra, **how):
     """A trial with scans that cost HARD + `extra` nats a cell, at every step, on visible cells only."""
     tracker = "one-shot" if label == "shot" else ""
-    ended = synthetic.write_trial(
-        folder, label, RECORDINGS[number], 0.6, seed=number, frames=FRAMES, tracker=tracker, **how
-    )
+    how = {"seed": number, "frames": FRAMES, "tracker": tracker, "scores": (F1,)} | how
+    ended = synthetic.write_trial(folder, label, RECORDINGS[number], 0.6, **how)
     if extra is None:
         return ended
     facts = TrialFacts(0.2, synthetic.STEPS, ended.strata, half(synthetic.STEPS), CLASSES, CLASSES)
     kept = TrialSums(ended.folder)
     layouts = {**kept.layouts, "class_log_loss": Layout(("visible",), CLASS_LOG_LOSS.parts(facts))}
-    frames, every = kept.frames, np.arange(FRAMES)
-    sums = {
-        s: kept.by_frame(s, range(synthetic.STEPS + 1), kept.layouts[s].strata, kept.layouts[s].parts)
-        for s in kept.scores
-    }
+    frames = kept.frames
+    cells = kept.by_frame("f1", range(synthetic.STEPS + 1), ended.strata, kept.layouts["f1"].parts)
     with SumsWriter(ended.folder, layouts, synthetic.STEPS) as writer:
-        for frame in every:
+        for frame in range(FRAMES):
             stamp, digest = int(frames.stamps_ns[frame]), str(frames.delivered[frame])
-            for score, own in sums.items():
-                writer.add(stamp, digest, score, own.values[frame])
+            writer.add(stamp, digest, "f1", cells.values[frame])
             loss = HARD[number, frame] + extra[number]
             scan = np.zeros((synthetic.STEPS + 1, 1, len(layouts["class_log_loss"].parts)))
             scan[..., :3], scan[..., 3] = (CELLS * loss, loss, 1.0), CELLS
@@ -324,7 +311,9 @@ def trained(tmp_path_factory):
     folder, found = tmp_path_factory.mktemp("trainings"), []
     for number, name in enumerate(RECORDINGS):
         for label, (skill, weights) in ROWS.items():
-            ended = synthetic.write_trial(folder, label, name, skill, seed=number, frames=4, tracker=label.split()[0])
+            ended = synthetic.write_trial(
+                folder, label, name, skill, seed=number, frames=2, tracker=label.split()[0], scores=(F1,)
+            )
             found.append(with_weights(ended, weights))
     return found
 
@@ -381,7 +370,9 @@ def test_two_trainings_have_a_mean_and_a_spread_and_no_interval(trained):
 
 
 def test_a_training_that_failed_leaves_no_verdict_of_the_others(trained, tmp_path):
-    failed = synthetic.write_trial(tmp_path, "net 4", RECORDINGS[0], 0.2, seed=0, frames=4, scored=1, tracker="net")
+    failed = synthetic.write_trial(
+        tmp_path, "net 4", RECORDINGS[0], 0.2, seed=0, frames=2, scored=1, tracker="net", scores=(F1,)
+    )
     net = summary_of([*trained, with_weights(failed, "e" * 64)]).trainings[1]
     assert net.interval == "3 of 4 trainings of net are complete, and the others may be worse"
     assert {score.verdict for score in net.scores} == {"not tested"}

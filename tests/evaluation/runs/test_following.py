@@ -184,8 +184,8 @@ def test_a_tracker_that_keeps_up_has_the_scores_of_the_finished_file(settings, r
 
 def test_every_part_of_a_forecast_waits_for_its_scores(settings, movers, progress, tmp_path):
     """Velocities, sampled futures, the objects that the samples show; the oracle, and hidden cells."""
-    finished = truth_scene.write_recording(tmp_path / "room.mcap", seconds=14)
-    trackers = "mover", "now=mover:gives=now", "guesser:gives=mixed", "kalman"
+    finished = truth_scene.write_recording(tmp_path / "room.mcap", seconds=9)
+    trackers = "mover", "now=mover:gives=now", "guesser:gives=mixed", "object=mover:gives=object"
     the_settings = settings(*trackers)
     summary, table = followed(the_settings, Writer(finished, Path(the_settings.recordings[0])), progress)
     assert not [notice for notice in summary.notices if "table" in notice or "different frames" in notice]
@@ -193,7 +193,7 @@ def test_every_part_of_a_forecast_waits_for_its_scores(settings, movers, progres
     again = settings(*trackers, follow=False, out=tmp_path / "ordinary", recordings=(f"{finished}@0s-",))
     ordinary = run(resolve(again), COMMAND, progress)
     longest = {}
-    for label in ("mover", "now", "guesser", "kalman", "oracle"):
+    for label in ("mover", "now", "guesser", "object", "oracle"):
         live, later = (next(iter(one.trackers[label].recordings.values())).strata for one in (summary, ordinary))
         assert live == later
         if label == "oracle":
@@ -201,7 +201,7 @@ def test_every_part_of_a_forecast_waits_for_its_scores(settings, movers, progres
         tracks = [tracks_in(next((tmp_path / out).glob(f"{label}@*"))) for out in ("followed", "ordinary")]
         assert tracks[0] == tracks[1]
         longest[label] = max(map(len, tracks[0]))
-    assert longest["kalman"] > longest["mover"], "it alone has objects"
+    assert longest["object"] > longest["mover"], "it alone has objects"
     assert live_of(summary, "mover")["flow_error"]["mean"].value[0] is not None
     assert live_of(summary, "guesser")["energy"]["score"].value[0] is not None
 

@@ -31,17 +31,8 @@ def compare(tmp_path):
     """`compare(recording, *options)` runs the command line on it with the trained weights; its output."""
 
     def compare(recording, *options):
-        command = [
-            "compare",
-            str(recording),
-            "--horizon",
-            "0.5s",
-            "--jobs",
-            "1",
-            "--weights",
-            str(tmp_path / "weights"),
-        ]
-        command += ["--tracker", "static-map", "--tracker", "persistence", "--out", str(tmp_path / "run"), *options]
+        command = ["compare", str(recording), "--horizon", "0.5s", "--jobs", "1", "--out", str(tmp_path / "run")]
+        command += ["--weights", str(tmp_path / "weights"), "--tracker", "static-map", "--tracker", "persistence"]
         return CliRunner().invoke(app, [*command, *options], catch_exceptions=False).output
 
     return compare

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import re
-import time
 
 from gridtrack.evaluation.runs.training_process import ProgressLines
 from gridtrack.trackers.training.progress import Progress, duration_text
 
+from scenes.agreement import wait_until
+
 
 def wait_for(lines, pattern):
-    """The first line that matches."""
-    deadline = time.monotonic() + 20
-    while time.monotonic() < deadline:
-        for line in tuple(lines):
-            if re.fullmatch(pattern, line):
-                return line
-        time.sleep(0.005)
-    raise AssertionError(lines)
+    """Wait for a line that matches."""
+    wait_until(lambda: any(re.fullmatch(pattern, line) for line in tuple(lines)))
 
 
 def test_a_silent_training_is_reported_with_rate_and_time_left():

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gridtrack.evaluation.runs.passes import CallTimes, Quantiles
+from gridtrack.evaluation.runs.passes import CallTimes
 from gridtrack.evaluation.runs.result_files import RunError, json_of
 from gridtrack.evaluation.runs.run_record import MAX_RUN_BYTES, read_run_record
 from gridtrack.evaluation.runs.summarise import summarise
@@ -122,8 +122,3 @@ def test_pooled_curves_that_do_not_reach_every_horizon_are_refused(tmp_path):
 def test_percentiles_of_times_are_all_there_and_increase(twentieths, why):
     with pytest.raises(ValueError, match=why):
         CallTimes(p50=1.0, p95=2.0, p99=3.0, twentieths=twentieths)
-
-
-def test_a_model_cannot_be_changed():
-    with pytest.raises(ValueError, match="frozen"):
-        Quantiles(p50=1.0, p95=2.0, p99=3.0).p50 = 2.0

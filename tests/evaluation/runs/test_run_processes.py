@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import psutil
 import pytest
@@ -66,10 +65,9 @@ def test_a_run_that_is_ended_keeps_its_scores_and_leaves_no_process(start, begun
     assert trial_of(summary, "staged").frames_scored < 16
 
 
-def test_an_interrupt_ends_a_run_wherever_it_is(start, tmp_path):
+def test_an_interrupt_while_a_tracker_starts_ends_the_run(start, tmp_path):
     host = start("staged:crash_at=1,crash_in=1,how=hangs")
     wait_until((tmp_path / "run" / "staged@room" / "stderr.log").exists)
-    time.sleep(0.3)  # in its start, or in the call that hangs
     host.send_signal(signal.SIGINT)
     assert host.wait(60) == 130
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["interrupted"] is True
@@ -110,14 +108,15 @@ def test_a_tracker_that_is_killed_or_dies_ends_alone(start, begun, tmp_path):
 
 
 @pytest.mark.usefixtures("bad_trackers")
-def test_the_round_trip_counts_where_the_trackers_clock_is_not_plausible(compare):
+def test_the_round_trip_counts_where_the_trackers_clock_is_not_plausible(compare, record):
     """Its clock is that of its process: it would stop that of the host."""
-    summary = compare("stops-the-clock", "staged:sleep_s=0.015", latency=True, deadline=True)
+    recordings = (str(record(seconds=15)),)
+    summary = compare("stops-the-clock", "staged:sleep_s=0.015", recordings=recordings, latency=True, deadline=True)
     liar, honest = (trial_of(summary, label) for label in ("stops-the-clock", "staged"))
     assert (liar.latency_ms.clock, liar.deadline.clock) == ("host", "host")
     assert min(liar.latency_ms.update.p50, liar.latency_ms.predict.p50, liar.deadline.update_ms.p50) >= 15.0
     assert liar.deadline.highest_rate_hz < 1000 / 30
-    assert liar.times.update_s >= 110 * 0.015
+    assert liar.times.update_s >= 60 * 0.015
     assert (honest.latency_ms.clock, honest.deadline.clock) == ("tracker", "tracker")
     assert [notice for notice in summary.notices if "the round trips count" in notice] == [
         "stops-the-clock on room reports far shorter times than the round trips of its calls: the round trips count"

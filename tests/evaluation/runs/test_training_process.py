@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 
 import psutil
 import pytest
@@ -20,6 +19,8 @@ from gridtrack.evaluation.runs.train import train_tracker
 from gridtrack.recordings.stream import frame_digest, open_stream
 from gridtrack.trackers.training.weights import read_card
 from tests.conftest import PLUGINS
+
+from scenes.agreement import wait_until
 
 FITS = '''
 import os, time
@@ -74,15 +75,8 @@ def test_fit_reaches_the_frames_of_its_stretches_and_nothing_else_of_a_recording
     card = train_tracker(
         Recipe(tracker="nosy", options=options, recordings=(str(path),), out=tmp_path / "weights"), lines.append
     )
-    assert json.loads(found.read_text()) == {
-        "members": [],
-        "attributes": [],
-        "objects": [],
-        "stack": [],
-        "frames": [40, 50],
-        "command": [],
-        "traces": [],
-    }
+    nothing = {key: [] for key in ("members", "attributes", "objects", "stack", "command", "traces")}
+    assert json.loads(found.read_text()) == nothing | {"frames": [40, 50]}
     assert "looked around" in lines  # a slow machine reports its progress before
     assert str(path) in read_card(card).command
 
@@ -156,10 +150,7 @@ def test_ctrl_c_reaches_fit_and_no_process_survives_the_command(end, record, tmp
     if end == signal.SIGINT:
         assert process.returncode == 130
         assert errors == "gridtrack: interrupted before there was a result; the same command continues it\n"
-    deadline = time.monotonic() + 10
-    while psutil.pid_exists(child) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not psutil.pid_exists(child)
+    wait_until(lambda: not psutil.pid_exists(child))
 
 
 @pytest.mark.usefixtures("fits")

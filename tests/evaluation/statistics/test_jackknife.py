@@ -313,12 +313,6 @@ def test_the_difference_in_pr_auc_is_paired_and_that_of_equal_forecasts_is_none(
     assert (float(same.value[0]), float(same.p[0])) == (0.0, 1.0)
 
 
-def test_pr_auc_of_too_few_units_has_no_interval_and_no_test():
-    few, other = (pr_auc_of(*histograms(np.random.default_rng(seed), LEAST_UNITS - 1)) for seed in (0, 1))
-    assert np.isnan(ends_of(few, "odds")).all()
-    assert np.isnan(difference(few, other).p).all()
-
-
 def test_a_pr_auc_that_is_undefined_without_a_unit_has_no_interval():
     cells, positives = histograms(np.random.default_rng(7))
     positives[1:] = 0

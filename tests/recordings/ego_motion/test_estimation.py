@@ -255,14 +255,14 @@ def test_the_description_says_that_a_queue_beside_the_sensor_may_drag_the_pose()
 
 @pytest.mark.parametrize("crowded", [False, True])
 def test_a_sensor_at_rest_gets_no_jitter(write, tmp_path: Path, crowded: bool) -> None:
-    source = write(drive(ROOM, still, 60, **({"crowd": one_way} if crowded else {})))
+    source = write(drive(ROOM, still, 40, **({"crowd": one_way} if crowded else {})))
     imported = import_recording(source, tmp_path / "out.mcap", ego_motion="kiss-icp")
     assert not imported.survey.moves
     assert imported.info.poses.endswith("the sensor is at rest")
 
 
 def test_an_import_names_the_source_of_its_poses_and_gives_the_same_bytes_again(write, tmp_path: Path) -> None:
-    source = write([replace(s, reference_T_sensor=None) for s in drive(ROOM, around, 60, odometry_noise=0.1)])
+    source = write([replace(s, reference_T_sensor=None) for s in drive(ROOM, around, 30, odometry_noise=0.1)])
     out = ["--out", str(tmp_path / "out.mcap"), "--overwrite"]
     arguments = ["recording", "import", str(source), *out, "--ego-motion", "refined"]
     runs = []
@@ -274,7 +274,7 @@ def test_an_import_names_the_source_of_its_poses_and_gives_the_same_bytes_again(
     assert runs[0] == runs[1]
     imported = open_recording(tmp_path / "out.mcap")
     assert imported.info.command.endswith("--ego-motion refined")
-    assert [s.pose_quality.outcome for s in imported.scans() if s.pose_quality] == ["start", *["matched"] * 59]
+    assert [s.pose_quality.outcome for s in imported.scans() if s.pose_quality] == ["start", *["matched"] * 29]
 
 
 def test_a_second_sensor_keeps_its_mount(write, tmp_path: Path) -> None:

@@ -96,14 +96,14 @@ def error(means, truth):
 @pytest.mark.parametrize(("speed", "turn_rate"), [(1.5, 0.0), (8.0, 0.0), (1.5, 0.4), (5.0, 0.3)])
 def test_after_a_second_the_velocity_is_known(estimator, covariance, limit, speed, turn_rate):
     rng, truth = np.random.default_rng(0), moving(1.0, speed, turn_rate)
-    ends = [follow(estimator, measurements(truth, covariance, rng), covariance)[0][-1] for _ in range(100)]
+    ends = [follow(estimator, measurements(truth, covariance, rng), covariance)[0][-1] for _ in range(60)]
     off = error(np.array(ends), truth[-1])[:, 3:5]
     assert np.sqrt((off**2).sum(axis=1).mean()) <= limit
 
 
 @pytest.mark.parametrize("moving_as", [MODEL, AGILE], ids=["steady", "agile"])
 def test_its_covariance_is_that_of_its_errors(estimator, moving_as):
-    runs, frames, rng = 200, 30, np.random.default_rng(5)
+    runs, frames, rng = 80, 30, np.random.default_rng(5)
     squared = np.empty((runs, frames))
     for run, truth in enumerate(walks(moving_as, runs, frames, rng)):
         means, covariances = follow(estimator, measurements(truth, LASER, rng), LASER, moving_as)
@@ -217,7 +217,7 @@ def measured(truth, seed):
 
 def test_without_gross_errors_both_estimators_agree():
     truth = circle(60)
-    for seed in range(10):
+    for seed in range(4):
         poses = measured(truth, seed)
         kalman, smoothed = (
             follow(KalmanEstimator, poses, LASER, MIXED),
@@ -235,7 +235,7 @@ def test_without_gross_errors_both_estimators_agree():
 def test_one_gross_error_in_twenty_measurements_hardly_moves_the_smoother():
     squares = {KalmanEstimator: [], FactorGraphEstimator: []}
     truth = circle(80)
-    for seed in range(20):
+    for seed in range(8):
         poses, rng = measured(truth, seed), np.random.default_rng(100 + seed)
         wrong = (rng.random(len(truth)) < 0.05) & (np.arange(len(truth)) > 3)
         poses[wrong, :2] += rng.uniform(-1.5, 1.5, (wrong.sum(), 2))
@@ -354,7 +354,7 @@ def test_the_probabilities_of_switching_are_those_of_the_mean_durations():
 @ESTIMATORS
 def test_constant_velocity_is_steady_motion_and_braking_is_a_manoeuvre(begin):
     braking = np.concatenate([np.full(40, 6.0), np.maximum(6.0 - 3.0 * PERIOD_S * np.arange(1, 17), 0.0)])
-    runs = np.array([followed(begin, braking, seed)[0] for seed in range(20)])
+    runs = np.array([followed(begin, braking, seed)[0] for seed in range(8)])
     assert runs[:, 30:40, 1].mean() > 0.8
     assert runs[:, 46:54, 1].mean() < 0.3
 
@@ -397,7 +397,7 @@ def test_an_improbable_regime_is_re_initialised_from_the_other(begin):
 @ESTIMATORS
 def test_its_covariance_is_nearly_that_of_its_errors_on_objects_that_switch(begin):
     """Estimators without mixing are slightly overconfident: at most a sixth above the expected value of 6."""
-    runs, frames, rng = 200, 30, np.random.default_rng(5)
+    runs, frames, rng = 80, 30, np.random.default_rng(5)
     squared = []
     for _ in range(runs):
         truth = switching_walk(frames, rng)

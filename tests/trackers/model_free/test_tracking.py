@@ -37,15 +37,6 @@ def watch(tracker, *paths):
     return seen
 
 
-@pytest.mark.parametrize("velocity", [(1.0, 0.0), (0.0, 1.0), (-0.5, -0.8), (0.0, 0.0)])
-def test_velocity_is_known_after_a_second(tracker, velocity):
-    path = walk((3.0, -velocity[1]), velocity, 21)
-    seen = watch(tracker, path)
-    assert all(len(objects) == 1 for objects in seen[5:])
-    errors = np.array([objects[0].velocity - np.array(velocity) for objects in seen[11:]])
-    assert np.sqrt((errors**2).mean()) < 0.2
-
-
 @pytest.mark.parametrize("lost", [{"mean": np.nan}, {"mean": 1e18}, {"covariance": np.inf}, {"covariance": np.nan}])
 def test_a_track_whose_estimator_diverges_goes_on_from_what_is_measured(weights, lost):
     """Settings within the ranges of the search once had an estimate at 10^18 m, and an image without a size."""
@@ -179,22 +170,6 @@ def test_step_0_is_the_observation(tracker):
     frame = frame_of([(3.0, -0.5)])
     tracker.update(frame)
     assert np.array_equal(tracker.predict(3).occupancy[0][frame.visible], frame.occupied[frame.visible])
-
-
-def test_predict_does_not_change_the_state_and_reset_does(tracker):
-    path = walk((3.0, -1.0), (0.3, 0.7), 20)
-
-    def forecasts(ask: bool):
-        tracker.reset(seed=1)
-        for step, place in enumerate(path):
-            tracker.update(frame_of([place], step))
-            if ask:
-                tracker.predict(7)
-        return tracker.predict(5).occupancy
-
-    once = forecasts(ask=False)
-    watch(tracker, walk((5.0, 1.0), (-1.0, 0.0), 9))
-    assert np.array_equal(once, forecasts(ask=True))
 
 
 def test_an_empty_stream_is_forecast_as_background(tracker):

@@ -112,7 +112,7 @@ def test_where_no_beam_reached_in_training_the_network_forecasts_the_occupied_ra
     """Also long after, and at every horizon, in a place where nothing was ever observed."""
     card, source = tmp_path / "general.toml", Walk(12, 0.2, 0.125, unseen=8)
     shape = {"burn_in": 15, "observed_frames": 5, "blank_frames": 5, "repetitions": 1}
-    options = {"updates": 60, "validate_every": 60, "learning_rate": 0.02, "unseen_weight": 1.0}
+    options = {"updates": 40, "validate_every": 40, "learning_rate": 0.02, "unseen_weight": 1.0}
     fit(DilatedConvGRUTracker, card, [source], general=True, **shape, **options)
     long = Walk(12, 0.2, 0.125, frames=300, unseen=8)
     unseen = forecast_of(trained(DilatedConvGRUTracker, card, long), long, 20)[:, 1:5]

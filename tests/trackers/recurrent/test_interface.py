@@ -70,9 +70,3 @@ def test_a_cell_keeps_its_state_at_its_place_in_the_world(conv_lstm, tmp_path):
     for old, new, fill in zip(*map(tensors_of, (tracker.state, rolled, unseen)), strict=True):
         assert torch.equal(new[..., :-2], old[..., 2:])
         assert torch.equal(new[0, :, 3, -1], fill)
-
-
-def test_states_keep_their_structure():
-    one, two = torch.ones(1), torch.full((1,), 2.0)
-    found = map_state(torch.add, {"a": (one, [two])}, {"a": (two, [two])})
-    assert found == {"a": (torch.tensor([3.0]), [torch.tensor([4.0])])}

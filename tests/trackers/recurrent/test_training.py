@@ -138,7 +138,7 @@ def test_the_loss_of_a_batch_is_that_of_the_cells_of_all_its_windows(monkeypatch
 
 def test_a_trained_network_forecasts_a_moving_dot(tmp_path):
     card = card_in(tmp_path)
-    long = {"updates": 250, "validate_every": 125, "learning_rate": 0.02, "observed_frames": 6, "blank_frames": 4}
+    long = {"updates": 150, "validate_every": 150, "learning_rate": 0.02, "observed_frames": 6, "blank_frames": 4}
     fit(DilatedConvGRUTracker, card, TRAIN, VALIDATE, objective=log_loss_of, repetitions=1, **long)
     occupancy = forecast_of(trained(DilatedConvGRUTracker, card, Shuttle()), Shuttle(25), 3)
     assert occupancy.shape == (4, 12, 12)
