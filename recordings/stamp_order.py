@@ -182,9 +182,8 @@ class StampOrder:
         for fault, (count, at_ns) in self._faults.items():
             first_s = max(at_ns - (self._first_ns or 0), 0) / 1e9
             text = f"{fault}: {count} of them, the first {first_s:.3f} s after the first scan"
-            if NOT_AFTER in fault and count > MANY_ALIKE * self._pushed:
-                text = f"{fault}: {count} of {self._pushed}; their stamps are alike or in disorder"
-                text += f": {self._remedy}" if self._remedy else ""
+            if self._remedy and NOT_AFTER in fault and count > MANY_ALIKE * self._pushed:
+                text += f"; {count / self._pushed:.0%} of the stamps are alike or in disorder: {self._remedy}"
             self._warn(text)
         if self._first_ns is None and self._faults:
             raise RecordingError(f"no scan can be used: {next(iter(self._faults))}")

@@ -54,7 +54,10 @@ NOT_OF_A_COMPARISON = "points= and weights= are for rows of a comparison"
         (("regress", "run", "--baseline", "b.json", "--margin", "2"), "'margin' = 2.0: Input should be less than 1"),
         (("recording", "info", "no\x1b[31m\nwhere.bag"), "no [31m where.bag: no such recording"),
         (("recording", "info", "hall\udce9.mcap"), r"hall\xe9.mcap: this path is not UTF-8"),
-        (("recording", "info", DEMO, "--zero-range", "no"), "'zero_range' = 'no': Input should be 'free' or 'unknown'"),
+        (
+            ("recording", "info", DEMO, "--no-return", "no"),
+            "'no_return.0' = 'no': Input should be 'max', 'zero' or 'nan'",
+        ),
         (("compare", DEMO, "--out", "runs/hall\udce9"), r"runs/hall\xe9: this path is not UTF-8"),
         (("compare", f"{DEMO}@../../x"), "'../../x' is not the name of a stretch: expected 1 to 160 bytes"),
         (("compare", DEMO, "--horizon", "soon"), "'soon': expected seconds, such as 2.5s"),

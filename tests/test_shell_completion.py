@@ -60,7 +60,6 @@ def completed_in_bash(monkeypatch: pytest.MonkeyPatch) -> Complete:
         (["report", "run", "--format", ""], [PAGE, *FORMATS]),
         (["report", "run", "--format", "la"], ["latex"]),
         (["simulate", "tracks", "a.txt", "--format", "s"], ["sdd"]),
-        (["recording", "import", "a.bag", "--zero-range", "f"], ["free"]),
         (["compare", "a.mcap", "--degrade", "b"], ["beam-dropout="]),
         (["compare", "a.mcap", "--degrade", "pose-jitter=0.1,"], [f"0.1,{kind}=" for kind in OTHER_KINDS]),
         (["compare", "a.mcap", "--degrade", "beam-dropout=0"], []),

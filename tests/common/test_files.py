@@ -127,7 +127,7 @@ def test_the_name_of_a_site_is_the_file_without_its_ending(file: str, name: str,
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.text(max_size=300))
+@given(st.text(max_size=60))
 def test_a_name_never_leaves_its_folder(name: str) -> None:
     if is_name(name):
         assert (Path("/out") / name).parts == ("/", "out", name)

@@ -124,8 +124,8 @@ def test_a_last_scan_a_day_late_adds_no_frames(write, scan) -> None:
     path = write([*(scan(k) for k in range(400)), scan(864_000)])
     stream = open_stream(path)
     assert (len(stream), stream.gaps) == (400, 0)
-    (warning,) = stream.recording.warnings
-    assert "with a stamp far from the neighbouring ones, left out: 1 of them, the first 39.900 s after" in warning
+    far = "with a stamp far from the neighbouring ones, left out: 1 of them, the first 39.900 s after"
+    assert [far in warning for warning in stream.recording.warnings].count(True) == 1
     with pytest.raises(RecordingError, match="far from the neighbouring ones"):
         list(open_recording(path, strict=True).scans())
 

@@ -159,3 +159,11 @@ def test_the_error_for_a_wrong_topic_suggests_another(tmp_path: Path) -> None:
         list(open_recording(path, topic="FLASR").scans())
     with pytest.raises(RecordingError, match="'PARAM' is CARMEN, not scans; topics with scans: FLASER"):
         list(open_recording(path, topic="PARAM").scans())
+
+
+def test_many_equal_stamps_name_the_way_on(tmp_path: Path) -> None:
+    path = log(tmp_path / "a.clf", *(flaser(k, ["1"] * 180, "1.13486e+09") for k in range(20)))
+    (warning,) = open_recording(path).overview().warnings
+    assert "95% of the stamps are alike or in disorder: give the laser's rate, as in --stamps 10hz" in warning
+    assert [s.stamp_ns for s in open_recording(path, stamps="10hz").scans()] == [k * 10**8 for k in range(20)]
+    assert [s.stamp_ns for s in open_recording(path, stamps="received").scans()] == [k * 10**9 for k in range(20)]

@@ -203,6 +203,16 @@ def test_headers_without_a_stamp_get_the_time_of_reception_and_a_warning(tmp_pat
     assert "time of reception" in recording.warnings[0]
 
 
+def test_many_equal_stamps_name_the_time_of_reception(tmp_path: Path, scans: list[Scan]) -> None:
+    same = [("/scan", LASER, 10**9 * (k + 1), laser(ROS1, replace(s, stamp_ns=7))) for k, s in enumerate(scans[:20:2])]
+    path = ROS1.write(tmp_path / "a.bag", same)
+    (warning,) = open_recording(path).overview().warnings
+    assert "90% of the stamps are alike or in disorder: take the times of reception with --stamps received" in warning
+    assert [s.stamp_ns for s in open_recording(path, stamps="received").scans()] == [10**9 * (k + 1) for k in range(10)]
+    with pytest.raises(RecordingError, match="messages have times of reception: use received"):
+        open_recording(path, stamps="10hz")
+
+
 @pytest.mark.parametrize("increment_s", [-1e-4, 1.0, math.nan, math.inf])
 def test_impossible_beam_times_are_unknown(tmp_path: Path, scans: list[Scan], increment_s: float) -> None:
     message = laser(ROS1, replace(scans[0], time_increment_s=increment_s))
