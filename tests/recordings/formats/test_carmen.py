@@ -125,7 +125,7 @@ def test_a_stamp_that_is_no_time_is_damage(seconds: str, tmp_path: Path) -> None
 
 
 def test_names_of_hosts_in_any_encoding_are_read(tmp_path: Path) -> None:
-    path = log(tmp_path / "a.clf", "# \xe9\xe9", *(flaser(k, ["1"] * 180).replace("host", "\xe9\xe9") for k in range(3)))
+    path = log(tmp_path / "a.clf", "# \xe9", *(flaser(k, ["1"] * 180).replace("host", "\xe9") for k in range(3)))
     assert len(list(open_recording(path, strict=True).scans())) == 3
 
 
