@@ -8,8 +8,8 @@ JUNCTION := $(wildcard data/junction/test-*.tracks) --validation data/junction/v
 DEMO_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
-# two workers more than processors: many tests wait for the processes that they start
-# and with bytecode, whatever the environment says: hundreds of processes import the package
+# two workers more than processors, because many tests wait for processes that they start; with bytecode, whatever the
+# environment says, because hundreds of processes import the package
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 2) --dist worksteal --durations=10
 # with general weights: they have seen no recording of a site
 GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
@@ -40,19 +40,17 @@ test: $(VENV)/.installed-dev ## run lint, types and all tests
 pytest: $(VENV)/.installed-dev
 	$(PYTEST)
 
-check: $(VENV)/.installed-dev ## lint and test what changed since the last commit, for a minute (SINCE=main: since that revision)
-	mkdir -p .link && ln -sfn .. .link/gridtrack
+check: $(VENV)/.installed-dev | .link/gridtrack ## lint and test what changed since the last commit, for a minute (SINCE=main: since that revision)
 	PYTHONPATH=tests $(BIN)/python -m affected --since $(or $(SINCE),HEAD)
 
 coverage: $(VENV)/.installed-dev ## run all tests; print the coverage and the ten files with the least
 	$(PYTEST) --cov --cov-report=
 	$(BIN)/coverage report | sed -n '1,12p;$$p'
 
-lint: $(VENV)/.installed-dev ## check style, spelling, types and the import rule
+lint: $(VENV)/.installed-dev | .link/gridtrack ## check style, spelling, types and the import rule
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/codespell
-	mkdir -p .link && ln -sfn .. .link/gridtrack
 	MYPYPATH=.link $(BIN)/mypy -p gridtrack
 	MYPYPATH=.link:. $(BIN)/mypy -p benchmarks -p studies
 	MYPYPATH=.link:$(EXAMPLE):$(EXAMPLE)/tests $(BIN)/mypy -m example_tracker -m test_example_tracker
@@ -118,6 +116,9 @@ baseline: $(VENV)/.installed-dev ## update the baseline of tests/test_own_tracke
 
 clean: ## remove what the other targets made
 	rm -rf $(VENV) .link runs build dist *.egg-info
+
+.link/gridtrack: # the tools of lint find the package by it
+	mkdir -p .link && ln -sfn .. $@
 
 $(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)
 	$(BIN)/pip install --constraint constraints.txt --editable '.[deep,model-free]'

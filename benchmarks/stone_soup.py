@@ -1,11 +1,11 @@
 """The model-free pipeline beside Stone Soup's trackers on the same clusters: error and time.
 
-`python -m benchmarks.stone_soup` (ten minutes). Round people walk through a hall
-with a laser and occlude one another. Every tracker gets the clusters of our segmentation in the same grid frames, and
-has the same motion and measurement noise. Stone Soup's trackers are Kalman filters with global nearest neighbours and
-with joint probabilistic data association (by loopy belief propagation). Initiation and deletion of tracks are tuned for
-each tracker on a separate seed, by the measure of the comparison: Stone Soup's OSPA (cut-off 1 m, order 1) to the
-people who were seen within the last second.
+`python -m benchmarks.stone_soup` (ten minutes). Round people walk through a hall with a laser and occlude one another.
+Every tracker gets the clusters of our segmentation in the same grid frames, and has the same motion and measurement
+noise. Stone Soup's trackers are Kalman filters with global nearest neighbours and with joint probabilistic data
+association (by loopy belief propagation). Initiation and deletion of tracks are tuned for each tracker on a separate
+seed, by the measure of the comparison: Stone Soup's OSPA (cut-off 1 m, order 1) to the people who were seen within the
+last second.
 """
 
 from __future__ import annotations

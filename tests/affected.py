@@ -1,8 +1,8 @@
-"""What a change affects: lint of the changed files, and the tests of the changed modules and of those that import them.
+"""What a change affects: lint of the changed files, and the tests of the changed modules and their importers.
 
 `PYTHONPATH=tests python -m affected [--since REV]` (`make check`) looks at the working tree against REV, by default the
-last commit. Tests that import a changed module run first, then those that import one of its importers; those that have
-not begun after a minute are skipped, and counted: `make test` runs all. Types are checked last, from mypy's cache.
+last commit. Tests that import a changed module run first, then tests of its importers. After a minute the other tests
+are skipped and counted: `make test` runs all. Types are checked last, from mypy's cache.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def _git(*words: str) -> list[str]:
 
 
 def affected_tests(changed: Sequence[str]) -> list[str]:
-    """The files of tests: changed ones, then those that import a changed module, then those of its importers."""
+    """Files of tests: first the changed ones, then the ones that import a changed module, then an importer of it."""
     graph = grimp.build_graph("gridtrack")
     modules = {name for path in changed if (name := _module(path)) in graph.modules}
     importers = {importer for name in modules for importer in graph.find_modules_that_directly_import(name)}

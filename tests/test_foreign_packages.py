@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,27 +42,7 @@ ABSOLUTE_ERROR = ScoreDefinition(
 )
 """
 
-FORMAT = """
-import numpy as np
-
-from gridtrack.common.scan import Scan
-from gridtrack.recordings import Recording, RecordingFormat
-
-
-class CsvRecording(Recording):
-    def read(self, topics):
-        for line in self.path.read_text().splitlines()[1:]:
-            stamp_ns, *ranges = line.split(",")
-            topics.add("csv", "CSV", True)
-            yield Scan(int(stamp_ns), np.array(ranges, np.float32), -np.pi, np.pi / 90, 0.05, 30.0)
-
-
-def recognises(path, head):
-    return head.startswith(b"scans")
-
-
-FORMAT = RecordingFormat("CSV of scans", (".csv",), recognises, CsvRecording)
-"""
+FORMAT = Path(__file__).parent / "plugins" / "csv_scans.py"
 
 
 @pytest.fixture
@@ -76,7 +57,7 @@ def installed(install):
 @pytest.fixture
 def walk(install, tmp_path, monkeypatch):
     """A recording in the format `csv` of another package: 15 s in a room in which a person walks by."""
-    install("csv-scans", {"csv": "csv_scans:FORMAT"}, {"csv_scans.py": FORMAT}, group="gridtrack.recordings")
+    install("csv-scans", {"csv": "csv_scans:FORMAT"}, {FORMAT.name: FORMAT.read_text()}, group="gridtrack.recordings")
     angles = np.linspace(-np.pi, np.pi, 180, endpoint=False)
     lines = ["scans"]
     for frame in range(150):
@@ -108,8 +89,8 @@ def test_a_score_of_another_package_is_in_table_page_exports_and_gate(tmp_path, 
 
 
 def test_a_score_that_is_not_installed_is_one_line(tmp_path):
-    told = gridtrack("compare", RECORDING, "--score", "absolute_eror", "--out", tmp_path / "run", code=2).stderr
-    assert told.startswith("gridtrack: --score: no score 'absolute_eror' is installed")
+    error = gridtrack("compare", RECORDING, "--score", "absolute_eror", "--out", tmp_path / "run", code=2).stderr
+    assert error.startswith("gridtrack: --score: no score 'absolute_eror' is installed")
 
 
 def test_a_format_of_another_package_is_read_by_every_command_that_reads_recordings(walk, tmp_path):

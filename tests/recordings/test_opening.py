@@ -17,33 +17,7 @@ from gridtrack.recordings.stream import open_stream
 
 Install = Callable[..., Path]
 
-CSV_FORMAT = '''
-import numpy as np
-from gridtrack.common.scan import Scan
-from gridtrack.recordings import Recording, RecordingFormat
-
-class CsvRecording(Recording):
-    """One scan per line: the stamp in nanoseconds, then the ranges."""
-    def read(self, topics):
-        for line in self.path.read_text().splitlines()[1:]:
-            stamp_ns, *ranges = line.split(",")
-            topics.add("csv", "CSV", True)
-            yield Scan(int(stamp_ns), np.array(ranges, np.float32), -1.0, 0.1, 0.05, 5.0)
-
-def recognises(path, head):
-    return head.startswith(b"scans")
-
-def recognises_with_a_bug(path, head):
-    return head[99]
-
-def open_with_a_bug(path, options):
-    raise ValueError("no header")
-
-FORMAT = RecordingFormat("CSV of scans", (".csv",), recognises, CsvRecording, options=())
-FORGETFUL = RecordingFormat("forgetful", (".bug",), recognises_with_a_bug, CsvRecording)
-UNOPENABLE = RecordingFormat("unopenable", (".csv",), recognises, open_with_a_bug)
-NO_FORMAT = CsvRecording
-'''
+CSV_FORMAT = Path(__file__).parents[1] / "plugins" / "csv_scans.py"
 
 
 @pytest.fixture
@@ -58,7 +32,7 @@ def install_formats(install: Install) -> Callable[[dict[str, str]], None]:
     """Registers formats of the module `csv_scans` from the distribution `csv-scans`."""
 
     def install_formats(points: dict[str, str]) -> None:
-        install("csv-scans", points, {"csv_scans.py": CSV_FORMAT}, group="gridtrack.recordings")
+        install("csv-scans", points, {CSV_FORMAT.name: CSV_FORMAT.read_text()}, group="gridtrack.recordings")
 
     yield install_formats
     sys.modules.pop("csv_scans", None)
