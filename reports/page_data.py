@@ -88,6 +88,7 @@ def _recording(
             for row in table.rows
         ],
         "groups": _groups(runs[0], table.recording) if len(runs) == 1 else {},
+        "false_difference": runs[0].summary.false_differences.get(table.recording) if len(runs) == 1 else None,
         "untested": _why_untested(runs, table),
     }
 

@@ -12,8 +12,9 @@ from gridtrack.reports.table import row_key
 
 TEMPLATES = Path(__file__).parent / "templates"
 TRACKER_COLOURS = 8
-"""Further trackers repeat the colours, with broken lines."""
-FLOOR_GREYS = 3
+ROUNDS = ("", " again", " again2", " again3")
+"""Further trackers repeat the colours, with other dashes and dots in each round."""
+FLOOR_GREYS = 5
 """Floors beyond this many repeat the greys."""
 RUN_DASHES = 4
 """Runs beyond this many repeat the dashes."""
@@ -21,8 +22,12 @@ DASHES: Mapping[str, tuple[float, ...]] = {
     "f0": (7, 3),
     "f1": (3, 2),
     "f2": (1.5, 3),
+    "f3": (9, 2, 2, 2),
+    "f4": (12, 4),
     "ceiling": (1, 2),
     "again": (10, 2, 2, 2),
+    "again2": (2, 2),
+    "again3": (5, 2, 1, 2, 1, 2),
     "run0": (),
     "run1": (7, 3),
     "run2": (2, 2),
@@ -75,6 +80,7 @@ def _colours_of(runs: Sequence[ReportedRun]) -> dict[str, str]:
             colours[label] = f"f{floors % FLOOR_GREYS}"
             floors += 1
         else:
-            colours[label] = f"t{trackers % TRACKER_COLOURS}" + (" again" if trackers >= TRACKER_COLOURS else "")
+            again, colour = divmod(trackers, TRACKER_COLOURS)
+            colours[label] = f"t{colour}{ROUNDS[again % len(ROUNDS)]}"
             trackers += 1
     return colours

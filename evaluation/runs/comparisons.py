@@ -6,7 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from itertools import combinations
 from typing import NamedTuple
 
@@ -37,6 +37,7 @@ from gridtrack.evaluation.statistics.jackknife import (
     holm,
     verdict_of,
 )
+from gridtrack.evaluation.statistics.many_families import false_difference_rate
 from gridtrack.evaluation.statistics.trainings import LEAST_TRAININGS, Trainings, spread_between, training_differences
 
 TESTED_STRATA = (*HEADLINE_STRATA, OCCLUDED)
@@ -162,16 +163,33 @@ class Comparisons:
         Rows of raw returns are compared among themselves. Nothing with fewer than LEAST_UNITS units. Raises
         ScoresError.
         """
+        return [family for family, _ in self._tested_families]
+
+    def false_differences(self) -> dict[str, float]:
+        """How often at least one of the `families` has a difference between equal trackers, by their recordings.
+
+        Raises ScoresError.
+        """
+        by_recordings: dict[str, list[Mapping[str, Replicates]]] = {}
+        for family, rows in self._tested_families:
+            by_recordings.setdefault(family.recordings, []).append(rows)
+        return {name: round(false_difference_rate(rows), 2) for name, rows in by_recordings.items()}
+
+    @cached_property
+    def _tested_families(self) -> list[tuple[PairFamily, Mapping[str, Replicates]]]:
+        """The families, with their rows by label."""
         return [family for names in self._run.groups for family in self._families_on(names)]
 
-    def _families_on(self, names: list[str]) -> Iterator[PairFamily]:
+    def _families_on(self, names: list[str]) -> Iterator[tuple[PairFamily, Mapping[str, Replicates]]]:
         rows = self._rows_with(self._scores, names)
         for points in dict.fromkeys(trials[0].points for trials in rows.values()):
             alike = {label: trials for label, trials in rows.items() if trials[0].points == points}
             if len(alike) > 1:
                 yield from self._families_among(alike, names)
 
-    def _families_among(self, rows: Mapping[str, list[FinishedTrial]], names: list[str]) -> Iterator[PairFamily]:
+    def _families_among(
+        self, rows: Mapping[str, list[FinishedTrial]], names: list[str]
+    ) -> Iterator[tuple[PairFamily, Mapping[str, Replicates]]]:
         chosen = dict(zip(rows, self._paired(list(rows.values()), names), strict=True))
         number = next(iter(chosen.values())).number
         if number < LEAST_UNITS:
@@ -184,7 +202,7 @@ class Comparisons:
                 replicates = {label: _at(one, score, score.lead, place) for label, one in found.items()}
                 known = {label: one for label, one in replicates.items() if one is not None}
                 if tested := tuple(_pair_tests(known, score.lead)):
-                    yield PairFamily(
+                    family = PairFamily(
                         recordings=recordings,
                         score=score.name,
                         output=score.lead.name,
@@ -194,6 +212,7 @@ class Comparisons:
                         units=number,
                         pairs=tested,
                     )
+                    yield family, known
 
     def trainings(self) -> list[TrackerTrainings]:
         """Every tracker with its trainings, where a tracker has several: over all recordings if pooled, else on each.

@@ -105,6 +105,7 @@ class _Summary:
             reference=run.reference_for("occupancy"),
             differences=tuple(comparisons.differences()),
             pairs=tuple(comparisons.families()),
+            false_differences=comparisons.false_differences(),
             trainings=tuple(comparisons.trainings()),
         )
 

@@ -51,14 +51,19 @@ export function nearest(values, wanted) {
   return values.reduce((best, value, i) => (Math.abs(value - wanted) < Math.abs(values[best] - wanted) ? i : best), 0);
 }
 
-// The range of an axis over `values`: whole steps; scores between 0 and 1 start at 0.
+// The range of an axis over `values`. It begins at 0 if `fromZero`, or if the values then fill half of it.
 export function axisRange(values, fromZero) {
   const known = values.filter((value) => value !== null);
   if (!known.length) return [0, 1];
   let [low, high] = [Math.min(...known), Math.max(...known)];
-  if (fromZero) low = Math.min(low, 0);
+  if (fromZero || low <= high / 2) low = Math.min(low, 0);
   const room = (high - low) * 0.05 || 0.05;
-  return [fromZero && low === 0 ? 0 : low - room, high + room];
+  return [low === 0 ? 0 : low - room, high + room];
+}
+
+// The name of an axis; an axis without 0 names its first value.
+export function axisName(name, [low, high]) {
+  return low <= 0 && high >= 0 ? name : `${name}; the axis begins at ${Number(low.toPrecision(2))}`;
 }
 
 export function svgText(x, y, text, attributes = {}) {

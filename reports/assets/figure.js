@@ -1,10 +1,11 @@
 // A figure of the page: choices, a drawing, one line on what it shows, and its downloads.
 import { downloadButtons } from "./downloads.js";
-import { make, meaning, swatch } from "./drawing.js";
+import { draw, make, meaning, svgText, swatch } from "./drawing.js";
 import { lineChart, numbersOfChart } from "./line_chart.js";
 import { whenShownChange } from "./shown_trackers.js";
 
-const LEAST_WIDTH = 300;
+const LEAST_WIDTH = 300, EMPTY_HEIGHT = 120;
+const NO_VALUE = "No shown tracker has a value here";
 const COLUMNS = { ahead_s: "horizon, s" };
 let firstWidth = 0; // of the figure drawn first: all are as wide, and to measure each would lay the page out each time
 
@@ -25,7 +26,8 @@ export function startFigure(figure) {
   const legend = () => (figure.chart ? figure.chart(chosen).lines.toReversed() : []);
   let width = 0;
   const redraw = () => {
-    holder.replaceChildren(drawing(chosen, Math.max(width, LEAST_WIDTH)));
+    const draws = isEmpty(table(chosen)) ? (_, wide) => emptyDrawing(wide) : drawing;
+    holder.replaceChildren(draws(chosen, Math.max(width, LEAST_WIDTH)));
     printed.replaceChildren(make("span", {}, words()), ...legend().map(({ name, style }) => make("span", {}, swatch(style), name)));
     note.replaceChildren(figure.line(chosen), " ", meaning(heading));
   };
@@ -47,6 +49,17 @@ export function startFigure(figure) {
     width = holder.clientWidth;
     redraw();
   }).observe(section);
+}
+
+// Whether the table of a figure, headings first, has no value beside the names or places in its first column.
+function isEmpty([, ...rows]) {
+  return !rows.some((row) => row.some((cell, column) => column > 0 && typeof cell === "number"));
+}
+
+function emptyDrawing(width) {
+  const svg = draw("svg", { class: "figure-drawing", viewBox: `0 0 ${width} ${EMPTY_HEIGHT}`, width, height: EMPTY_HEIGHT, role: "img", "aria-label": NO_VALUE });
+  svg.append(svgText(width / 2, EMPTY_HEIGHT / 2, NO_VALUE, { class: "tick", "text-anchor": "middle" }));
+  return svg;
 }
 
 // What is chosen, by the name of its column.

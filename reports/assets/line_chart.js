@@ -1,7 +1,8 @@
 // Lines over one axis, with bands, and the values at the pointer or, by arrow keys, at any place.
-import { axisRange, draw, inDigits, make, nearest, roundTicks, scaleOf, svgText, swatch } from "./drawing.js";
+import { axisName, axisRange, draw, inDigits, make, nearest, roundTicks, scaleOf, svgText, swatch } from "./drawing.js";
 
 const HEIGHT = 408, LEFT = 44, RIGHT = 14, BOTTOM = 46, TOP = 24;
+const EDGE = 5; // room for a dot on an axis
 const READING_PLACES = 51;
 const MOST_BANDS = 6;
 
@@ -14,12 +15,10 @@ export function lineChart({ lines, x: across, y: up, diagonal, width }) {
   const places = placesOf(lines);
   const [first, last] = across.range ?? [places[0] ?? 0, places.at(-1) ?? 1];
   const x = scaleOf(first, last, LEFT, width - RIGHT);
-  const values = lines.flatMap((one) => [...one.values, ...(one.low ?? []), ...(one.high ?? [])]);
-  const range = up.range ?? axisRange(values, up.fromZero);
+  const range = up.range ?? axisRange(scaledValues(lines, across.unranked ? places[1] : first), up.fromZero);
   const y = scaleOf(...range, HEIGHT - BOTTOM, TOP);
   const svg = draw("svg", { class: "figure-drawing", viewBox: `0 0 ${width} ${HEIGHT}`, width, height: HEIGHT, role: "img" });
   svg.setAttribute("aria-label", `${up.name}: ${lines.map((one) => `${one.name} ${inDigits(one.values.at(-1), up.digits)}`).join(", ")}`);
-  if (!lines.length) return nothingShown(svg, width);
   for (const tick of roundTicks(...range, 6)) {
     svg.append(draw("line", { class: "grid", x1: LEFT, x2: width - RIGHT, y1: y(tick), y2: y(tick) }),
       svgText(LEFT - 8, y(tick) + 4, String(tick), { class: "tick", "text-anchor": "end" }));
@@ -30,11 +29,11 @@ export function lineChart({ lines, x: across, y: up, diagonal, width }) {
     svg.append(svgText(anchor === "end" ? width : x(place), HEIGHT - 24, words, { class: "tick", "text-anchor": anchor }));
   }
   svg.append(svgText(width, HEIGHT - 5, across.name, { class: "axis-name", "text-anchor": "end" }),
-    svgText(0, 12, up.name, { class: "axis-name" }));
+    svgText(0, 12, axisName(up.name, range), { class: "axis-name" }));
   if (across.unranked && places.length > 1) svg.append(draw("rect", { class: "unranked-step", x: LEFT, y: TOP, width: x(places[1]) - LEFT, height: HEIGHT - BOTTOM - TOP }));
   if (diagonal) svg.append(draw("line", { class: "axis", x1: x(0), y1: y(0), x2: x(1), y2: y(1) }));
   const drawn = lines.map((one) => drawnLine(one, x, y));
-  svg.append(...drawn);
+  svg.append(clipped(drawn, width));
   if (isCrowded(lines)) showBandOf(null, drawn);
   return withReading(svg, { lines, drawn, places: readingPlaces(places, [first, last]), words: wordsOf(across), digits: up.digits, x, y, width });
 }
@@ -50,10 +49,18 @@ function showBandOf(chosen, drawn) {
   }
 }
 
-// Without a line there is neither a range nor a place to put a tick.
-function nothingShown(svg, width) {
-  svg.append(svgText(width / 2, HEIGHT / 2, "no tracker is shown", { class: "tick", "text-anchor": "middle" }));
-  return make("div", { class: "chart" }, svg);
+// The values of the lines, and of their bands, from the place `first` on; all values where there are none.
+function scaledValues(lines, first) {
+  const valuesOf = (wanted) => lines.flatMap(({ xs, values, low, high }) =>
+    [values, low ?? [], high ?? []].flatMap((curve) => curve.filter((value, i) => value !== null && wanted(xs[i]))));
+  const later = valuesOf((place) => place >= first);
+  return later.length ? later : valuesOf(() => true);
+}
+
+// The lines inside of the axes: a value that does not count for the scale may lie outside.
+function clipped(drawn, width) {
+  const box = { x: 0, y: TOP - EDGE, width, height: HEIGHT - BOTTOM - TOP + 2 * EDGE };
+  return draw("svg", { ...box, viewBox: Object.values(box).join(" ") }, ...drawn);
 }
 
 // The places of all lines, in order.
@@ -140,7 +147,8 @@ function fillReading(marks, readout, { lines, words, digits, x, y }, place) {
   const read = lines.map((one) => ({ one, i: nearest(one.xs, place) }))
     .filter(({ one, i }) => one.values[i] !== null && one.values[i] !== undefined)
     .sort((a, b) => b.one.values[b.i] - a.one.values[a.i]);
-  for (const { one, i } of read) marks.append(draw("g", { class: one.style }, draw("circle", { cx: x(one.xs[i]), cy: y(one.values[i]), r: 3.5 })));
+  const isInside = (height) => height >= TOP - EDGE && height <= HEIGHT - BOTTOM + EDGE;
+  for (const { one, i } of read.filter((at) => isInside(y(at.one.values[at.i])))) marks.append(draw("g", { class: one.style }, draw("circle", { cx: x(one.xs[i]), cy: y(one.values[i]), r: 3.5 })));
   const rows = read.map(({ one, i }) => make("span", {}, swatch(one.style), `${one.name} ${number(one.values[i])}`
     + (one.low?.[i] != null && one.high?.[i] != null ? ` [${number(one.low[i])}, ${number(one.high[i])}]` : "")
     + (one.notes ? ` (${one.notes[i]})` : "")));

@@ -1,5 +1,5 @@
 // The ranking on a chosen score: a dot and its interval for each row, and bars that join rows that do not differ significantly.
-import { axisRange, draw, heightOf, inDigits, namedRows, roundTicks, rowName, scaleOf, svgText } from "./drawing.js";
+import { axisName, axisRange, draw, heightOf, inDigits, namedRows, roundTicks, rowName, scaleOf, svgText } from "./drawing.js";
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import {
@@ -40,7 +40,7 @@ function drawRanking(chosen, width) {
     svg.append(draw("line", { class: "grid", x1: x(tick), x2: x(tick), y1: 0, y2: bottom }),
       svgText(x(tick), bottom + 16, String(tick), { class: "tick", "text-anchor": "middle" }));
   }
-  svg.append(svgText(width - right, height - 5, heading, { class: "axis-name", "text-anchor": "end" }));
+  svg.append(svgText(width - right, height - 5, axisName(heading, range), { class: "axis-name", "text-anchor": "end" }));
   rows.forEach((row, i) => svg.append(drawRow(row, at(row), x, places[i], width - right, decimals)));
   groups.forEach((members, g) => {
     const bar = width - right + 64 + 12 * g;
@@ -68,7 +68,14 @@ function caption(chosen) {
   const tests = testsOf(chosen);
   const lower = scoreWords(outputNamed(chosen.score));
   if (!tests) return `${lower}. The order may be chance: ${recordingNamed(chosen.recording).untested}.`;
-  return `${lower}. A bar joins rows that do not differ significantly: ${tests.pairs} pairs, ${tests.units} units, Holm, p < 0.05.`;
+  return `${lower}. A bar joins rows that do not differ significantly: ${tests.pairs} pairs, ${tests.units} units, Holm, p < 0.05. ${manyRankings(chosen)}`;
+}
+
+// A warning to a reader who looks through all rankings.
+function manyRankings({ recording }) {
+  const { groups, false_difference: rate } = recordingNamed(recording);
+  const count = Object.keys(groups).length;
+  return count > 1 && rate !== null ? `Of the ${count} rankings to choose from, at least one would separate equal trackers in ${Math.round(100 * rate)} % of runs.` : "";
 }
 
 function rankingNumbers(chosen) {

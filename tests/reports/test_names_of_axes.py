@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from contextlib import contextmanager
 from xml.etree import ElementTree
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from gridtrack.reports.page import render_report
 
 from scenes.report_page import HOSTILE
+from scenes.report_page import opened as page_opened
 
 AXES = {
     "curves": ("horizon, s", "PR-AUC"),
@@ -42,10 +44,44 @@ def test_with_every_tracker_off_a_chart_says_so_without_an_error(opened):
     page, _ = opened()
     for button in page.locator("#trackers button").all():
         button.click()
-    assert "no tracker is shown" in page.locator("#curves svg.figure-drawing").text_content()
-    assert page.locator("#scale svg .tick").evaluate_all(
-        "all => all.every((one) => one.getBoundingClientRect().right <= innerWidth)"
-    )
+    drawings = page.locator("section.figure .drawn svg.figure-drawing")
+    assert drawings.count() > 5
+    assert {one.strip() for one in drawings.all_text_contents()} == {"No shown tracker has a value here"}
+
+
+@contextmanager
+def with_curves(browser, run_folder, tmp_path, values):
+    """The page of a run in which PR-AUC on cells in motion has these `values` in every row."""
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    summary = json.loads((run / "summary.json").read_text())
+    for tracker in summary["trackers"].values():
+        tracker["recordings"]["crossing"]["strata"]["in-motion"]["pr_auc"]["area"]["value"][:] = values
+    (run / "summary.json").write_text(json.dumps(summary))
+    with page_opened(browser, render_report([run])) as page:
+        yield page
+
+
+def test_a_ranking_of_cells_that_no_frame_has_says_so(browser, run_folder, tmp_path):
+    with with_curves(browser, run_folder, tmp_path, [0.4, *[None] * 20]) as page:
+        assert page.locator("#ranking .drawn").text_content() == "No shown tracker has a value here"
+
+
+def test_the_input_frame_does_not_scale_the_axis_of_the_horizon(browser, run_folder, tmp_path):
+    with with_curves(browser, run_folder, tmp_path, [1.0, *[0.2] * 20]) as page:
+        ticks = page.locator("#curves svg.figure-drawing .tick[text-anchor=end]").all_text_contents()
+        assert "0.2" in ticks
+        assert not {"0.4", "0.6", "1"} & set(ticks)
+        lines = page.locator("#curves svg svg")
+        assert lines.evaluate("one => getComputedStyle(one).overflow") in ("hidden", "clip")
+        assert lines.locator("polyline").count()
+
+
+def test_an_axis_without_zero_names_its_first_value(browser, twenty_report):
+    page = browser.new_page()
+    page.goto(twenty_report.as_uri())
+    name = page.locator("#ranking text.axis-name").text_content()
+    assert re.fullmatch(r"F1; the axis begins at 0\.\d+", name)
+    page.close()
 
 
 def texts_of(svg):
