@@ -336,7 +336,7 @@ class RunSummary(ResultModel):
     differences: tuple[TrackerDifference, ...] = ()
     pairs: tuple[PairFamily, ...] = ()
     """Empty with too few statistical units."""
-    false_differences: dict[str, Annotated[float, Field(ge=0.0, le=1.0)]] = {}
+    false_differences: dict[str, Annotated[float, Field(ge=0.0, le=1.0)]] = Field(default_factory=dict)
     """How often at least one family of `pairs` has a difference between equal trackers, by their recordings."""
     trainings: tuple[TrackerTrainings, ...] = ()
     """Where a tracker has several trainings: every tracker, with the spread between its trainings."""

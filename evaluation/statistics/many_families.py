@@ -1,8 +1,8 @@
 """Many families of tests: how often at least one of them shows a difference between equal trackers.
 
 Holm's correction holds within one family: all pairs of rows in one score, stratum and horizon. A reader who may look at
-each of many families finds a difference by chance more often. How much more depends on how far the families agree, which
-the units of the run itself show.
+each of many families finds a difference by chance more often. How much more depends on how far the families agree,
+which the units of the run itself show.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 The difference of two trackers is that of the mean scores of their trainings. Its variance is the sum of the variance
 over units (the jackknife of the difference of means, with the effective number of units less one as its degrees of
 freedom) and the variances of both means over trainings, s² / K; the degrees of freedom of the sum are Satterthwaite's
-(Biometrics Bulletin 2, 1946). The part of the variance that units and trainings share is in both terms: where trainings differ on single units alone, intervals are too long
-(`studies/coverage.py`, docs/statistics.md).
+(Biometrics Bulletin 2, 1946). The part of the variance that units and trainings share is in both terms: where trainings
+differ on single units alone, intervals are too long (`studies/coverage.py`, docs/statistics.md).
 
 Few trainings estimate s² badly. It is of the order of w, the variance of one training's score that follows from the
 disagreement between units alone. So the estimate of s² is shrunk towards w times the mean of s²/w over the tracker's
