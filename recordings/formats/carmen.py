@@ -20,6 +20,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from gridtrack.common.errors import RecordingError
 from gridtrack.common.files import name_from
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
@@ -37,7 +38,7 @@ PACKED: dict[bytes, Callable[[BinaryIO], AbstractContextManager[BinaryIO]]] = {
 FIRST_LINE = re.compile(rb"\s*(#|[A-Z][A-Z0-9_]*\s)")
 """A log begins with a comment or the name of a message."""
 MAX_LINE_BYTES = 1 << 20
-MAX_STAMP_DIGITS = 12
+MAX_STAMP_DIGITS, NO_STAMP = 12, -1
 SICK_RANGE_MAX_M = 81.8
 """A SICK LMS reports 81.83 m or more for a beam without a return; its true maximum range is shorter."""
 ANGLES_DEG = {
@@ -64,6 +65,8 @@ class CarmenLog(Recording):
 
     def read(self, topics: Topics) -> Iterator[Scan]:
         """As in every recording."""
+        if self.options.stamps == "end":
+            raise RecordingError("--stamps end: a CARMEN log has no time between beams: leave it out")
         wanted, read = self.options.topic, -1
         for number, words in _lines(self.path):
             kind = words[0]
@@ -175,11 +178,14 @@ def _robotlaser(words: list[str]) -> Scan:
 
 
 def _stamp_ns(seconds: str) -> int:
-    """Seconds, also with an exponent, as C++ streams write them; exact where decimals are."""
+    """Seconds, also with an exponent, as C++ streams write them; exact where decimals are.
+
+    NO_STAMP for a text that is no time: StampOrder leaves that scan out, and the log goes on.
+    """
     try:
         stamp = Decimal(seconds)
     except InvalidOperation:
-        raise ValueError(f"stamp {seconds}") from None
+        return NO_STAMP
     if not stamp.is_finite() or stamp < 0 or stamp.adjusted() > MAX_STAMP_DIGITS:
-        raise ValueError(f"stamp {seconds}")
+        return NO_STAMP
     return int(stamp * 1_000_000_000)
