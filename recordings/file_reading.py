@@ -56,18 +56,23 @@ class ReadBudget:
             )
 
 
+def is_packed(path: Path) -> bool:
+    """Whether the file is packed by Zstandard."""
+    with path.open("rb") as file:
+        return file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
+
+
 @contextmanager
 def unpacked(path: Path) -> Iterator[Path]:
     """The file at `path`, or a temporary copy without the packing if it is packed by Zstandard.
 
     Raises DamageError if it is damaged, or unpacks to far more than its size.
     """
+    if not is_packed(path):
+        yield path
+        return
     with path.open("rb") as file, TemporaryDirectory(prefix="gridtrack-unpacked-") as folder:
-        if file.read(len(ZSTD_MAGIC)) != ZSTD_MAGIC:
-            yield path
-            return
-        copy, budget = Path(folder) / path.name.removesuffix(path.suffix), ReadBudget()
-        file.seek(0)
+        copy, budget = Path(folder) / path.name.removesuffix(".zstd"), ReadBudget()
         try:
             with (
                 zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True) as content,

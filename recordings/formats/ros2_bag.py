@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 
 from gridtrack.common.files import read_bounded
 from gridtrack.common.untrusted import MAX_NESTING
-from gridtrack.recordings.file_reading import ZSTD_MAGIC, DamageError, ReadBudget, unpacked
+from gridtrack.recordings.file_reading import ZSTD_MAGIC, DamageError, ReadBudget, is_packed, unpacked
 from gridtrack.recordings.formats.ros_mcap import mcap_files
 from gridtrack.recordings.framed_recording import EncodedMessage
 from gridtrack.recordings.registry import RecordingFormat
@@ -63,7 +63,7 @@ def _parts(path: Path) -> list[Path]:
     """
     folder = path if path.is_dir() else path.parent
     files = databases_in(folder) if path.is_dir() else [path]
-    has_copies = any(file.suffix == ".zstd" or _side_file(file).exists() for file in files)
+    has_copies = any(is_packed(file) or _side_file(file).exists() for file in files)
     if (folder / METADATA_FILE).is_file() and not has_copies and (path.is_dir() or _is_packed_in(folder, path)):
         return [folder]
     return files
