@@ -84,7 +84,7 @@ class FramedRecording(Recording):
     @property
     def stamp_remedy(self) -> str:
         """As in every recording."""
-        return "take the times of reception with --stamps received"
+        return f"take the times of reception, with `{self.import_command(['--stamps', 'received'])}`"
 
     @property
     def pose_problem(self) -> str:

@@ -121,7 +121,8 @@ class Recording(ABC):
     def import_command(self, words: Iterable[str]) -> str:
         """The command that imports the recording with its present options and those in `words`."""
         words = list(words)
-        end = "one" if "--topic" in words else "posed"
+        ends = {"--topic": "one", "--stamps": "stamped"}
+        end = next((end for option, end in ends.items() if option in words), "posed")
         command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{self.path.stem}-{end}.mcap"]
         given = {
             "--format": self.options.format,

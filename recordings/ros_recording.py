@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import struct
 from collections.abc import Iterable, Iterator
@@ -33,7 +34,9 @@ POSES = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
 )
-EXAMPLE_SLICE = "--cloud-slice low_m=0.2,high_m=1.0 (metres in the frame of the sensor)"
+HEIGHTS, EXAMPLE_SLICE = "heights in the frame of the sensor", "low_m=0.2,high_m=1.0"
+FLAT_M = 0.2
+"""Difference of the heights in a cloud below which it is flat: of a laser with one plane."""
 ROS_OPTIONS = ("topic", "cloud_slice", "pose_topic", "mounts", "stamps")
 FINE_BEAMS = 720
 """Bearings of a revolution, unless the clouds have fewer."""
@@ -284,7 +287,8 @@ class RosRecording(FramedRecording):
                 return FramedScan(message.topic, frame, scan_of_laser(decoded, sensor, message.received_ns))
             if self.options.cloud_slice is None:
                 raise RecordingError(
-                    f"'{message.topic}' is a point cloud: give the heights to cut it at, with {EXAMPLE_SLICE}"
+                    f"'{message.topic}' is a point cloud: give its slice, {HEIGHTS}, as in --cloud-slice"
+                    f" {EXAMPLE_SLICE}"
                 )
             bearings = self._bearings_of(decoded, self.options.cloud_slice)
             scan = scan_of_cloud(decoded, sensor, message.received_ns, self.options.cloud_slice, bearings)
@@ -302,12 +306,22 @@ class RosRecording(FramedRecording):
                 self.notify(f"its clouds have {bearings.beams} bearings in a revolution, and so have the scans of them")
         return self._bearings
 
+    def _example_slice(self, topic: str) -> str:
+        """The option for a slice of the clouds on a topic: all of a flat cloud, else usual heights."""
+        with contextlib.suppress(DamageError, RecordingError, StopIteration):
+            with self._decoded(next(one for one in self.messages() if one.topic == topic)) as cloud:
+                heights_m = cloud_points(cloud)[:, 2]
+            if heights_m.size and np.ptp(heights_m) < FLAT_M:
+                return f"low_m={heights_m.min() - FLAT_M / 2:.1f},high_m={heights_m.max() + FLAT_M / 2:.1f}"
+        return EXAMPLE_SLICE
+
     def why_no_scans(self, topics: Topics) -> str:
         """As in every recording; point clouds are read on request."""
         clouds = [topic for topic, kind in topics.types.items() if kind == POINT_CLOUD]
         if self.options.topic is not None or not clouds:
             return super().why_no_scans(topics)
-        return f"no laser scans; for a slice of the point cloud add --topic {clouds[0]} {EXAMPLE_SLICE}"
+        command = self.import_command(["--topic", clouds[0], "--cloud-slice", self._example_slice(clouds[0])])
+        return f"no laser scans: take them from a slice of the point cloud, {HEIGHTS}, with `{command}`"
 
 
 def _stamped(message: EncodedMessage, decoded: Any, child: str, transform: SE3 | None) -> StampedTransform:

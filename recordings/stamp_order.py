@@ -249,8 +249,8 @@ def _contradiction_of(scan: Scan) -> str:
     first, told, counted = (math.degrees(angle) for angle in (scan.angle_min, told_rad, counted_rad))
     return (
         f"its header contradicts itself: {steps + 1} beams every {scan.angle_increment:g} rad cover {counted:.4g} deg,"
-        f" and angle_max is {told:.4g} deg from angle_min: give the angles of the first and the last beam with --angles"
-        f" FIRST,LAST, as in --angles {first:.5g}deg,{first + told if told else first + 180.0:.5g}deg"
+        f" and angle_max is {told:.4g} deg from angle_min: import the recording with the angles of the first and the"
+        f" last beam, as in --angles {first:.5g}deg,{first + told if told else first + 180.0:.5g}deg"
     )
 
 
@@ -270,7 +270,7 @@ def _problem_of(scan: Scan) -> str:
     if not 0.0 <= scan.range_min < scan.range_max <= MAX_RANGE_M:
         return (
             f"range limits {scan.range_min:g} to {scan.range_max:g} m; expected finite limits up to {MAX_RANGE_M:g} m,"
-            " the lower one first: give those of the laser with --range-limits MIN,MAX"
+            " the lower one first: import the recording with those of the laser, --range-limits MIN,MAX"
         )
     if beams > MAX_BEAMS:
         return f"{beams} beams; at most {MAX_BEAMS}"
@@ -278,8 +278,8 @@ def _problem_of(scan: Scan) -> str:
     if not (abs(scan.angle_min) <= MAX_ANGLE_RAD and extent <= MAX_ANGLE_RAD):
         return (
             f"{beams} beams from {scan.angle_min:g} rad every {scan.angle_increment:g} rad; expected radians, and at"
-            f" most two turns ({MAX_ANGLE_RAD:.4g} rad): give those of the first and the last beam with --angles"
-            " FIRST,LAST"
+            f" most two turns ({MAX_ANGLE_RAD:.4g} rad): import the recording with those of the first and the"
+            " last beam, --angles FIRST,LAST"
         )
     if contradiction := _contradiction_of(scan):
         return contradiction

@@ -87,7 +87,8 @@ class CarmenLog(Recording):
     @property
     def stamp_remedy(self) -> str:
         """As in every recording."""
-        return "give the laser's rate, as in --stamps 10hz, or take the logger's times with --stamps received"
+        command = self.import_command(["--stamps", "10hz"])
+        return f"give the rate of the laser, as in `{command}`, or take the logger's times with --stamps received"
 
     def _stamped(self, scan: Scan, logger_time: str, number: int) -> Scan:
         """Scan `number` with the stamp that the options name."""

@@ -13,6 +13,7 @@ import pytest
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import open_recording
+from gridtrack.recordings.stream import open_stream
 
 
 def flaser(k: int, ranges: list[str], seconds: str | None = None) -> str:
@@ -165,6 +166,11 @@ def test_the_error_for_a_wrong_topic_suggests_another(tmp_path: Path) -> None:
 def test_many_equal_stamps_name_the_way_on(tmp_path: Path) -> None:
     path = log(tmp_path / "a.clf", *(flaser(k, ["1"] * 180, "1.13486e+09") for k in range(20)))
     (warning,) = open_recording(path).overview().warnings
-    assert "95% of the stamps are alike or in disorder: give the laser's rate, as in --stamps 10hz" in warning
+    assert (
+        "95% of the stamps are alike or in disorder: give the rate of the laser, as in `gridtrack recording" in warning
+    )
+    assert "--out a-stamped.mcap --stamps 10hz`, or take the logger's times with --stamps received" in warning
+    with pytest.raises(RecordingError, match="a single scan has no rate: scans of sensor 'scan' not stamped after"):
+        open_stream(path)
     assert [s.stamp_ns for s in open_recording(path, stamps="10hz").scans()] == [k * 10**8 for k in range(20)]
     assert [s.stamp_ns for s in open_recording(path, stamps="received").scans()] == [k * 10**9 for k in range(20)]

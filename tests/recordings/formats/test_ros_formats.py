@@ -243,7 +243,10 @@ def test_many_equal_stamps_name_the_time_of_reception(tmp_path: Path, scans: lis
     same = [("/scan", LASER, 10**9 * (k + 1), laser(ROS1, replace(s, stamp_ns=7))) for k, s in enumerate(scans[:20:2])]
     path = ROS1.write(tmp_path / "a.bag", same)
     (warning,) = open_recording(path).overview().warnings
-    assert "90% of the stamps are alike or in disorder: take the times of reception with --stamps received" in warning
+    assert (
+        "90% of the stamps are alike or in disorder: take the times of reception, with `gridtrack recording import"
+        in warning
+    )
     assert [s.stamp_ns for s in open_recording(path, stamps="received").scans()] == [10**9 * (k + 1) for k in range(10)]
     with pytest.raises(RecordingError, match="messages have times of reception: use received"):
         open_recording(path, stamps="10hz")
@@ -270,7 +273,7 @@ def test_stamps_in_bursts_are_told_with_the_rate(tmp_path: Path, scans: list[Sca
         assert len(bursts) == count
     told = open_recording(tmp_path / "1.bag").overview().warnings[0]
     assert "half of them less than 2 ms after another" in told
-    assert "give --rate 11.1, or take the times of reception with --stamps received" in told
+    assert "give --rate 11.1, or take the times of reception, with `gridtrack recording import" in told
 
 
 @pytest.mark.parametrize("increment_s", [-1e-4, 1.0, math.nan, math.inf])
@@ -396,6 +399,9 @@ def ring(beams: int, phase_rad: float, missing: int = 0) -> np.ndarray:
     return np.stack([3 * np.cos(angles), 3 * np.sin(angles), np.full(angles.size, 0.5)], axis=1)
 
 
+TALL = np.random.default_rng(0).uniform(-2.0, 2.0, (99, 3))
+
+
 @pytest.mark.parametrize(("beams", "phase_rad"), [(360, 0.0), (360, 0.004), (91, 0.01), (512, -math.pi)])
 def test_a_scan_has_the_bearings_of_a_coarse_cloud(beams: int, phase_rad: float, tmp_path: Path) -> None:
     """Twice as many bearings would leave every other beam empty, and free through the walls."""
@@ -504,7 +510,7 @@ def test_wrong_range_limits_are_refused_and_replaced(
     limits: tuple[float, float], tmp_path: Path, scans: list[Scan]
 ) -> None:
     path = MAKERS["ros1 bag"](tmp_path, [replace(s, range_min=limits[0], range_max=limits[1]) for s in scans])
-    with pytest.raises(RecordingError, match=r"give those of the laser with --range-limits MIN,MAX"):
+    with pytest.raises(RecordingError, match="import the recording with those of the laser, --range-limits MIN,MAX"):
         list(open_recording(path).scans())
     assert {(s.range_min, s.range_max) for s in open_recording(path, range_limits="0.1,20").scans()} == {(0.1, 20.0)}
 
@@ -544,13 +550,18 @@ def test_a_channel_without_a_schema_is_ignored(tmp_path: Path, scans: list[Scan]
     same_scans(open_recording(path).scans(), scans)
 
 
-def test_a_cloud_needs_its_topic_and_its_heights(tmp_path: Path) -> None:
-    path = ROS1.write(tmp_path / "a.bag", [("/points", CLOUD, 5, cloud(ROS1, np.ones((3, 3))))])
-    with pytest.raises(
-        RecordingError, match=r"no laser scans; .* add --topic /points --cloud-slice low_m=0.2,high_m=1.0"
-    ):
+@pytest.mark.parametrize(
+    ("points", "heights"), [(ring(90, 0.0), "low_m=0.4,high_m=0.6"), (TALL, "low_m=0.2,high_m=1.0")]
+)
+def test_a_recording_of_clouds_alone_gives_the_command_with_topic_and_heights(
+    points: np.ndarray, heights: str, tmp_path: Path
+) -> None:
+    """The slice of a flat cloud contains it: an empty slice would be free everywhere."""
+    path = ROS1.write(tmp_path / "a.bag", [("/points", CLOUD, 5, cloud(ROS1, points))])
+    command = f"a.bag --out a-one.mcap --topic /points --cloud-slice {heights}`"
+    with pytest.raises(RecordingError, match=f"no laser scans: take them from a slice of the point cloud.*{command}"):
         list(open_recording(path).scans())
-    with pytest.raises(RecordingError, match="point cloud: give the heights"):
+    with pytest.raises(RecordingError, match="point cloud: give its slice"):
         list(open_recording(path, topic="/points").scans())
 
 
