@@ -123,7 +123,7 @@ class Recording(ABC):
         words = list(words)
         ends = {"--topic": "one", "--stamps": "stamped"}
         end = next((end for option, end in ends.items() if option in words), "posed")
-        command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{self.path.stem}-{end}.mcap"]
+        command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{name_from(self.path)}-{end}.mcap"]
         given = {
             "--format": self.options.format,
             "--topic": self.options.topic,
