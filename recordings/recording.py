@@ -268,7 +268,7 @@ class Recording(ABC):
             self.warnings.append(f"{self.path}: {NO_MORE_WARNINGS}" if full else line)
 
     def _in_order(self, topics: Topics) -> Iterator[Scan]:
-        order = StampOrder(self.warn, self.stamp_remedy)
+        order = StampOrder(self.warn, lambda: self.stamp_remedy)
         try:
             for scan in filter(self._is_known, self._before_damage(topics)):
                 yield from order.push(self._as_options_say(scan))

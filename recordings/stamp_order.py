@@ -134,8 +134,8 @@ class StampOrder:
     with the number of scans and the time of the first.
     """
 
-    def __init__(self, warn: Callable[[str], None], remedy: str = "") -> None:
-        """`remedy`: what to do about many stamps that are alike or in disorder."""
+    def __init__(self, warn: Callable[[str], None], remedy: Callable[[], str] = str) -> None:
+        """`remedy()`: what to do about many stamps that are alike or in disorder, asked at the end of the file."""
         self._warn, self._remedy = warn, remedy
         self._waiting: list[tuple[int, int, Scan]] = []
         self._numbers = itertools.count()
@@ -182,8 +182,8 @@ class StampOrder:
         for fault, (count, at_ns) in self._faults.items():
             first_s = max(at_ns - (self._first_ns or 0), 0) / 1e9
             text = f"{fault}: {count} of them, the first {first_s:.3f} s after the first scan"
-            if self._remedy and NOT_AFTER in fault and count > MANY_ALIKE * self._pushed:
-                text += f"; {count / self._pushed:.0%} of the stamps are alike or in disorder: {self._remedy}"
+            if NOT_AFTER in fault and count > MANY_ALIKE * self._pushed and (remedy := self._remedy()):
+                text += f"; {count / self._pushed:.0%} of the stamps are alike or in disorder: {remedy}"
             self._warn(text)
         if self._first_ns is None and self._faults:
             raise RecordingError(f"no scan can be used: {next(iter(self._faults))}")

@@ -58,6 +58,9 @@ more: SICK LMS 1xx and Hokuyo UTM-30LX.
 class CarmenLog(Recording):
     """A CARMEN log. FLASER and ROBOTLASER1 are two forms of the same scan: the first one in the file is read."""
 
+    _logger_differs = False
+    """Whether the logger gave the scans different times."""
+
     @cached_property
     def info(self) -> RecordingInfo:
         """The metadata of the recording: its file name as `site`, and the source of its poses."""
@@ -67,7 +70,7 @@ class CarmenLog(Recording):
         """As in every recording."""
         if self.options.stamps == "end":
             raise RecordingError("--stamps end: a CARMEN log has no time between beams: leave it out")
-        wanted, read = self.options.topic, -1
+        wanted, read, first_logged = self.options.topic, -1, ""
         for number, words in _lines(self.path):
             kind = words[0]
             topics.add(kind, "CARMEN", kind in ("FLASER", "ROBOTLASER1"))
@@ -82,13 +85,15 @@ class CarmenLog(Recording):
                         f" {scan.ranges.size} beams: 180 deg are assumed, as in CARMEN; if that is wrong, use"
                         " ROBOTLASER1 lines, which contain the angles"
                     )
+                first_logged = first_logged or words[-1]
+                self._logger_differs |= words[-1] != first_logged
                 yield self._stamped(scan, words[-1], read := read + 1)
 
     @property
     def stamp_remedy(self) -> str:
         """As in every recording."""
-        command = self.import_command(["--stamps", "10hz"])
-        return f"give the rate of the laser, as in `{command}`, or take the logger's times with --stamps received"
+        remedy = f"give the rate of the laser, as in `{self.import_command(['--stamps', '10hz'])}`"
+        return f"{remedy}, or take the logger's times with --stamps received" if self._logger_differs else remedy
 
     def _stamped(self, scan: Scan, logger_time: str, number: int) -> Scan:
         """Scan `number` with the stamp that the options name."""

@@ -172,5 +172,8 @@ def test_many_equal_stamps_name_the_way_on(tmp_path: Path) -> None:
     assert "--out a-stamped.mcap --stamps 10hz`, or take the logger's times with --stamps received" in warning
     with pytest.raises(RecordingError, match="a single scan has no rate: scans of sensor 'scan' not stamped after"):
         open_stream(path)
+    alike = (flaser(k, ["1"] * 180, "1.13486e+09").rpartition(" ")[0] + " 1.13486e+09" for k in range(20))
+    (warning,) = open_recording(log(tmp_path / "b.clf", *alike)).overview().warnings
+    assert warning.endswith("--stamps 10hz`")
     assert [s.stamp_ns for s in open_recording(path, stamps="10hz").scans()] == [k * 10**8 for k in range(20)]
     assert [s.stamp_ns for s in open_recording(path, stamps="received").scans()] == [k * 10**9 for k in range(20)]
