@@ -17,7 +17,7 @@ UNLIKE_M = 0.2
 """Median difference of ranges from which two scans are of two views."""
 LIKE_SHARE = 0.25
 """Largest difference from a scan of the same view, as a share of that from the other view."""
-MANY_ALTERNATING, ENOUGH_SCANS = 0.5, 20
+MANY_ALTERNATING, FEWEST_ALTERNATING = 0.5, 20
 """Share of scans that alternate, and number of scans, from which there is a warning."""
 
 
@@ -38,7 +38,7 @@ class Alternation:
 
     def is_found(self, scans: int) -> bool:
         """Whether most of the `scans` alternate."""
-        return scans >= ENOUGH_SCANS and self.count > MANY_ALTERNATING * scans
+        return scans >= FEWEST_ALTERNATING and self.count > MANY_ALTERNATING * scans
 
 
 class TwoLasers:

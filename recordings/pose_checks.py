@@ -98,7 +98,7 @@ class PoseDrift:
         if displaced_m > DRIFT_LIMIT_M and not self.at_rest:
             self.turned_m[0].append(displaced_m)
             for deg in TURNS_DEG:
-                off_m = displacement_m(*turned(deg, *pair))
+                off_m = displacement_m(*as_if_turned(deg, *pair))
                 self.turned_m[deg].append(math.inf if off_m is None else off_m)
 
     def _begin(self, scan: Scan, before: tuple[int, SE2] | None) -> None:
@@ -170,7 +170,7 @@ def motion_since(before: tuple[int, SE2] | None, scan: Scan) -> tuple[SE2, float
     return before[1].inverse() @ scan.world_T_sensor, (scan.stamp_ns - before[0]) / 1e9
 
 
-def turned(deg: int, earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: tuple[SE2, float]) -> ScanPair:
+def as_if_turned(deg: int, earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: tuple[SE2, float]) -> ScanPair:
     """A pair of scans, the arguments of `displacement_m`, as if the sensor was mounted turned by `deg`."""
     turn = SE2(0.0, 0.0, math.radians(deg))
 

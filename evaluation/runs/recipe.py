@@ -72,7 +72,8 @@ class Recipe(Settings):
         """The command line that repeats this training; it does not need the recipe file."""
         options = ",".join(f"{key}={_option_text(value)}" for key, value in self.options.items())
         words = ["gridtrack", "train", f"{self.tracker}:{options}" if options else self.tracker, *self.recordings]
-        words += option_words(Recipe, self.model_dump(exclude={"tracker", "options", "recordings"}))
+        without = {"tracker", "options", "recordings", *(["ego_motion"] if self.ego_motion == "recorded" else [])}
+        words += option_words(Recipe, self.model_dump(exclude=without))
         return shlex.join(words)
 
 
