@@ -120,7 +120,7 @@ class PoseDrift:
     def turn_deg(self) -> int:
         """The turn of the mount that explains most displacements, TURNS_DEG; 0 without one."""
         displaced = len(self.turned_m[0])
-        agree = np.count_nonzero(np.array(self.displacements_m) <= DRIFT_LIMIT_M)
+        agree = sum(found_m <= DRIFT_LIMIT_M for found_m in self.displacements_m)
         if displaced < max(ENOUGH_PAIRS, agree):
             return 0
         medians_m = {deg: float(np.median(found_m)) for deg, found_m in self.turned_m.items()}
