@@ -22,7 +22,7 @@ from gridtrack.recordings.frames.chains import ChainOptions, Chains, LinkKey
 from gridtrack.recordings.frames.choice import chosen_chains
 from gridtrack.recordings.frames.trajectory import MAX_TRANSFORMS, AllTransforms, FramedScan, ScansOnChains
 from gridtrack.recordings.frames.transform import SE3
-from gridtrack.recordings.frames.tree import LASER_SHARE, FrameTree, StampedTransform, frame_name
+from gridtrack.recordings.frames.tree import FrameTree, StampedTransform, frame_name
 from gridtrack.recordings.meaning import with_meaning
 from gridtrack.recordings.read_options import NO_POSES, Mount
 from gridtrack.recordings.recording import Recording, Topics
@@ -264,9 +264,9 @@ class FramedRecording(Recording):
     def _laser_of(self, topic: str, framed: FramedScan, two_lasers: TwoLasers) -> str | None:
         """The name of the laser of a scan: TOPIC, TOPIC@FRAME, or TOPIC@1 if the option asks for it."""
         frame, asked = frame_name(framed.frame), self.options.topic
-        counts = self._tree.scan_frames.get(topic, {})
-        if frame != next(iter(counts), None):
-            return f"{topic}@{frame}" if counts.get(frame, 0) >= LASER_SHARE * sum(counts.values()) else None
+        if frame != next(iter(self._tree.scan_frames.get(topic, ())), None):
+            laser = f"{topic}@{frame}"
+            return laser if laser in self._tree.lasers else None
         if asked in self._tree.sensors and asked in [f"{topic}@{number}" for number in LASER_NUMBERS]:
             return f"{topic}@{two_lasers.number_of(framed.scan)}"
         return topic
@@ -274,7 +274,7 @@ class FramedRecording(Recording):
     def _note_lasers_on_topics(self) -> None:
         """Report the topics with the scans of several lasers."""
         for topic in self._tree.scan_frames if self.options.topic is None else ():
-            lasers = {name: frame for name, frame in self._tree.sensors.items() if name.startswith(f"{topic}@")}
+            lasers = {name: frame for name, frame in self._tree.lasers.items() if name.startswith(f"{topic}@")}
             if lasers:
                 frames = ", ".join((self._tree.sensors[topic], *lasers.values()))
                 self.notify(

@@ -189,6 +189,8 @@ class FrameTree:
     laser on the topic have the name TOPIC@FRAME instead."""
     scan_frames: dict[str, dict[str, int]] = field(default_factory=dict)
     """Topic -> frame -> number of scans."""
+    lasers: dict[str, str] = field(default_factory=dict)
+    """TOPIC@FRAME of each further laser on a topic -> frame."""
     faults: dict[str, None] = field(default_factory=dict)
     unusable: dict[str, tuple[str, str]] = field(default_factory=dict)
     """Child of transforms or poses that are not finite or have no rotation -> topic and parent of the first."""
@@ -224,7 +226,8 @@ class FrameTree:
         for topic, counts in self.scan_frames.items():
             for frame, number in counts.items():
                 if frame != self.sensors[topic] and number >= LASER_SHARE * sum(counts.values()):
-                    self.sensors[f"{topic}@{frame}"] = frame
+                    self.lasers[f"{topic}@{frame}"] = frame
+        self.sensors |= self.lasers
 
     def add_poses(self, topic: str, poses: Iterable[StampedTransform]) -> None:
         """Add the poses of a message."""
