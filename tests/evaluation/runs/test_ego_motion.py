@@ -24,7 +24,7 @@ pytest.importorskip("kiss_icp")
 @pytest.fixture
 def drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A bag of a drive without its poses; copies of recordings are kept in the folder of the test."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr("gridtrack.recordings.importing.user_cache_folder", lambda: tmp_path / "cache")
     return ROS.write(tmp_path / "drive.bag", made.scans_of(ROS, 6000, made.FRONT))
 
 
