@@ -24,8 +24,9 @@ import numpy as np
 
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.ego_motion import MatchingSettings, PoseSource, matched_trajectory
+from gridtrack.recordings.ego_motion import MatchingSettings, matched_trajectory
 from gridtrack.recordings.ego_motion.returns import measured_points
+from gridtrack.recordings.read_options import PoseSource
 
 from studies.support.results_file import ResultSection, measured_table, study_parser, write_section
 from studies.support.shipped import DATA, DEMO

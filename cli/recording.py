@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
@@ -20,6 +20,7 @@ from gridtrack.cli.options import (
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, printable
 from gridtrack.common.grid import GridSpec
 from gridtrack.recordings import ReadOptions, Recording, import_recording, open_recording
+from gridtrack.recordings.read_options import PoseSource
 from gridtrack.recordings.stream import open_stream
 from gridtrack.recordings.stretches import parse_named_stretch
 
@@ -54,7 +55,7 @@ def recording_import(
     credit: Annotated[str, typer.Option(metavar="TEXT", help="Authors of the recording")] = "",
     labels: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV of the class of each beam")] = None,
     ego_motion: Annotated[
-        Literal["recorded", "kiss-icp", "refined"],
+        PoseSource,
         typer.Option(
             metavar="SOURCE",
             help="Source of the poses: recorded; kiss-icp, from the scans alone; refined, from the scans with the"

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Self
+
+import zstandard
 
 from gridtrack.common.errors import RecordingError
 
@@ -14,6 +18,7 @@ FREE_BYTES, BYTES_PER_BYTE = 64 << 20, 100
 """Limit of the unpacked bytes of a file: a free amount, and more for each byte of the file."""
 FREE_RECORDS, BYTES_PER_RECORD = 200_000, 2
 """Limit of the records (messages, lines) of a file: a free number, and one more for every two bytes of the file."""
+ZSTD_MAGIC, UNPACKED_BLOCK_BYTES = b"\x28\xb5\x2f\xfd", 1 << 20
 NOT_A_RECORDING = "no recording is compressed so far: import it from a trusted copy"
 
 
@@ -49,6 +54,36 @@ class ReadBudget:
             raise DamageError(
                 f"its first {file_bytes} bytes have more than {self.records - 1} records; {NOT_A_RECORDING}"
             )
+
+
+def is_packed(path: Path) -> bool:
+    """Whether the file is packed by Zstandard."""
+    with path.open("rb") as file:
+        return file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
+
+
+@contextmanager
+def unpacked(path: Path) -> Iterator[Path]:
+    """The file at `path`, or a temporary copy without the packing if it is packed by Zstandard.
+
+    Raises DamageError if it is damaged, or unpacks to far more than its size.
+    """
+    if not is_packed(path):
+        yield path
+        return
+    with path.open("rb") as file, TemporaryDirectory(prefix="gridtrack-unpacked-") as folder:
+        copy, budget = Path(folder) / path.name.removesuffix(".zstd"), ReadBudget()
+        try:
+            with (
+                zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True) as content,
+                copy.open("wb") as out,
+            ):
+                while block := content.read(UNPACKED_BLOCK_BYTES):
+                    budget.take_bytes(len(block), file.tell())
+                    out.write(block)
+        except zstandard.ZstdError as error:
+            raise DamageError(f"{path.name}: damaged ({error})") from None
+        yield copy
 
 
 class FileEnds(Exception):

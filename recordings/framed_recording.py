@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import math
+import re
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.files import name_from
+from gridtrack.common.geometry import wrap_angle
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.alternation import TwoLasers
 from gridtrack.recordings.file_reading import DamageError
 from gridtrack.recordings.frames.chains import ChainOptions, Chains, LinkKey
 from gridtrack.recordings.frames.choice import chosen_chains
@@ -25,6 +30,10 @@ from gridtrack.recordings.recording_info import RecordingInfo
 
 Content = Literal["scan", "transforms", "pose"]
 STATIC_TRANSFORMS = "tf_static"
+LASER_NUMBERS = ("1", "2")
+"""Names of two lasers on one topic with one frame: TOPIC@1, TOPIC@2."""
+PART = re.compile(r"(.*?)((?:\d{4}(?:-\d\d){5})?)_(\d+)(\.[a-z0-9.]+)")
+"""The name of a part of a split recording: prefix, time (ROS 1: of each part), number, suffix."""
 
 
 class EncodedMessage(NamedTuple):
@@ -75,7 +84,7 @@ class FramedRecording(Recording):
     @property
     def stamp_remedy(self) -> str:
         """As in every recording."""
-        return "take the times of reception with --stamps received"
+        return f"take the times of reception, with `{self.import_command(['--stamps', 'received'])}`"
 
     @property
     def pose_problem(self) -> str:
@@ -91,8 +100,30 @@ class FramedRecording(Recording):
         return topic.strip("/") or "scan"
 
     def is_read(self, message: EncodedMessage) -> bool:
-        """Whether the scans of a message's topic are read."""
-        return self.options.topic in (None, message.topic)
+        """Whether scans of a message's topic are read: all, or those of one laser (TOPIC@FRAME, TOPIC@1, TOPIC@2)."""
+        topic = self.options.topic
+        return topic in (None, message.topic) or topic.startswith(f"{message.topic}@")
+
+    def mount_remedy(self, sensor: str, turn_deg: int) -> str:
+        """As in every recording."""
+        chain = self.chains.of_topic[self.topic_of(sensor)]
+        parent, mount_T_sensor = chain.mount
+        found = mount_T_sensor.placement()
+        heading_rad = wrap_angle(found.pose.theta + math.radians(turn_deg))
+        mount = Mount(
+            sensor=sensor,
+            parent=parent,
+            x=round(found.pose.x, 4),
+            y=round(found.pose.y, 4),
+            heading_rad=math.radians(round(math.degrees(heading_rad), 2)),
+            mirrored=found.mirrored,
+        )
+        return f"give the mount, as in `{self.import_command(['--mount', str(mount)])}`"
+
+    def separate_lasers_with(self, sensor: str) -> str:
+        """As in every recording."""
+        one, other = (f"{self.topic_of(sensor)}@{number}" for number in LASER_NUMBERS)
+        return f"import one of them with `{self.import_command(['--topic', one])}`, or --topic {other}"
 
     def is_mount_of(self, mount: Mount, topic: str) -> bool:
         """As in every recording; a mount may also name the frame of the sensor."""
@@ -138,7 +169,40 @@ class FramedRecording(Recording):
         with contextlib.suppress(DamageError):  # reported when the scans are read
             for message in self.messages():
                 self._add_to(tree, message)
+        if self.growth is None:
+            tree.separate_lasers()
+        tree.sensors = self._chosen_of(tree.sensors)
+        moves = bool(tree.edges or tree.poses)
+        if self.growth is None and moves and not set(tree.sensors.values()) <= set(tree.edges):
+            self._add_first_part(tree)
         return tree
+
+    def _chosen_of(self, sensors: dict[str, str]) -> dict[str, str]:
+        """The sensors that the option `topic` names."""
+        topic = self.options.topic
+        if topic is None:
+            return sensors
+        whole, _, number = topic.rpartition("@")
+        if topic not in sensors and whole in sensors and number in LASER_NUMBERS:
+            return {topic: sensors[whole]}
+        return {topic: sensors[topic]} if topic in sensors else {}
+
+    def _add_first_part(self, tree: FrameTree) -> None:
+        """Add the static transforms of a split recording: they are recorded once, in its first part."""
+        part = PART.fullmatch(self.path.name)
+        if part is None or int(part[3]) == 0:
+            return
+        if (first := _first_part(self.path, part)) is None:
+            self.notify(
+                f"part {part[3]} of a split recording, without the place of its sensors: put the first part beside it,"
+                " which has the static transforms, or name the whole folder"
+            )
+            return
+        with contextlib.suppress(DamageError):
+            for message in type(self)(first, self.options).messages():
+                if message.topic.endswith(STATIC_TRANSFORMS):
+                    self._add_to(tree, message)
+        self.notify(f"its static transforms are those of {first.name}")
 
     def _add_to(self, tree: FrameTree, message: EncodedMessage) -> None:
         content, topic = self.content_of(message), message.topic
@@ -147,8 +211,8 @@ class FramedRecording(Recording):
                 tree.add_transforms(topic, topic.endswith(STATIC_TRANSFORMS), self.transforms_of(message))
             elif content == "pose":
                 tree.add_poses(topic, self.transforms_of(message))
-            elif content == "scan" and self.is_read(message) and topic not in tree.sensors:
-                tree.sensors[topic] = frame_name(self.frame_of(message))
+            elif content == "scan" and self.is_read(message):
+                tree.add_scan(topic, self.frame_of(message))
         except DamageError as damage:
             tree.note(f"{damage}; it is left out")
 
@@ -159,13 +223,15 @@ class FramedRecording(Recording):
         for note in self.chains.notes:
             self.notify(note)
         self._note_shared_frames()
+        self._note_lasers_on_topics()
+        two_lasers = TwoLasers()
         scans = ScansOnChains(self.chains.of_topic, self.warn, self._known_transforms)
         try:
             for message in self.messages():
                 content = self.content_of(message)
                 topics.add(message.topic, message.kind, content == "scan")
                 if content == "scan" and self.is_read(message):
-                    yield from self._placed(scans, message)
+                    yield from self._placed(scans, message, two_lasers)
                 elif self._known_transforms is None:
                     for key, stamp_ns, transform in self._moving_transforms(message):
                         yield from scans.transform(key, stamp_ns, transform)
@@ -174,17 +240,47 @@ class FramedRecording(Recording):
             raise
         yield from scans.flush()
 
-    def _placed(self, scans: ScansOnChains, message: EncodedMessage) -> Iterator[Scan]:
+    def _placed(self, scans: ScansOnChains, message: EncodedMessage, two_lasers: TwoLasers) -> Iterator[Scan]:
         """The scans that no longer wait once the scan in a message is added."""
         framed = self.scan_of(message)
-        scan = with_meaning(framed.scan, self.options)
+        topic = self._laser_of(message.topic, framed, two_lasers)
+        if topic is None:
+            scans.count(f"scans on {message.topic} in another frame than the first scan are left out")
+        elif topic in self._tree.sensors:
+            scan = replace(with_meaning(framed.scan, self.options), sensor=self.sensor_of(topic))
+            stamp_ns = self._stamp_of(scan, message)
+            yield from scans.scan(replace(framed, topic=topic, scan=replace(scan, stamp_ns=stamp_ns)))
+
+    def _stamp_of(self, scan: Scan, message: EncodedMessage) -> int:
+        """The stamp of the first beam, ns, as the options say. Raises RecordingError without the times of beams."""
         if self.options.stamps == "received":
-            scan = replace(scan, stamp_ns=message.received_ns)
-        framed = replace(framed, scan=scan)
-        if frame_name(framed.frame) == self._tree.sensors.get(message.topic):
-            yield from scans.scan(framed)
-        else:
-            self.warn(f"topic '{message.topic}': scans in another frame than the first scan are left out")
+            return message.received_ns
+        if self.options.stamps != "end":
+            return scan.stamp_ns
+        if not scan.time_increment_s:
+            raise RecordingError(f"--stamps end: scans on {message.topic} have no time between beams")
+        return scan.stamp_ns - round(scan.time_increment_s * (scan.ranges.size - 1) * 1e9)
+
+    def _laser_of(self, topic: str, framed: FramedScan, two_lasers: TwoLasers) -> str | None:
+        """The name of the laser of a scan: TOPIC, TOPIC@FRAME, or TOPIC@1 if the option asks for it."""
+        frame, asked = frame_name(framed.frame), self.options.topic
+        if frame != next(iter(self._tree.scan_frames.get(topic, ())), None):
+            laser = f"{topic}@{frame}"
+            return laser if laser in self._tree.lasers else None
+        if asked in self._tree.sensors and asked in [f"{topic}@{number}" for number in LASER_NUMBERS]:
+            return f"{topic}@{two_lasers.number_of(framed.scan)}"
+        return topic
+
+    def _note_lasers_on_topics(self) -> None:
+        """Report the topics with the scans of several lasers."""
+        for topic in self._tree.scan_frames if self.options.topic is None else ():
+            lasers = {name: frame for name, frame in self._tree.lasers.items() if name.startswith(f"{topic}@")}
+            if lasers:
+                frames = ", ".join((self._tree.sensors[topic], *lasers.values()))
+                self.notify(
+                    f"{topic} has scans in several frames, {frames}: read as several lasers; one alone with --topic"
+                    f" {topic} or --topic {next(iter(lasers))}"
+                )
 
     def _as_options_say(self, scan: Scan) -> Scan:
         """Done before the scan was placed: a mirrored laser has its angles reversed there."""
@@ -239,3 +335,10 @@ class FramedRecording(Recording):
         """The key of a transform's link; None if it is not used."""
         edge = self._tree.edge_with(topic, stamped)
         return None if edge is None else (edge.topic, frame_name(stamped.child))
+
+
+def _first_part(path: Path, part: re.Match[str]) -> Path | None:
+    """The first part of the recording that has `path` as a later part; None if it is not beside it."""
+    beside = [found for file in path.parent.iterdir() if (found := PART.fullmatch(file.name))]
+    firsts = [one[0] for one in beside if (one[1], one[3].strip("0"), one[4]) == (part[1], "", part[4])]
+    return max((path.with_name(name) for name in firsts if name < path.name), default=None)

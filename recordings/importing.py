@@ -3,31 +3,34 @@
 from __future__ import annotations
 
 import csv
+import hashlib
+import json
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError, did_you_mean
-from gridtrack.common.files import atomic_write, check_utf8
+from gridtrack.common.files import atomic_write, check_utf8, name_from, user_cache_folder
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import UNLABELLED
 from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.frames.trajectory import ClocksApartError
 from gridtrack.recordings.opening import open_recording
-from gridtrack.recordings.read_options import NO_POSES, CloudSlice
+from gridtrack.recordings.read_options import NO_POSES, PoseSource
 from gridtrack.recordings.recording import Recording
 from gridtrack.recordings.recording_info import RecordingInfo, Stretch, stretch_text
 from gridtrack.recordings.stretches import stretch_of
 
-if TYPE_CHECKING:
-    from gridtrack.recordings.ego_motion import PoseSource
+MATCHING_VERSION = 1
+"""Increases with every change to the poses that are found in the same scans."""
 
 
 def import_recording(
@@ -74,6 +77,26 @@ def import_recording(
         scans = with_labels(scans, Path(labels), info.classes)
     _write(out, info, scans, recording.warnings_for_copy)
     return open_recording(out, strict=recording.options.strict)
+
+
+def posed_copy(path: Path, ego_motion: PoseSource, format: str | None, note: Callable[[str], None]) -> Path:
+    """A native copy of the recording at `path` with poses from `ego_motion`; `path` itself if it has them.
+
+    The copy is kept in `$XDG_CACHE_HOME/gridtrack/recordings` under the recording's name, and made again if the file
+    has changed; `note` receives a line before that. Raises RecordingError and PluginError.
+    """
+    if ego_motion == "recorded":
+        return path
+    recording = open_recording(path, format=format)
+    if recording.info.poses.startswith(f"{ego_motion}:"):
+        return path
+    key = [recording.sha256, version("gridtrack"), MATCHING_VERSION, ego_motion, format]
+    folder = user_cache_folder() / "recordings" / hashlib.sha256(json.dumps(key).encode()).hexdigest()[:32]
+    copy = folder / f"{name_from(path)}.mcap"
+    if not copy.exists():
+        note(f"{path}: taking the poses from the scans (--ego-motion {ego_motion})")
+        import_recording(path, copy, ego_motion=ego_motion, format=format)
+    return copy
 
 
 def _opened(source: Path | str, options: Mapping[str, Any], ego_motion: PoseSource) -> Recording:
@@ -149,7 +172,7 @@ def _command(
         *((f"--{name}", given[name]) for name in ("site", "grid", "licence", "credit")),
         ("--rate", given["rate_hz"] and f"{given['rate_hz']:g}"),
         *(("--stretch", f"{name}={stretch_text(stretch)}") for name, stretch in stretches.items()),
-        ("--cloud-slice", read.cloud_slice and _pairs(read.cloud_slice)),
+        ("--cloud-slice", read.cloud_slice),
         ("--pose-topic", read.pose_topic),
         *(("--mount", str(mount)) for mount in read.mounts),
         *read.meaning.items(),
@@ -157,12 +180,6 @@ def _command(
     ]
     words = [word for option, value in options if value for word in (option, str(value))]
     return shlex.join(["gridtrack", "recording", "import", recording.name, *words])
-
-
-def _pairs(settings: CloudSlice) -> str:
-    """The given settings as on the command line."""
-    given = settings.model_dump(exclude_unset=True)
-    return ",".join(f"{key}={value if isinstance(value, str) else f'{value:g}'}" for key, value in given.items())
 
 
 def _write(out: Path, info: RecordingInfo, scans: Iterable[Scan], warnings: Callable[[], Sequence[str]]) -> None:

@@ -27,6 +27,8 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 MAX_MCAP_RECORD_BYTES = 1 << 28
 ENVELOPE = struct.Struct("<BQ")
 MESSAGE_HEADER = struct.Struct("<HIQQ")
+CHUNK_HEADER = struct.Struct("<QQQII")
+"""Start, end, size, checksum, and the number of bytes of the name of the compression."""
 WITHOUT_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
 """The schema 0 of a channel without a schema, such as a JSON channel."""
 
@@ -75,9 +77,9 @@ class McapFile:
         for opcode, content in _records(file):
             stream = ReadDataStream(BytesIO(content))
             if opcode == Opcode.CHUNK:
-                chunk, position = Chunk.read(stream), file.tell()
+                (chunk, is_cut), position = _chunk_in(content), file.tell()
                 budget.take_bytes(chunk.uncompressed_size, position)
-                for inner_opcode, inner in _records(BytesIO(_decompressed(chunk))):
+                for inner_opcode, inner in _records(BytesIO(_decompressed(chunk, is_cut))):
                     budget.take_record(position)
                     yield from self._read_record(inner_opcode, inner)
             elif opcode == Opcode.METADATA:
@@ -113,7 +115,10 @@ class McapFile:
 
 
 def _records(file: BinaryIO | GrowingFile) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of each record. Raises DamageError if a record is cut off or too large."""
+    """Opcode and content of each record; of a chunk that is cut off, the part before the cut.
+
+    Raises DamageError if a record is cut off or too large.
+    """
     while head := file.read(ENVELOPE.size):
         if len(head) < ENVELOPE.size:
             raise DamageError("cut off in the middle of a record")
@@ -121,9 +126,10 @@ def _records(file: BinaryIO | GrowingFile) -> Iterator[tuple[int, bytes]]:
         if size > MAX_MCAP_RECORD_BYTES:
             raise DamageError(f"corrupt: a record of {size} bytes, where at most {MAX_MCAP_RECORD_BYTES} are read")
         content = file.read(size)
+        if len(content) == size or opcode == Opcode.CHUNK:
+            yield opcode, content
         if len(content) < size:
             raise DamageError("cut off in the middle of a record")
-        yield opcode, content
 
 
 def _read_to_the_end(file: BinaryIO | GrowingFile) -> None:
@@ -134,7 +140,25 @@ def _read_to_the_end(file: BinaryIO | GrowingFile) -> None:
             return
 
 
-def _decompressed(chunk: Chunk) -> bytes:
+def _chunk_in(content: bytes) -> tuple[Chunk, bool]:
+    """The chunk in a record, and whether it is cut off: its data are then those before the cut."""
+    start_ns, end_ns, size, checksum, name_bytes = CHUNK_HEADER.unpack_from(content)
+    compression = content[CHUNK_HEADER.size :][:name_bytes].decode()
+    at = CHUNK_HEADER.size + name_bytes
+    (data_bytes,) = struct.unpack_from("<Q", content, at)
+    data = content[at + 8 :][:data_bytes]
+    chunk = Chunk(
+        message_start_time=start_ns,
+        message_end_time=end_ns,
+        uncompressed_size=size,
+        uncompressed_crc=checksum,
+        compression=compression,
+        data=data,
+    )
+    return chunk, len(data) < data_bytes
+
+
+def _decompressed(chunk: Chunk, is_cut: bool) -> bytes:
     """The records inside a chunk. Raises DamageError if they are too large or their checksum is wrong."""
     size = chunk.uncompressed_size
     if size > MAX_MCAP_RECORD_BYTES:
@@ -151,6 +175,8 @@ def _decompressed(chunk: Chunk) -> bytes:
         content = chunk.data
     else:
         raise DamageError(f"a chunk is compressed as '{chunk.compression}'; expected zstd or lz4")
+    if is_cut:
+        return content
     if len(content) != size or (chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc):
         raise DamageError("corrupt: the checksum of a chunk is wrong")
     return content

@@ -127,7 +127,7 @@ OTHER_FILES = {
     b"\x28\xb5\x2f\xfd": "packed by Zstandard: unpack it with `zstd -d`",
     b"PK\x03\x04": "a ZIP archive: unpack it",
     b"\x75\x73\x74\x61\x72": "a tar archive: unpack it",
-    b"#ROSBAG V1": "a ROS bag of format 1: convert it with `rosbag fix`",
+    **dict.fromkeys((b"#ROSBAG V1", b"#ROSRECORD V1"), "a ROS bag of format 1: convert it with `rosbag fix`"),
 }
 """What a file is that no format reads, by its first bytes, and what to do."""
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -39,6 +39,11 @@ PRIOR_INFORMATION = 0.01
 ENOUGH_PAIRS = 8
 DRIFT_LIMIT_M = 0.04
 """Median displacement from which there is a warning: half a cell or less of any usual grid."""
+TURNS_DEG = (90, 180, 270)
+TURNED_LIMIT_M, TURNED_SHARE = 0.1, 0.25
+"""A turned mount explains the displacements if it leaves less than this, and than this share of them."""
+ScanPair = tuple[Scan, tuple[SE2, float], Scan, tuple[SE2, float]]
+"""Two scans, each with the motion of the sensor since the scan before it and its duration in seconds."""
 
 
 @dataclass(slots=True)
@@ -46,11 +51,13 @@ class PoseDrift:
     """The displacements of walls between pairs of scans of one sensor by its poses, metres in PAIR_S.
 
     The pairs are of scans between which it moved by its poses; with `at_rest`, of those between which it did not, and
-    a scan that lies on too little of the earlier one counts as displaced without limit.
+    a scan that lies on too little of the earlier one counts as displaced without limit. `turned_m` has the displaced
+    pairs once more: as they are (0), and if the sensor was mounted turned by TURNS_DEG.
     """
 
     at_rest: bool = False
     displacements_m: array[float] = field(default_factory=lambda: array("d"))
+    turned_m: dict[int, array[float]] = field(default_factory=lambda: {deg: array("d") for deg in (0, *TURNS_DEG)})
     _start_ns: int = 0
     _earlier: Scan | None = None
     _earlier_motion: tuple[SE2, float] = (SE2(), 0.0)
@@ -71,17 +78,28 @@ class PoseDrift:
             return
         between = self._earlier.world_T_sensor.inverse() @ scan.world_T_sensor
         way_m = math.hypot(between.x, between.y)
-        turned = abs(between.theta) > PAIR_TURNED_RAD
-        moved = PAIR_MOVED_M < way_m < PAIR_JUMPED_M or (way_m <= PAIR_MOVED_M and turned)
+        has_turned = abs(between.theta) > PAIR_TURNED_RAD
+        moved = PAIR_MOVED_M < way_m < PAIR_JUMPED_M or (way_m <= PAIR_MOVED_M and has_turned)
         wanted = same_pose(self._earlier.world_T_sensor, scan.world_T_sensor) if self.at_rest else moved
         if not wanted or since_s > LONGEST_PAIR_S:
             self._begin(scan, before)
             return
-        displaced_m = displacement_m(self._earlier, self._earlier_motion, scan, motion_since(before, scan))
-        if displaced_m is not None and (self.at_rest or math.isfinite(displaced_m)):
-            self.displacements_m.append(displaced_m * PAIR_S / since_s)
+        self._add_pair((self._earlier, self._earlier_motion, scan, motion_since(before, scan)), since_s)
         self._earlier = None
         self._next_ns = scan.stamp_ns + int(SPARSER * (scan.stamp_ns - self._start_ns))
+
+    def _add_pair(self, pair: ScanPair, since_s: float) -> None:
+        """Add the displacement of a pair of scans `since_s` seconds apart."""
+        displaced_m = displacement_m(*pair)
+        if displaced_m is None:
+            return
+        if self.at_rest or math.isfinite(displaced_m):
+            self.displacements_m.append(displaced_m * PAIR_S / since_s)
+        if displaced_m > DRIFT_LIMIT_M and not self.at_rest:
+            self.turned_m[0].append(displaced_m)
+            for deg in TURNS_DEG:
+                off_m = displacement_m(*as_if_turned(deg, *pair))
+                self.turned_m[deg].append(math.inf if off_m is None else off_m)
 
     def _begin(self, scan: Scan, before: tuple[int, SE2] | None) -> None:
         self._earlier, self._earlier_motion = scan, motion_since(before, scan)
@@ -98,6 +116,26 @@ class PoseDrift:
             return None
         return float(np.quantile(self.displacements_m, 0.75, method="lower"))
 
+    @property
+    def turn_deg(self) -> int:
+        """The turn of the mount that explains most displacements, TURNS_DEG; 0 without one."""
+        displaced = len(self.turned_m[0])
+        agree = sum(found_m <= DRIFT_LIMIT_M for found_m in self.displacements_m)
+        if displaced < max(ENOUGH_PAIRS, agree):
+            return 0
+        medians_m = {deg: float(np.median(found_m)) for deg, found_m in self.turned_m.items()}
+        best = min(medians_m, key=medians_m.__getitem__)
+        limit_m = min(TURNED_LIMIT_M, TURNED_SHARE * medians_m[0])
+        return best if medians_m[best] < limit_m else 0
+
+    def wrong_mount(self, turn_deg: int, remedy: str) -> str:
+        """One line about a sensor that is mounted turned by `turn_deg`, with the `remedy`."""
+        before_m, after_m = (float(np.median(self.turned_m[deg])) for deg in (0, turn_deg))
+        return (
+            f"its poses disagree with its scans, and agree if it is turned by {turn_deg} deg: walls then move"
+            f" {after_m:.2f} m in a second, not {before_m:.2f} m: {remedy}"
+        )
+
     def unrest(self, remedy: str) -> str:
         """One line about scans that move while the poses rest, with the `remedy`, a command; else empty.
 
@@ -109,8 +147,8 @@ class PoseDrift:
         by = f"by {quartile_m:.2f} m or more" if math.isfinite(quartile_m) else "too far to lay the scans on each other"
         return (
             f"no motion is recorded, but it moves: in a quarter of {len(self.displacements_m)} pairs of scans the walls"
-            f" move {by} in a second, and every score is of turning walls: take the poses from the scans with"
-            f" `{remedy}`"
+            f" move {by} in a second, and every score is of turning walls: take the poses from the scans, in `compare`"
+            f" and `train` with --ego-motion kiss-icp, or once with `{remedy}`"
         )
 
     def problem(self, remedy: str) -> str:
@@ -130,6 +168,18 @@ def motion_since(before: tuple[int, SE2] | None, scan: Scan) -> tuple[SE2, float
     if before is None or scan.stamp_ns <= before[0]:
         return SE2(), 0.0
     return before[1].inverse() @ scan.world_T_sensor, (scan.stamp_ns - before[0]) / 1e9
+
+
+def as_if_turned(deg: int, earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: tuple[SE2, float]) -> ScanPair:
+    """A pair of scans, the arguments of `displacement_m`, as if the sensor was mounted turned by `deg`."""
+    turn = SE2(0.0, 0.0, math.radians(deg))
+
+    def seen(motion: SE2) -> SE2:
+        return turn.inverse() @ motion @ turn
+
+    between = earlier.world_T_sensor.inverse() @ later.world_T_sensor
+    pose = earlier.world_T_sensor @ seen(between)
+    return earlier, (seen(moved[0]), moved[1]), replace(later, world_T_sensor=pose), (seen(moves[0]), moves[1])
 
 
 def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: tuple[SE2, float]) -> float | None:
@@ -209,8 +259,8 @@ class PoseJumps:
         return (
             f"its pose jumps: {self.count} times in the whole recording, by up to {self.largest_m:.2f} m and"
             f" {math.degrees(self.largest_rad):.0f} deg, first {at_s:.1f} s after the first scan; walls are in two"
-            " places there: choose a stretch without a jump, or continuous poses, from odometry or from"
-            " `recording import --ego-motion kiss-icp`"
+            " places there: choose a stretch without a jump, or continuous poses, from odometry or with --ego-motion"
+            " kiss-icp"
         )
 
 

@@ -15,6 +15,8 @@ from gridtrack.common.scan import MAX_ANGLE_RAD, MAX_POSITION_M, MAX_RANGE_M, MA
 
 MOUNT_FORM = "SENSOR=X,Y,ANGLE, as in front_laser=0.4,0.2,45deg (metres; deg or rad; ',mirrored' if upside down)"
 NoReturn = Literal["max", "zero", "nan"]
+PoseSource = Literal["recorded", "kiss-icp", "refined"]
+"""Recorded poses; from matching scans alone; from matching scans with the recorded motion as the prior."""
 NO_POSES = "none"
 """The pose topic of a recording with sensors at rest."""
 
@@ -79,15 +81,15 @@ def codes_in(value: Any) -> Any:
 
 
 def parse_stamps(text: str) -> float | str:
-    """Read `header`, `received` or a rate, `10hz`, in Hz. Raises ConfigurationError."""
-    if text in ("header", "received"):
+    """Read `header`, `received`, `end` or a rate, `10hz`, in Hz. Raises ConfigurationError."""
+    if text in ("header", "received", "end"):
         return text
     try:
         rate_hz = float(text.lower().removesuffix("hz"))
     except ValueError:
         rate_hz = math.nan
     if not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
-        raise ConfigurationError(f"--stamps {text}: expected header, received, or a rate such as 10hz")
+        raise ConfigurationError(f"--stamps {text}: expected header, received, end, or a rate such as 10hz")
     return rate_hz
 
 
@@ -116,6 +118,7 @@ def parse_angles(text: str) -> tuple[float, float]:
 class CloudSlice(Settings):
     """How a point cloud becomes a scan: the nearest point of each bearing between two heights, metres, sensor frame.
 
+    `beams`: bearings of a revolution; by default 720, or as many as the clouds have if they are coarser.
     `empty` is the meaning of a bearing without a point in the slice: "free" up to `range_max_m`, like a beam without a
     return, or "unknown", like no beam. Free is right for a dense cloud from a sensor that sees over all obstacles below
     the slice. With few rings, or a slice above low obstacles, it marks unobserved cells as free: use a shorter
@@ -124,7 +127,7 @@ class CloudSlice(Settings):
 
     low_m: float
     high_m: float
-    beams: int = Field(default=720, ge=1, le=36_000)
+    beams: int | None = Field(default=None, ge=1, le=36_000)
     range_min_m: float = Field(default=0.1, ge=0.0)
     range_max_m: float = Field(default=50.0, gt=0.0, le=MAX_RANGE_M)
     empty: Literal["free", "unknown"] = "free"
@@ -134,6 +137,10 @@ class CloudSlice(Settings):
         if self.low_m >= self.high_m or self.range_min_m >= self.range_max_m:
             raise ValueError("the lower limit must be below the upper one")
         return self
+
+    def __str__(self) -> str:
+        given = self.model_dump(exclude_unset=True)
+        return ",".join(f"{key}={value if isinstance(value, str) else f'{value:g}'}" for key, value in given.items())
 
 
 def parse_cloud_slice(text: str) -> CloudSlice:
@@ -169,11 +176,11 @@ class ReadOptions(Settings):
     angles: Annotated[tuple[float, float] | None, Option(metavar="FIRST,LAST"), from_text(parse_angles)] = None
     """Angles of the first and the last beam, in place of wrong ones in the recording: -135deg,135deg"""
 
-    stamps: Annotated[float | Literal["header", "received"], Option(metavar="SOURCE"), from_text(parse_stamps)] = (
-        "header"
-    )
-    """Source of the stamps of scans: header; received, the time of reception; or a rate for scans without usable
-    stamps, such as 10hz (CARMEN logs)"""
+    stamps: Annotated[
+        float | Literal["header", "received", "end"], Option(metavar="SOURCE"), from_text(parse_stamps)
+    ] = "header"
+    """Source of the stamps of scans: header; received, the time of reception; end, the header if it has the time of the
+    last beam; or a rate for scans without usable stamps, such as 10hz (CARMEN logs)"""
 
     @property
     def meaning(self) -> dict[str, str]:

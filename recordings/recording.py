@@ -18,7 +18,7 @@ from gridtrack.recordings.overview import RecordingOverview, SensorOverview
 from gridtrack.recordings.read_options import Mount, ReadOptions
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.recordings.stamp_order import StampOrder
-from gridtrack.recordings.survey import Survey
+from gridtrack.recordings.survey import SensorSurvey, Survey
 
 MAX_WARNINGS, MAX_LISTED_TOPICS = 100, 1000
 """Limits of the warnings about a recording, and of the topics that are listed."""
@@ -100,6 +100,14 @@ class Recording(ABC):
         """The topic with the scans of `sensor`, as in the option `topic`."""
         return sensor
 
+    def mount_remedy(self, sensor: str, turn_deg: int) -> str:
+        """What to do about a sensor that is mounted turned by `turn_deg` from its recorded heading."""
+        return "correct its heading where its poses are recorded"
+
+    def separate_lasers_with(self, sensor: str) -> str:
+        """What to do about two lasers in the scans of one sensor."""
+        return "record each on a topic of its own"
+
     @property
     def stamp_remedy(self) -> str:
         """What to do about many stamps that are alike or in disorder; empty if nothing."""
@@ -113,11 +121,13 @@ class Recording(ABC):
     def import_command(self, words: Iterable[str]) -> str:
         """The command that imports the recording with its present options and those in `words`."""
         words = list(words)
-        end = "one" if "--topic" in words else "posed"
-        command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{self.path.stem}-{end}.mcap"]
+        ends = {"--topic": "one", "--stamps": "stamped"}
+        end = next((end for option, end in ends.items() if option in words), "posed")
+        command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{name_from(self.path)}-{end}.mcap"]
         given = {
             "--format": self.options.format,
             "--topic": self.options.topic,
+            "--cloud-slice": self.options.cloud_slice and str(self.options.cloud_slice),
             "--pose-topic": self.options.pose_topic,
             **self.options.meaning,
         }
@@ -186,9 +196,28 @@ class Recording(ABC):
         """The warnings about the scans; poses from matching the scans are not compared with them."""
         drift = ""
         if not self.pose_problem and not self.info.poses.startswith(MATCHED_POSES):
-            commands = (self.import_command(["--ego-motion", source]) for source in ("refined", "kiss-icp"))
-            drift = survey.pose_drift(*commands)
-        return [*survey.warnings(), *([drift] if drift else [])]
+            lines = ((name, self._drift_of(name, sensor)) for name, sensor in survey.sensors.items())
+            drift = next((f"sensor '{name}': {text}" for name, text in lines if text), "")
+        alternating = [
+            f"sensor '{name}': its scans alternate between two views, as those of two lasers on one topic do:"
+            f" {self.separate_lasers_with(name)}"
+            for name, sensor in survey.sensors.items()
+            if sensor.alternation.is_found(len(sensor.stamps))
+        ]
+        bursts = [
+            f"sensor '{name}': {sensor.bursts}" + (f", or {self.stamp_remedy}" if self.stamp_remedy else "")
+            for name, sensor in survey.sensors.items()
+            if sensor.bursts
+        ]
+        return [*alternating, *bursts, *survey.warnings(), *([drift] if drift else [])]
+
+    def _drift_of(self, name: str, sensor: SensorSurvey) -> str:
+        """A line about poses of a sensor that disagree with its scans; else empty."""
+        if not sensor.moved:
+            return sensor.rest.unrest(self.import_command(["--ego-motion", "kiss-icp"]))
+        if turn_deg := sensor.drift.turn_deg:
+            return sensor.drift.wrong_mount(turn_deg, self.mount_remedy(name, turn_deg))
+        return sensor.drift.problem(self.import_command(["--ego-motion", "refined"]))
 
     def _pose_problem_of(self, survey: Survey) -> str:
         if self.pose_problem or len(survey.sensors) < 2 or len(set(survey.poses.values())) > 1:
@@ -239,13 +268,13 @@ class Recording(ABC):
             self.warnings.append(f"{self.path}: {NO_MORE_WARNINGS}" if full else line)
 
     def _in_order(self, topics: Topics) -> Iterator[Scan]:
-        order = StampOrder(self.warn, self.stamp_remedy)
+        order = StampOrder(self.warn, lambda: self.stamp_remedy)
         try:
             for scan in filter(self._is_known, self._before_damage(topics)):
                 yield from order.push(self._as_options_say(scan))
             yield from order.flush()
             if order.empty:
-                raise NoScansError(self._why_no_scans(topics))
+                raise NoScansError(self.why_no_scans(topics))
         except RecordingError as error:
             raise type(error)(f"{self.path}: {str(error).removeprefix(f'{self.path}: ')}") from None
         except OSError as error:
@@ -272,7 +301,8 @@ class Recording(ABC):
             self.damage = str(damage)
             self.warn(f"{damage}; the rest is left out")
 
-    def _why_no_scans(self, topics: Topics) -> str:
+    def why_no_scans(self, topics: Topics) -> str:
+        """Why no scan was found, and what to do."""
         topic = self.options.topic
         present = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.types.items())) or "none"
         if self.warnings:

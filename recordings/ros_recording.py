@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import struct
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +23,10 @@ from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import StampedTransform
 from gridtrack.recordings.native_messages import MAX_SWEEP_S
 from gridtrack.recordings.read_options import CloudSlice, ReadOptions
+from gridtrack.recordings.recording import Topics
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
+MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 POSES = (
@@ -31,7 +34,16 @@ POSES = (
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
 )
+HEIGHTS, EXAMPLE_SLICE = "heights in the frame of the sensor", "low_m=0.2,high_m=1.0"
+FLAT_M = 0.2
+"""Difference of the heights in a cloud below which it is flat: of a laser with one plane."""
 ROS_OPTIONS = ("topic", "cloud_slice", "pose_topic", "mounts", "stamps")
+FINE_BEAMS = 720
+"""Bearings of a revolution, unless the clouds have fewer."""
+SAME_BEARING_RAD = 1e-4
+FEWEST_BEARINGS, ON_GRID, MOST_ON_GRID = 20, 0.1, 0.9
+"""Number of bearings from which a cloud may have a grid of its own; the distance from it, as a share of its step, of a
+bearing that lies on it; and the share of bearings that must."""
 POINT_FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
@@ -45,6 +57,19 @@ def ros2_name(kind: str) -> str:
 def stamp_ns(message: Any) -> int:
     """The stamp in the header of a message, nanoseconds."""
     return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
+def frame_in_header(encoding: str, data: bytes) -> str:
+    """The frame in the std_msgs/Header at the beginning of a message, without decoding all of it.
+
+    ROS 1: sequence number, stamp, length, frame. CDR: encapsulation (byte 1: byte order), stamp, length, frame and 0.
+    Raises struct.error, UnicodeDecodeError.
+    """
+    order = "<" if encoding == "ros1" or data[1] & 1 else ">"
+    (size,) = struct.unpack_from(f"{order}I", data, 12)
+    if len(data) < 16 + size:
+        raise struct.error("the frame is cut off")
+    return data[16 : 16 + size].rstrip(b"\x00").decode()
 
 
 def transform_of(translation: Any, rotation: Any) -> SE3 | None:
@@ -73,32 +98,70 @@ def _time_increment_s(message: Any) -> float:
     return increment_s if 0.0 <= increment_s * max(len(message.ranges) - 1, 0) <= MAX_SWEEP_S else 0.0
 
 
-def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice) -> Scan:
-    """A height slice of a sensor_msgs/PointCloud2 as a scan: bearings from -pi to pi.
+class Bearings(NamedTuple):
+    """The beams of a scan that is cut from clouds: their number in a revolution, and the first one from -pi on."""
+
+    beams: int
+    first_rad: float
+
+    @property
+    def step_rad(self) -> float:
+        """The angle between two beams."""
+        return 2.0 * math.pi / self.beams
+
+
+def bearings_of(points: NDArray[np.float64], beams: int | None) -> Bearings:
+    """The bearings that a scan gets from points (N, 3): `beams` of them, or those of the points.
+
+    Points have bearings of their own if most of them lie on a regular grid that is coarser than FINE_BEAMS: a finer
+    scan would have empty beams between them, which say that walls are free.
+    """
+    regular = Bearings(beams or FINE_BEAMS, -math.pi + math.pi / (beams or FINE_BEAMS))
+    angles = np.sort(np.arctan2(points[:, 1], points[:, 0]))
+    gaps = np.diff(angles)
+    gaps = gaps[gaps > SAME_BEARING_RAD]
+    if beams is not None or gaps.size < FEWEST_BEARINGS:
+        return regular
+    count = round(2.0 * math.pi / float(np.median(gaps)))
+    step = 2.0 * math.pi / count
+    phase = float(np.angle(np.mean(np.exp(1j * angles * count)))) / count
+    off = np.abs((angles - phase + step / 2.0) % step - step / 2.0)
+    if count >= FINE_BEAMS or np.mean(off < ON_GRID * step) < MOST_ON_GRID:
+        return regular
+    return Bearings(count, phase - step * math.floor((phase + math.pi) / step))
+
+
+def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice, bearings: Bearings) -> Scan:
+    """A height slice of a sensor_msgs/PointCloud2 as a scan: one revolution of `bearings`.
 
     A cloud without any point gives no information about free space, whatever `empty` says.
     """
     points = cloud_points(message)
     is_unknown = cut.empty == "unknown" or not len(points)
-    points = points[(points[:, 2] >= cut.low_m) & (points[:, 2] <= cut.high_m)]
+    points = in_slice(points, cut)
     distance = np.hypot(points[:, 0], points[:, 1])
-    near = (distance >= cut.range_min_m) & (distance <= cut.range_max_m)
-    step = 2.0 * math.pi / cut.beams
-    bearing = np.arctan2(points[near, 1], points[near, 0])
-    beam = np.floor((bearing + math.pi) / step).astype(np.int64) % cut.beams
-    ranges = np.full(cut.beams, np.inf)
-    np.minimum.at(ranges, beam, distance[near])
+    bearing = np.arctan2(points[:, 1], points[:, 0])
+    beam = np.round((bearing - bearings.first_rad) / bearings.step_rad).astype(np.int64) % bearings.beams
+    ranges = np.full(bearings.beams, np.inf)
+    np.minimum.at(ranges, beam, distance)
     if is_unknown:
         ranges[np.isinf(ranges)] = np.nan
     return Scan(
         stamp_ns=stamp_ns(message) or received_ns,
         ranges=ranges.astype(np.float32),
-        angle_min=-math.pi + step / 2.0,
-        angle_increment=step,
+        angle_min=bearings.first_rad,
+        angle_increment=bearings.step_rad,
         range_min=cut.range_min_m,
         range_max=cut.range_max_m,
         sensor=sensor,
     )
+
+
+def in_slice(points: NDArray[np.float64], cut: CloudSlice) -> NDArray[np.float64]:
+    """The points (N, 3) between the heights and ranges of the slice."""
+    distance = np.hypot(points[:, 0], points[:, 1])
+    inside = (points[:, 2] >= cut.low_m) & (points[:, 2] <= cut.high_m)
+    return points[inside & (distance >= cut.range_min_m) & (distance <= cut.range_max_m)]
 
 
 def cloud_points(message: Any) -> NDArray[np.float64]:
@@ -148,6 +211,7 @@ class RosRecording(FramedRecording):
             from rosbags.serde import SerdeError
         except ImportError:
             raise RecordingError("reading ROS recordings needs rosbags: pip install 'gridtrack[ros]'") from None
+        self._bearings: Bearings | None = None
         self._errors = (SerdeError, struct.error, ValueError, IndexError, UnicodeDecodeError)
 
     @cached_property
@@ -180,7 +244,7 @@ class RosRecording(FramedRecording):
 
     def content_of(self, message: EncodedMessage) -> Content | None:
         """As in every recording with frames."""
-        if message.kind in (LASER_SCAN, POINT_CLOUD):
+        if message.kind in (LASER_SCAN, MULTI_ECHO, POINT_CLOUD):
             return "scan"
         if message.kind in TRANSFORMS:
             return "transforms"
@@ -188,12 +252,14 @@ class RosRecording(FramedRecording):
 
     def is_read(self, message: EncodedMessage) -> bool:
         """Whether the scans of a topic are read: point clouds only if the options name the topic."""
-        return super().is_read(message) and (message.kind == LASER_SCAN or self.options.topic is not None)
+        return super().is_read(message) and (message.kind != POINT_CLOUD or self.options.topic is not None)
 
     def frame_of(self, message: EncodedMessage) -> str:
         """As in every recording with frames."""
-        with self._decoded(message) as decoded:
-            return str(decoded.header.frame_id)
+        try:
+            return frame_in_header(message.encoding, message.data)
+        except self._errors as error:
+            raise DamageError(f"corrupt: a message of {message.topic} cannot be decoded ({error})") from None
 
     def transforms_of(self, message: EncodedMessage) -> Iterable[StampedTransform]:
         """As in every recording with frames."""
@@ -214,12 +280,48 @@ class RosRecording(FramedRecording):
             if not stamp_ns(decoded):
                 self.warn(f"topic '{message.topic}': its headers have no stamps, the time of reception is used")
             frame = str(decoded.header.frame_id)
-            if message.kind == LASER_SCAN:
+            if message.kind == MULTI_ECHO:
+                self.notify(f"topic '{message.topic}': of several echoes of a beam the first is read, the nearest one")
+                decoded.ranges = [echo.echoes[0] if len(echo.echoes) else np.inf for echo in decoded.ranges]
+            if message.kind != POINT_CLOUD:
                 return FramedScan(message.topic, frame, scan_of_laser(decoded, sensor, message.received_ns))
             if self.options.cloud_slice is None:
-                raise RecordingError(f"'{message.topic}' is a point cloud: give the heights to cut it at")
-            scan = scan_of_cloud(decoded, sensor, message.received_ns, self.options.cloud_slice)
+                raise RecordingError(
+                    f"'{message.topic}' is a point cloud: give its slice, {HEIGHTS}, as in --cloud-slice"
+                    f" {EXAMPLE_SLICE}"
+                )
+            bearings = self._bearings_of(decoded, self.options.cloud_slice)
+            scan = scan_of_cloud(decoded, sensor, message.received_ns, self.options.cloud_slice, bearings)
             return FramedScan(message.topic, frame, scan)
+
+    def _bearings_of(self, cloud: Any, cut: CloudSlice) -> Bearings:
+        """The bearings of all scans from clouds: those of the first cloud with enough points in the slice."""
+        if self._bearings is None:
+            points = in_slice(cloud_points(cloud), cut)
+            bearings = bearings_of(points, cut.beams)
+            if cut.beams is None and len(points) < FEWEST_BEARINGS:
+                return bearings
+            self._bearings = bearings
+            if bearings.beams < FINE_BEAMS and cut.beams is None:
+                self.notify(f"its clouds have {bearings.beams} bearings in a revolution, and so have the scans of them")
+        return self._bearings
+
+    def _example_slice(self, topic: str) -> str:
+        """The option for a slice of the clouds on a topic: all of a flat cloud, else usual heights."""
+        with contextlib.suppress(DamageError, RecordingError, StopIteration):
+            with self._decoded(next(one for one in self.messages() if one.topic == topic)) as cloud:
+                heights_m = cloud_points(cloud)[:, 2]
+            if heights_m.size and np.ptp(heights_m) < FLAT_M:
+                return f"low_m={heights_m.min() - FLAT_M / 2:.1f},high_m={heights_m.max() + FLAT_M / 2:.1f}"
+        return EXAMPLE_SLICE
+
+    def why_no_scans(self, topics: Topics) -> str:
+        """As in every recording; point clouds are read on request."""
+        clouds = [topic for topic, kind in topics.types.items() if kind == POINT_CLOUD]
+        if self.options.topic is not None or not clouds:
+            return super().why_no_scans(topics)
+        command = self.import_command(["--topic", clouds[0], "--cloud-slice", self._example_slice(clouds[0])])
+        return f"no laser scans: take them from a slice of the point cloud, {HEIGHTS}, with `{command}`"
 
 
 def _stamped(message: EncodedMessage, decoded: Any, child: str, transform: SE3 | None) -> StampedTransform:

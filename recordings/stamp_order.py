@@ -134,8 +134,8 @@ class StampOrder:
     with the number of scans and the time of the first.
     """
 
-    def __init__(self, warn: Callable[[str], None], remedy: str = "") -> None:
-        """`remedy`: what to do about many stamps that are alike or in disorder."""
+    def __init__(self, warn: Callable[[str], None], remedy: Callable[[], str] = str) -> None:
+        """`remedy()`: what to do about many stamps that are alike or in disorder, asked at the end of the file."""
         self._warn, self._remedy = warn, remedy
         self._waiting: list[tuple[int, int, Scan]] = []
         self._numbers = itertools.count()
@@ -182,8 +182,8 @@ class StampOrder:
         for fault, (count, at_ns) in self._faults.items():
             first_s = max(at_ns - (self._first_ns or 0), 0) / 1e9
             text = f"{fault}: {count} of them, the first {first_s:.3f} s after the first scan"
-            if self._remedy and NOT_AFTER in fault and count > MANY_ALIKE * self._pushed:
-                text += f"; {count / self._pushed:.0%} of the stamps are alike or in disorder: {self._remedy}"
+            if NOT_AFTER in fault and count > MANY_ALIKE * self._pushed and (remedy := self._remedy()):
+                text += f"; {count / self._pushed:.0%} of the stamps are alike or in disorder: {remedy}"
             self._warn(text)
         if self._first_ns is None and self._faults:
             raise RecordingError(f"no scan can be used: {next(iter(self._faults))}")
@@ -249,8 +249,8 @@ def _contradiction_of(scan: Scan) -> str:
     first, told, counted = (math.degrees(angle) for angle in (scan.angle_min, told_rad, counted_rad))
     return (
         f"its header contradicts itself: {steps + 1} beams every {scan.angle_increment:g} rad cover {counted:.4g} deg,"
-        f" and angle_max is {told:.4g} deg from angle_min: give the angles of the first and the last beam with --angles"
-        f" FIRST,LAST, as in --angles {first:.5g}deg,{first + told if told else first + 180.0:.5g}deg"
+        f" and angle_max is {told:.4g} deg from angle_min: import the recording with the angles of the first and the"
+        f" last beam, as in --angles {first:.5g}deg,{first + told if told else first + 180.0:.5g}deg"
     )
 
 
@@ -270,7 +270,7 @@ def _problem_of(scan: Scan) -> str:
     if not 0.0 <= scan.range_min < scan.range_max <= MAX_RANGE_M:
         return (
             f"range limits {scan.range_min:g} to {scan.range_max:g} m; expected finite limits up to {MAX_RANGE_M:g} m,"
-            " the lower one first: give those of the laser with --range-limits MIN,MAX"
+            " the lower one first: import the recording with those of the laser, --range-limits MIN,MAX"
         )
     if beams > MAX_BEAMS:
         return f"{beams} beams; at most {MAX_BEAMS}"
@@ -278,8 +278,8 @@ def _problem_of(scan: Scan) -> str:
     if not (abs(scan.angle_min) <= MAX_ANGLE_RAD and extent <= MAX_ANGLE_RAD):
         return (
             f"{beams} beams from {scan.angle_min:g} rad every {scan.angle_increment:g} rad; expected radians, and at"
-            f" most two turns ({MAX_ANGLE_RAD:.4g} rad): give those of the first and the last beam with --angles"
-            " FIRST,LAST"
+            f" most two turns ({MAX_ANGLE_RAD:.4g} rad): import the recording with those of the first and the"
+            " last beam, --angles FIRST,LAST"
         )
     if contradiction := _contradiction_of(scan):
         return contradiction

@@ -278,7 +278,9 @@ def _ticks_in(stretch_s: Stretch, duration_ns: int, period_ns: int) -> range:
 def _rate(recording: Recording, rate_hz: float | None) -> float:
     rate = rate_hz or recording.info.rate_hz or recording.survey.rate_hz
     if rate is None:
-        raise RecordingError(f"{recording.path}: a single scan has no rate: give one with --rate")
+        texts, remedy = recording.warning_texts(), recording.stamp_remedy
+        reason = next((text for text in texts if remedy and remedy in text), "give one with --rate")
+        raise RecordingError(f"{recording.path}: a single scan has no rate: {reason}")
     if not MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
         raise RecordingError(f"{recording.path}: a rate of {rate:g} Hz; expected {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz")
     return rate

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.scan import Scan
+from gridtrack.recordings.alternation import Alternation
 from gridtrack.recordings.meaning import END_M, at_end
 from gridtrack.recordings.pose_checks import PoseDrift, PoseJumps
 from gridtrack.recordings.resample import JITTER_PERIODS
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 MANY_INVALID, MANY_CODES = 0.2, 0.05
 """Share of invalid ranges for a warning, and share of ranges that may be a code for no return."""
+ENOUGH_PERIODS, BURST_PERIODS, MANY_PAUSES = 20, 2.0, 0.1
+"""Stamps come in bursts if the mean period, and this share of at least this many periods, is this many medians."""
 MIN_REST_S = 10.0
 """Shorter rests of a sensor are not suggested as a stretch."""
 SURVEY_COUNTS = ("moved", "no_return", "at_end", "invalid", "zeros", "readings", "labelled", "with_truth")
@@ -55,6 +58,7 @@ class SensorSurvey:
     jumps: PoseJumps = field(default_factory=PoseJumps)
     drift: PoseDrift = field(default_factory=PoseDrift)
     rest: PoseDrift = field(default_factory=lambda: PoseDrift(at_rest=True))
+    alternation: Alternation = field(default_factory=Alternation)
 
     def add(self, scan: Scan) -> None:
         """Add the sensor's next scan."""
@@ -74,6 +78,7 @@ class SensorSurvey:
         self.with_truth += scan.scene is not None
         self.jumps.add(scan.stamp_ns, scan.world_T_sensor)
         self.drift.add(scan)
+        self.alternation.add(scan)
         if not self.moved:
             self.rest.add(scan)
 
@@ -86,6 +91,23 @@ class SensorSurvey:
     def period_s(self) -> float | None:
         """Median time between scans; None for fewer than two."""
         return float(np.median(np.diff(self.stamps_ns))) / 1e9 if len(self.stamps) > 1 else None
+
+    @property
+    def bursts(self) -> str:
+        """A line about stamps that come in bursts, without a remedy; else empty.
+
+        A buffer gives several scans the time at which it was read. A few gaps are no bursts.
+        """
+        periods_s = np.diff(self.stamps_ns) / 1e9
+        if periods_s.size < ENOUGH_PERIODS:
+            return ""
+        median_s, mean_s = float(np.median(periods_s)), float(np.mean(periods_s))
+        if mean_s < BURST_PERIODS * median_s or np.mean(periods_s > BURST_PERIODS * median_s) < MANY_PAUSES:
+            return ""
+        return (
+            f"its stamps come in bursts: {1 / mean_s:.3g} scans a second, but half of them less than"
+            f" {median_s * 1e3:.3g} ms after another: frames at that distance are empty: give --rate {1 / mean_s:.3g}"
+        )
 
     def warnings(self, first_ns: int) -> Iterator[str]:
         """The warnings about ranges and poses; `first_ns` is the stamp of the recording's first scan."""
@@ -145,17 +167,6 @@ class Survey:
     def warnings(self) -> list[str]:
         """The warnings about the ranges and the poses of the sensors."""
         return [text for sensor in self.sensors.values() for text in sensor.warnings(self.first_ns)]
-
-    def pose_drift(self, refine: str, match: str) -> str:
-        """A warning about the first sensor with poses that disagree with its scans; else empty.
-
-        The remedies are commands: `refine` corrects recorded motion, `match` finds it where none is recorded.
-        """
-        found = (
-            (name, sensor.drift.problem(refine) if sensor.moved else sensor.rest.unrest(match))
-            for name, sensor in self.sensors.items()
-        )
-        return next((f"sensor '{name}': {problem}" for name, problem in found if problem), "")
 
     @property
     def first_ns(self) -> int:
@@ -252,7 +263,9 @@ def _values(sensor: SensorSurvey) -> dict[str, Any]:
         "counts": {name: getattr(sensor, name) for name in SURVEY_COUNTS},
         "jumps": {name: getattr(sensor.jumps, name) for name in POSE_JUMPS},
         "drift": sensor.drift.displacements_m.tolist(),
+        "turned": {str(deg): found_m.tolist() for deg, found_m in sensor.drift.turned_m.items()},
         "rest": sensor.rest.displacements_m.tolist(),
+        "alternating": sensor.alternation.count,
     }
 
 
@@ -270,7 +283,11 @@ def _sensor(values: Mapping[str, Any], stamps_ns: NDArray[np.int64], ranges: NDA
         beams=set(values["beams"]),
         longest_rest_ns=tuple(values["longest_rest_ns"]),
         jumps=PoseJumps(**values["jumps"]),
-        drift=PoseDrift(displacements_m=array("d", values["drift"])),
+        drift=PoseDrift(
+            displacements_m=array("d", values["drift"]),
+            turned_m={int(deg): array("d", found_m) for deg, found_m in values["turned"].items()},
+        ),
         rest=PoseDrift(at_rest=True, displacements_m=array("d", values["rest"])),
+        alternation=Alternation(values["alternating"]),
         **values["counts"],
     )

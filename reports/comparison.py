@@ -127,7 +127,7 @@ def _run(
     settings: CompareSettings, command: Sequence[str], note: Callable[[str], None], console: Console | None
 ) -> Comparison:
     """Compare on finished recordings."""
-    plan = resolve(settings)
+    plan = resolve(settings, note=note)
     with RunProgress(console) as progress:
         summary = run(plan, command, progress)
     not_measured = not summary.interrupted and _note_missing(plan, note)

@@ -26,10 +26,11 @@ from scipy.spatial import cKDTree
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.ego_motion import MatchingSettings, PoseSource, matched_trajectory
+from gridtrack.recordings.ego_motion import MatchingSettings, matched_trajectory
 from gridtrack.recordings.ego_motion.fit import Fit, fit_at, walls_of
 from gridtrack.recordings.ego_motion.matching import POINTS_PER_VOXEL
 from gridtrack.recordings.ego_motion.returns import homogeneous, measured_points, returns_of
+from gridtrack.recordings.read_options import PoseSource
 
 from studies.support.real_recordings import npz_scans
 from studies.support.results_file import ResultSection, measured_table, study_parser, write_section

@@ -18,7 +18,7 @@ import numpy as np
 from gridtrack.common.files import sha256_of
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.referee.samples import SAMPLES, read_samples
-from gridtrack.recordings.ego_motion import PoseSource
+from gridtrack.recordings.read_options import PoseSource
 from gridtrack.recordings.stream import open_stream
 from gridtrack.reports.run import ReportedRun, read_runs
 from gridtrack.trackers.contract import StreamSpec

@@ -26,10 +26,11 @@ Install = Callable[..., Path]
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache_of_stretches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Trainings cache frames for this session only, so that no test passes on frames of earlier code."""
+    """Frames of trainings and copies of recordings are kept for this session only: none is of earlier code."""
     folder = tmp_path_factory.mktemp("cache")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gridtrack.common.cache.user_cache_folder", lambda: folder)
+        for module in ("common.cache", "recordings.importing"):
+            patch.setattr(f"gridtrack.{module}.user_cache_folder", lambda: folder)
         yield
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
-from gridtrack.common.files import NAME_RULE, is_name
+from gridtrack.common.files import NAME_RULE, is_name, name_from
 from gridtrack.common.grid import GridSpec, Points, nearest_step
 from gridtrack.evaluation.referee.kinds import Regions, regions_of
 from gridtrack.evaluation.referee.referee import WARM_UP, Schedule
@@ -124,8 +124,8 @@ def plan_split(
     path, stretch = parse_stretch(text)
     recording = open_recording(path, format=sampling.format)
     if stretch is None and TEST in recording.info.stretches:
-        return split_of(recording, path.stem, TEST, validation, sampling, opened)
-    name = path.stem if stretch is None else f"{path.stem}@{text.rpartition('@')[2]}"
+        return split_of(recording, name_from(path), TEST, validation, sampling, opened)
+    name = name_from(path) if stretch is None else f"{name_from(path)}@{text.rpartition('@')[2]}"
     return split_of(recording, name, stretch, validation, sampling, opened)
 
 
@@ -286,7 +286,7 @@ def _segment(split: EvaluationSplit, scored: range, warm_up: int) -> EvaluationS
     named = round(start_s + scored[0] * period_s, 3), round(start_s + scored.stop * period_s, 3)
     return replace(
         split,
-        name=f"{split.path.stem}@{stretch_text(named)}",
+        name=f"{name_from(split.path)}@{stretch_text(named)}",
         test=like(split.test, (start_s + first * period_s, to_s), split.test.points),
         warm_up=scored[0] - first,
         segment_of=split.name,

@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.files import name_from
 from gridtrack.evaluation.engines.engine import WAKE_S, Engine, Interrupted
 from gridtrack.evaluation.referee.kinds import regions_of
 from gridtrack.evaluation.referee.referee import WARM_UP
@@ -228,7 +229,8 @@ class Following:
             self._advanced(name)
 
     def _split_of(self, settings: CompareSettings) -> EvaluationSplit:
-        return split_of(self._recording, self._path.stem, None, settings.validation, self._sampling, self._validation)
+        name = name_from(self._path)
+        return split_of(self._recording, name, None, settings.validation, self._sampling, self._validation)
 
     def _validation_regions(self) -> SplitRegions:
         """The regions of the validation stretch; those of the test stretch are found at its end."""
@@ -247,7 +249,7 @@ class Following:
         sampling = replace(self._sampling, grid=test.grid, rate_hz=1e9 / test.period_ns)
         settings = self._plan.settings
         arguments = settings.validation, sampling, self._validation
-        split = split_of(self._recording, self._path.stem, None, *arguments)
+        split = split_of(self._recording, name_from(self._path), None, *arguments)
         all_left = all(run.live.left for run in self.runs)
         if self._frames < len(split.test) and not (all_left and self._frames <= WARM_UP + split.steps):
             if self._frames <= WARM_UP + split.steps:
@@ -256,7 +258,7 @@ class Following:
                     f" warm-up and with {split.steps} steps ahead"
                 )
             stretch = 0.0, self._frames * test.period_ns / 1e9
-            split = split_of(self._recording, self._path.stem, stretch, *arguments)
+            split = split_of(self._recording, name_from(self._path), stretch, *arguments)
         trials = tuple(replace(trial, split=split) for trial in self._plan.trials)
         others = (notice for notice in self._plan.notices if notice not in self._split.notices)
         notices = dict.fromkeys((*split.notices, *others))

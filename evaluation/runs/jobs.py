@@ -19,6 +19,7 @@ from pydantic import ValidationError
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError
+from gridtrack.common.files import name_from
 from gridtrack.evaluation.engines.engine import EngineError, Monitor
 from gridtrack.evaluation.engines.task import TaskFolder, run_task
 from gridtrack.evaluation.hosting.limits import Limits
@@ -328,7 +329,7 @@ class JobOrder(Settings):
         split = subject.split if isinstance(subject, Trial) else subject
         settings = shared.settings
         alone = {
-            "recordings": (f"{split.path.absolute()}{split.whole.removeprefix(split.path.stem)}",),
+            "recordings": (f"{split.path.absolute()}{split.whole.removeprefix(name_from(split.path))}",),
             "trackers": (),
             "validation": settings.validation and _with_absolute_path(settings.validation),
         }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -32,7 +32,9 @@ from gridtrack.evaluation.runs.settings import CompareSettings, check_together
 from gridtrack.evaluation.runs.summary import ALL_RECORDINGS
 from gridtrack.evaluation.runs.training_hints import stretches_to_train_on
 from gridtrack.evaluation.scores.registry import scores
+from gridtrack.recordings.importing import posed_copy
 from gridtrack.recordings.stream import GridStream
+from gridtrack.recordings.stretches import parse_stretch
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
 from gridtrack.trackers.selection import Launch, Selection, launch, parse_selections, read_trackers_toml
@@ -182,8 +184,14 @@ def segmented(whole: EvaluationSplit, settings: CompareSettings) -> Iterable[Eva
     return (whole,) if settings.segment_s is None else segments_of(whole, settings.segment_s, settings.warm_up_s)
 
 
-def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | None = None) -> ComparisonPlan:
+def resolve(
+    settings: CompareSettings,
+    splits: tuple[EvaluationSplit, ...] | None = None,
+    note: Callable[[str], None] = lambda line: None,
+) -> ComparisonPlan:
     """Look up everything that `settings` names, before any trial runs; `splits` of its recordings if they are known.
+
+    `note` receives a line before the poses of a recording are taken from its scans.
 
     Raises a GridtrackError for a recording, stretch, tracker, option or weights file that cannot be used.
     """
@@ -199,7 +207,7 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
     launches = {selection.label: launch(selection.name, external) for selection in selections}
     for selection in selections:
         _check_options(selection, launches[selection.label], settings.limits)
-    wholes = splits or plan_splits(settings.recordings, settings.validation, sampling_of(settings))
+    wholes = splits or _wholes(settings, note)
     splits = tuple(split for whole in wholes for split in segmented(whole, settings))
     _refuse_equal_names(splits)
     _refuse_overlaps(wholes)
@@ -236,6 +244,18 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
     else:
         refuse_leaks(trial.leaks for trial in trials)
     return ComparisonPlan(settings, splits, trials, tuple(dict.fromkeys(notices)))
+
+
+def _wholes(settings: CompareSettings, note: Callable[[str], None]) -> tuple[EvaluationSplit, ...]:
+    """The split of each recording, with the requested poses."""
+
+    def posed(text: str) -> str:
+        path, stretch = parse_stretch(text)
+        copy = posed_copy(path, settings.ego_motion, settings.format, note)
+        return str(copy) if stretch is None else f"{copy}@{text.rpartition('@')[2]}"
+
+    validation = settings.validation and posed(settings.validation)
+    return plan_splits(map(posed, settings.recordings), validation, sampling_of(settings))
 
 
 def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:

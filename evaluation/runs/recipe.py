@@ -17,6 +17,7 @@ from gridtrack.common.files import read_bounded
 from gridtrack.common.options import Option, option_words
 from gridtrack.common.remote_files import local_folder
 from gridtrack.common.untrusted import parse_toml
+from gridtrack.recordings.read_options import PoseSource
 from gridtrack.recordings.stretches import fetched
 from gridtrack.trackers.training.weights import read_card
 
@@ -47,6 +48,9 @@ class Recipe(Settings):
     """Frames per second; default: the rate of the recordings"""
     format: Annotated[str | None, Option(metavar="NAME")] = None
     """Recording format of another package, which is loaded only by this name"""
+    ego_motion: Annotated[PoseSource, Option(metavar="SOURCE")] = "recorded"
+    """Source of the poses: recorded; kiss-icp, from the scans alone; refined, from the scans with the recorded motion
+    as a prior"""
     general: bool = False
     """Learn for any site, from recordings of many sites"""
     from_scratch: bool = False
@@ -68,7 +72,8 @@ class Recipe(Settings):
         """The command line that repeats this training; it does not need the recipe file."""
         options = ",".join(f"{key}={_option_text(value)}" for key, value in self.options.items())
         words = ["gridtrack", "train", f"{self.tracker}:{options}" if options else self.tracker, *self.recordings]
-        words += option_words(Recipe, self.model_dump(exclude={"tracker", "options", "recordings"}))
+        without = {"tracker", "options", "recordings", *(["ego_motion"] if self.ego_motion == "recorded" else [])}
+        words += option_words(Recipe, self.model_dump(exclude=without))
         return shlex.join(words)
 
 

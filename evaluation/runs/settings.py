@@ -13,6 +13,7 @@ from gridtrack.common.options import Option, Seconds, from_text
 from gridtrack.evaluation.engines.slurm_cluster import SLURM_OPTION, SlurmSettings, parse_slurm
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.recordings.degradation import Degradation, parse_degradation
+from gridtrack.recordings.read_options import PoseSource
 
 EngineName = Literal["local", "ray", "slurm"]
 """Where trials run: in threads of this process, or on the nodes of a Ray or a Slurm cluster."""
@@ -47,6 +48,9 @@ class CompareSettings(Settings):
     """Frames per second; default: the rate of the recording"""
     format: Annotated[str | None, Option(metavar="NAME")] = None
     """Recording format of another package, which is loaded only by this name"""
+    ego_motion: Annotated[PoseSource, Option(metavar="SOURCE")] = "recorded"
+    """Source of the poses: recorded; kiss-icp, from the scans alone; refined, from the scans with the recorded motion
+    as a prior"""
     jobs: int | None = Field(None, ge=1)
     """Trials at the same time; default: one per processor core"""
     engine: EngineName = "local"
@@ -85,6 +89,8 @@ def check_together(settings: CompareSettings) -> None:
     """Raise ConfigurationError for settings that cannot be combined."""
     if settings.follow and settings.segment_s is not None:
         raise ConfigurationError("--segment cuts a finished recording: leave it out with --follow")
+    if settings.follow and settings.ego_motion != "recorded":
+        raise ConfigurationError("--ego-motion matches the scans of a finished recording: leave it out with --follow")
     _check_engine(settings)
 
 

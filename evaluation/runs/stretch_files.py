@@ -25,7 +25,7 @@ from gridtrack.trackers.contract import stream_of
 from gridtrack.trackers.training.progress import Progress
 from gridtrack.trackers.wire import Fill, Message, WireError, encode, receive
 
-STRETCHES_VERSION = 3
+STRETCHES_VERSION = 4
 """Increases with every change to the survey, the frames or the labels of the same recording."""
 KINDS_VERSION = 2
 """Increases with every change to the kinds of cells, or the returns in motion, of the same frames."""

@@ -26,6 +26,7 @@ from gridtrack.evaluation.runs.stretch_files import StretchFiles, stretch_cache,
 from gridtrack.evaluation.runs.training_hints import in_two
 from gridtrack.evaluation.runs.training_process import ProgressLines, TrainingProcess
 from gridtrack.recordings import Recording, open_recording, recordings_at
+from gridtrack.recordings.importing import posed_copy
 from gridtrack.recordings.recording_info import Stretch, stretch_text
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
@@ -52,7 +53,7 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
     """
     cache, local = stretch_cache(report), with_local_copies(recipe, report)
     uses = ((TRAIN, local.recordings), (VALIDATION, local.validation))
-    named = {use: _named(texts, local.format) for use, texts in uses}
+    named = {use: _named(texts, local, report) for use, texts in uses}
     with (
         TrainingProcess(recipe.tracker, [path for found in named.values() for path, _ in found]) as process,
         TemporaryDirectory(prefix="gridtrack-train-") as folder,
@@ -199,10 +200,10 @@ def _make_folder(folder: Path) -> None:
         raise ConfigurationError(f"{folder}: may not be written to; name another folder for weights with --out")
 
 
-def _named(texts: Sequence[str], format: str | None) -> list[NamedStretch]:
+def _named(texts: Sequence[str], recipe: Recipe, report: Callable[[str], None]) -> list[NamedStretch]:
     """The recordings and stretches of each RECORDING[@range], or of all recordings in a folder."""
-    parsed = map(parse_stretch, texts)
-    return [(found, stretch) for path, stretch in parsed for found in recordings_at(path, format)]
+    named = [(found, part) for path, part in map(parse_stretch, texts) for found in recordings_at(path, recipe.format)]
+    return [(posed_copy(path, recipe.ego_motion, recipe.format, report), stretch) for path, stretch in named]
 
 
 def _each_of(text: str, format: str | None) -> list[str]:

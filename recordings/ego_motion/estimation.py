@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
@@ -15,9 +14,8 @@ from gridtrack.recordings.ego_motion.fit import MatchingSettings
 from gridtrack.recordings.ego_motion.matching import ScanMatch, ScanMatcher
 from gridtrack.recordings.ego_motion.prior import LastMotion, Prior, motion_prior, odometry_prior
 from gridtrack.recordings.ego_motion.returns import OBJECT_M
+from gridtrack.recordings.read_options import PoseSource
 
-PoseSource = Literal["recorded", "kiss-icp", "refined"]
-"""Recorded poses; from matching scans alone; from matching scans with the recorded motion as the prior."""
 REST_M, REST_RAD = 0.01, 0.005
 """If odometry reports no motion at all, a match within these limits is noise: the pose is kept."""
 STANDING_M, STANDING_RAD = 0.05, 0.02

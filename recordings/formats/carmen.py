@@ -20,6 +20,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from gridtrack.common.errors import RecordingError
 from gridtrack.common.files import name_from
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
@@ -37,7 +38,7 @@ PACKED: dict[bytes, Callable[[BinaryIO], AbstractContextManager[BinaryIO]]] = {
 FIRST_LINE = re.compile(rb"\s*(#|[A-Z][A-Z0-9_]*\s)")
 """A log begins with a comment or the name of a message."""
 MAX_LINE_BYTES = 1 << 20
-MAX_STAMP_DIGITS = 12
+MAX_STAMP_DIGITS, NO_STAMP = 12, -1
 SICK_RANGE_MAX_M = 81.8
 """A SICK LMS reports 81.83 m or more for a beam without a return; its true maximum range is shorter."""
 ANGLES_DEG = {
@@ -57,6 +58,9 @@ more: SICK LMS 1xx and Hokuyo UTM-30LX.
 class CarmenLog(Recording):
     """A CARMEN log. FLASER and ROBOTLASER1 are two forms of the same scan: the first one in the file is read."""
 
+    _logger_differs = False
+    """Whether the logger gave the scans different times."""
+
     @cached_property
     def info(self) -> RecordingInfo:
         """The metadata of the recording: its file name as `site`, and the source of its poses."""
@@ -64,7 +68,9 @@ class CarmenLog(Recording):
 
     def read(self, topics: Topics) -> Iterator[Scan]:
         """As in every recording."""
-        wanted, read = self.options.topic, -1
+        if self.options.stamps == "end":
+            raise RecordingError("--stamps end: a CARMEN log has no time between beams: leave it out")
+        wanted, read, first_logged = self.options.topic, -1, ""
         for number, words in _lines(self.path):
             kind = words[0]
             topics.add(kind, "CARMEN", kind in ("FLASER", "ROBOTLASER1"))
@@ -79,12 +85,15 @@ class CarmenLog(Recording):
                         f" {scan.ranges.size} beams: 180 deg are assumed, as in CARMEN; if that is wrong, use"
                         " ROBOTLASER1 lines, which contain the angles"
                     )
+                first_logged = first_logged or words[-1]
+                self._logger_differs |= words[-1] != first_logged
                 yield self._stamped(scan, words[-1], read := read + 1)
 
     @property
     def stamp_remedy(self) -> str:
         """As in every recording."""
-        return "give the laser's rate, as in --stamps 10hz, or take the logger's times with --stamps received"
+        remedy = f"give the rate of the laser, as in `{self.import_command(['--stamps', '10hz'])}`"
+        return f"{remedy}, or take the logger's times with --stamps received" if self._logger_differs else remedy
 
     def _stamped(self, scan: Scan, logger_time: str, number: int) -> Scan:
         """Scan `number` with the stamp that the options name."""
@@ -175,11 +184,14 @@ def _robotlaser(words: list[str]) -> Scan:
 
 
 def _stamp_ns(seconds: str) -> int:
-    """Seconds, also with an exponent, as C++ streams write them; exact where decimals are."""
+    """Seconds, also with an exponent, as C++ streams write them; exact where decimals are.
+
+    NO_STAMP for a text that is no time: StampOrder leaves that scan out, and the log goes on.
+    """
     try:
         stamp = Decimal(seconds)
     except InvalidOperation:
-        raise ValueError(f"stamp {seconds}") from None
+        return NO_STAMP
     if not stamp.is_finite() or stamp < 0 or stamp.adjusted() > MAX_STAMP_DIGITS:
-        raise ValueError(f"stamp {seconds}")
+        return NO_STAMP
     return int(stamp * 1_000_000_000)

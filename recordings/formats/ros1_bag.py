@@ -8,7 +8,7 @@ from __future__ import annotations
 import bz2
 import struct
 from collections.abc import Iterator
-from io import BytesIO
+from io import SEEK_CUR, BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -21,7 +21,10 @@ from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording, ros2_n
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 MAX_BAG_RECORD_BYTES = 1 << 28
-MESSAGE_OP, BAG_HEADER_OP, CHUNK_OP, CONNECTION_OP = 2, 3, 5, 7
+MESSAGE_OP, BAG_HEADER_OP, INDEX_OP, CHUNK_OP, CONNECTION_OP = 2, 3, 4, 5, 7
+INDEX_ENTRY_BYTES = 12
+MAX_HEADER_BYTES = 1 << 16
+"""Limit of a record's header, to tell a record from other bytes."""
 
 Fields = dict[str, bytes]
 
@@ -103,11 +106,30 @@ def _records(file: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
     while size := file.read(4):
         header_bytes, header_is_whole = _sized(file, size)
         header = _fields(header_bytes) if header_is_whole else {}
-        data, data_is_whole = _sized(file, file.read(4))
+        data, data_is_whole = _sized(file, _true_size(file, header, file.read(4)))
         if data_is_whole or header.get("op") == bytes([CHUNK_OP]):
             yield header, data
         if not data_is_whole:
             raise DamageError("cut off in the middle of a record")
+
+
+def _true_size(file: BinaryIO, header: Fields, size_bytes: bytes) -> bytes:
+    """The size of a record's data; that of an index by its number of entries if no record follows at its size."""
+    if header.get("op") != bytes([INDEX_OP]) or len(size_bytes) != 4 or len(header.get("count", b"")) != 4:
+        return size_bytes
+    by_count = struct.pack("<I", INDEX_ENTRY_BYTES * int.from_bytes(header["count"], "little"))
+    wrong = by_count != size_bytes and not _record_follows(file, size_bytes) and _record_follows(file, by_count)
+    return by_count if wrong else size_bytes
+
+
+def _record_follows(file: BinaryIO, size_bytes: bytes) -> bool:
+    """Whether a record begins, or the file ends, this many bytes ahead."""
+    position = file.tell()
+    file.seek(int.from_bytes(size_bytes, "little"), SEEK_CUR)
+    size = int.from_bytes(file.read(4), "little")
+    header = file.read(size) if size <= MAX_HEADER_BYTES else b""
+    file.seek(position)
+    return len(header) == size and (size == 0 or b"op=" in header)
 
 
 def _sized(file: BinaryIO, size_bytes: bytes) -> tuple[bytes, bool]:

@@ -10,15 +10,13 @@ import re
 import shutil
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import zstandard
-
 from gridtrack.common.files import read_bounded
 from gridtrack.common.untrusted import MAX_NESTING
-from gridtrack.recordings.file_reading import DamageError, ReadBudget
+from gridtrack.recordings.file_reading import ZSTD_MAGIC, DamageError, ReadBudget, is_packed, unpacked
 from gridtrack.recordings.formats.ros_mcap import mcap_files
 from gridtrack.recordings.framed_recording import EncodedMessage
 from gridtrack.recordings.registry import RecordingFormat
@@ -30,8 +28,6 @@ NUMBERED = re.compile(r"(.*)_(\d+)\.db3")
 """The name of a bag and the number of one of its files."""
 METADATA_FILE = "metadata.yaml"
 MAX_METADATA_BYTES = 1 << 20
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-UNPACKED_BLOCK_BYTES = 1 << 20
 
 
 class Ros2Bag(RosRecording):
@@ -39,10 +35,10 @@ class Ros2Bag(RosRecording):
 
     def messages(self) -> Iterator[EncodedMessage]:
         """All messages in the order of reception. Raises DamageError if the bag is cut off or corrupt."""
-        file_bytes, budget = _check_files(self.path), ReadBudget()
-        with TemporaryDirectory(prefix="gridtrack-bag-") as copies:
-            for path in _readable(self.path, Path(copies)):
-                yield from _messages_in(path, budget, file_bytes)
+        file_bytes, budget = _checked_size(self.path), ReadBudget()
+        for path in _parts(self.path):
+            with unpacked(path) if path.is_file() else nullcontext(path) as part, _with_side_file(part) as whole:
+                yield from _messages_in(whole, budget, file_bytes)
 
 
 def _messages_in(path: Path, budget: ReadBudget, file_bytes: int) -> Iterator[EncodedMessage]:
@@ -60,29 +56,32 @@ def _messages_in(path: Path, budget: ReadBudget, file_bytes: int) -> Iterator[En
         raise DamageError(f"damaged ({type(error).__name__}: {error})") from None
 
 
-def _readable(path: Path, copies: Path) -> Iterator[Path]:
-    """What the reader opens, one after the other: the folder, or its files, packed or unfinished ones as copies.
+def _parts(path: Path) -> list[Path]:
+    """What the reader opens, one after the other: the folder, or its files if any is packed or unfinished.
 
     Raises DamageError.
     """
     folder = path if path.is_dir() else path.parent
     files = databases_in(folder) if path.is_dir() else [path]
-    unfinished = [file for file in files if _side_file(file).exists()]
-    if (folder / METADATA_FILE).is_file() and not unfinished and (path.is_dir() or _is_packed_in(folder, path)):
-        yield folder
+    has_copies = any(is_packed(file) or _side_file(file).exists() for file in files)
+    if (folder / METADATA_FILE).is_file() and not has_copies and (path.is_dir() or _is_packed_in(folder, path)):
+        return [folder]
+    return files
+
+
+@contextmanager
+def _with_side_file(file: Path) -> Iterator[Path]:
+    """The database, or a temporary copy with the messages that are still in its side file."""
+    if not _side_file(file).exists():
+        yield file
         return
-    for file in files:
-        copy = copies / f"{file.name.removesuffix('.zstd')}"
-        if file.suffix == ".zstd":
-            with file.open("rb") as packed, copy.open("wb") as unpacked:
-                zstandard.ZstdDecompressor().copy_stream(packed, unpacked)
-        elif _side_file(file).exists():
-            shutil.copyfile(file, copy)
-            shutil.copyfile(_side_file(file), _side_file(copy))
-            with closing(sqlite3.connect(copy)) as database:
-                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-        yield copy if copy.exists() else file
-        copy.unlink(missing_ok=True)
+    with TemporaryDirectory(prefix="gridtrack-bag-") as folder:
+        copy = Path(folder) / file.name
+        shutil.copyfile(file, copy)
+        shutil.copyfile(_side_file(file), _side_file(copy))
+        with closing(sqlite3.connect(copy)) as database:
+            database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        yield copy
 
 
 def _is_packed_in(folder: Path, file: Path) -> bool:
@@ -90,7 +89,7 @@ def _is_packed_in(folder: Path, file: Path) -> bool:
     from ruamel.yaml import YAML
 
     bag = YAML(typ="safe").load((folder / METADATA_FILE).read_text("utf-8"))["rosbag2_bagfile_information"]
-    if not bag.get("compression_format") or file.suffix == ".zstd":
+    if not bag.get("compression_format"):
         return False
     if [Path(name).name for name in bag["relative_file_paths"]] != [file.name]:
         raise DamageError(f"one file of a bag with packed messages: name the folder {folder}")
@@ -112,14 +111,12 @@ def databases_in(folder: Path) -> list[Path]:
     return sorted((file for file in folder.iterdir() if file.name.endswith(DATABASES)), key=number)
 
 
-def _check_files(path: Path) -> int:
-    """The size of a bag, bytes. Raises DamageError if its metadata or its unpacked files are too large."""
-    files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+def _checked_size(path: Path) -> int:
+    """The size of a bag, bytes. Raises DamageError if its metadata are too large."""
+    files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     for file in files:
         if file.name == METADATA_FILE:
             _check_metadata(read_bounded(file, MAX_METADATA_BYTES, DamageError))
-        else:
-            _check_unpacked(file)
     return sum(file.stat().st_size for file in files)
 
 
@@ -137,21 +134,6 @@ def _check_metadata(text: bytes) -> None:
                 raise DamageError(f"{METADATA_FILE} has aliases or is nested deeply; no recorder writes such files")
     except (YAMLError, UnicodeDecodeError) as error:
         raise DamageError(f"{METADATA_FILE} cannot be read ({error})") from None
-
-
-def _check_unpacked(path: Path) -> None:
-    """Raise DamageError if a compressed file unpacks to far more than its size: its reader writes it to the disk."""
-    budget = ReadBudget()
-    with path.open("rb") as file:
-        if file.read(len(ZSTD_MAGIC)) != ZSTD_MAGIC:
-            return
-        file.seek(0)
-        try:
-            with zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True) as unpacked:
-                while block := unpacked.read(UNPACKED_BLOCK_BYTES):
-                    budget.take_bytes(len(block), file.tell())
-        except zstandard.ZstdError as error:
-            raise DamageError(f"{path.name}: damaged ({error})") from None
 
 
 def _is_one_bag(folder: Path) -> bool:

@@ -18,9 +18,9 @@ from google.protobuf.message import DecodeError
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import MAX_BEAMS, Scan
-from gridtrack.recordings.file_reading import DamageError
+from gridtrack.recordings.file_reading import ZSTD_MAGIC, DamageError, unpacked
 from gridtrack.recordings.formats.native import is_native
-from gridtrack.recordings.framed_recording import Content, EncodedMessage
+from gridtrack.recordings.framed_recording import Content, EncodedMessage, FramedRecording
 from gridtrack.recordings.frames.trajectory import FramedScan
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import StampedTransform
@@ -29,6 +29,7 @@ from gridtrack.recordings.native_messages import nanoseconds_of
 from gridtrack.recordings.registry import RecordingFormat
 from gridtrack.recordings.ros_recording import ROS_OPTIONS, RosRecording, ros2_name
 
+MCAP_SUFFIXES = (".mcap", ".mcap.zstd")
 FOXGLOVE = "foxglove."
 FOXGLOVE_TYPES: dict[str, tuple[type[Any], Content]] = {
     "foxglove.LaserScan": (LaserScan, "scan"),
@@ -47,8 +48,12 @@ class RosMcap(RosRecording):
     def messages(self) -> Iterator[EncodedMessage]:
         """All messages in the order of the file. Raises DamageError if it is cut off or corrupt."""
         for path in mcap_files(self.path) if self.path.is_dir() else [self.path]:
-            for schema, channel, received_ns, data in McapFile(path, self.growth).messages():
-                yield EncodedMessage(channel.topic, ros2_name(schema.name), received_ns, channel.message_encoding, data)
+            with unpacked(path) as file:
+                if path.suffix == ".zstd" and is_native(file, MCAP_MAGIC):
+                    raise DamageError(f"{path.name}: a packed recording of gridtrack: unpack it with `zstd -d`")
+                for schema, channel, received_ns, data in McapFile(file, self.growth).messages():
+                    kind = ros2_name(schema.name)
+                    yield EncodedMessage(channel.topic, kind, received_ns, channel.message_encoding, data)
 
     def content_of(self, message: EncodedMessage) -> Content | None:
         """The content of a message, from its topic and type."""
@@ -59,7 +64,7 @@ class RosMcap(RosRecording):
 
     def is_read(self, message: EncodedMessage) -> bool:
         """Whether the scans of a message's topic are read; point clouds only if the options name the topic."""
-        return super().is_read(message) or (_is_foxglove(message) and self.options.topic in (None, message.topic))
+        return super().is_read(message) or (_is_foxglove(message) and FramedRecording.is_read(self, message))
 
     def frame_of(self, message: EncodedMessage) -> str:
         """The frame of a scan. Raises DamageError."""
@@ -171,17 +176,20 @@ def mcap_files(folder: Path) -> list[Path]:
     """The MCAP files of a folder in the order in which they were written: bag_2 before bag_10."""
 
     def number(file: Path) -> tuple[int, str]:
-        digits = re.search(r"(\d+)$", file.stem)
+        digits = re.search(r"(\d+)\.mcap", file.name)
         return (int(digits[1]) if digits else 0, file.name)
 
-    return sorted(folder.glob("*.mcap"), key=number)
+    return sorted((file for file in folder.iterdir() if file.name.endswith(MCAP_SUFFIXES)), key=number)
 
 
 def is_ros_mcap(path: Path, head: bytes) -> bool:
     """Whether the path is a folder with MCAP files, or an MCAP file that is not a native recording."""
     if path.is_dir():
         return bool(mcap_files(path))
-    return head.startswith(MCAP_MAGIC) and not is_native(path, head)
+    is_packed = path.name.endswith(MCAP_SUFFIXES[1]) and head.startswith(ZSTD_MAGIC)
+    return is_packed or (head.startswith(MCAP_MAGIC) and not is_native(path, head))
 
 
-ROS_MCAP_FORMAT = RecordingFormat("ROS or Foxglove MCAP", (".mcap",), is_ros_mcap, RosMcap, ROS_OPTIONS, can_grow=True)
+ROS_MCAP_FORMAT = RecordingFormat(
+    "ROS or Foxglove MCAP", MCAP_SUFFIXES, is_ros_mcap, RosMcap, ROS_OPTIONS, can_grow=True
+)

@@ -16,7 +16,7 @@ from gridtrack.recordings.read_options import NO_POSES, Mount
 LinkKey = tuple[str, str]
 """The source of a link's transforms (a topic or an option), and the child frame in them."""
 SHOWN_FRAMES = 8
-NO_MOTION = "no motion recorded: assumed at rest (if the robot drives: recording import --ego-motion kiss-icp)"
+NO_MOTION = "no motion recorded: assumed at rest (if the robot drives: --ego-motion kiss-icp)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +77,14 @@ class Chain:
     def moving(self) -> tuple[Link, ...]:
         """The links that move."""
         return tuple(link for link in self.links if link.moves)
+
+    @property
+    def mount(self) -> tuple[str, SE3]:
+        """The lowest frame that moves (the world frame if none does), and the pose of the sensor on it."""
+        parent, pose = self.world, SE3()
+        for link in self.links:
+            parent, pose = (link.child, SE3()) if link.moves else (parent, pose @ link.first)
+        return parent, pose
 
     @property
     def mirrored(self) -> bool:

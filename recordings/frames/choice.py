@@ -17,7 +17,7 @@ from __future__ import annotations
 from gridtrack.recordings.frames import problems
 from gridtrack.recordings.frames.chains import Chain, ChainOptions, Chains, FrameLinks, Link, parent_of
 from gridtrack.recordings.frames.transform import SE3
-from gridtrack.recordings.frames.tree import WORLD_WORDS, Edge, FrameTree, PoseTopic, has_word, is_body
+from gridtrack.recordings.frames.tree import WORLD_WORDS, Edge, FrameTree, PoseTopic, has_word, is_body, is_world
 
 MAX_POSE_GAP_NS = 1_000_000_000
 
@@ -119,6 +119,8 @@ class _Choice:
             return self._on_poses(poses[0])
         topic, start = next(iter(self._links.starts.items()))
         name = options.sensors[topic]
+        if (lost := self._lost_motion()) is not None:
+            return self._at_rest(problems.unusable_poses(options, *lost))
         if poses:
             mounted = start in self._links.forest
             return self._at_rest(problems.ambiguous_poses(options, poses, frames, name, start, is_mounted=mounted))
@@ -162,6 +164,15 @@ class _Choice:
     def _is_in_transforms(self, pose: PoseTopic) -> bool:
         forest = self._links.forest
         return pose.child in self._tree.edges and forest.top(pose.child) == forest.top(parent_of(pose))
+
+    def _lost_motion(self) -> tuple[str, str] | None:
+        """Topic and child frame of transforms or poses above the sensors, none of which can be used."""
+        common = self._links.common()
+        for child, (topic, parent) in self._tree.unusable.items() if not self._options.at_rest else ():
+            is_above = child in common or (parent in common and is_world(child)) or not child
+            if is_above and child not in self._tree.edges and topic not in self._tree.poses:
+                return topic, child or parent
+        return None
 
     def _unused_motion(self) -> tuple[str, Edge] | None:
         """A frame in the sensors' tree that moves in its second parent only."""

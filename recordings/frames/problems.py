@@ -77,6 +77,14 @@ def unconnected_sensor(options: ChainOptions, links: Sequence[Link], sensor: str
     )
 
 
+def unusable_poses(options: ChainOptions, topic: str, frame: str) -> str:
+    """Transforms or poses that would have the motion of the sensors, but contain no numbers."""
+    return (
+        f"all poses of frame '{frame}' on {topic} are not finite or have no rotation: use {poses_from_scans(options)};"
+        f" {IF_AT_REST}"
+    )
+
+
 def unused_motion(options: ChainOptions, child: str, second: Edge) -> str:
     """Transforms to a second parent, which alone contain the motion of the sensors."""
     return (

@@ -354,7 +354,7 @@ class ScansOnChains:
         placement = self._world_T_sensor(framed, chain).placement()
         if placement.tilt_rad > MAX_TILT_RAD:
             limit = f"{math.degrees(MAX_TILT_RAD):g} deg"
-            self._count(
+            self.count(
                 f"scans of sensor '{scan.sensor}' tilted by more than {limit} are left out (if its transforms are"
                 " wrong, give its pose with --mount)"
             )
@@ -369,14 +369,15 @@ class ScansOnChains:
             found = self._trajectories[link.key].at(framed.scan.stamp_ns) if link.moves else None
             if link.moves and (found is None or not found.near):
                 is_first = found is None or found.is_first
-                self._count(
+                self.count(
                     f"scans of sensor '{framed.scan.sensor}' without poses on {link.source} ({link.parent} ->"
                     f" {link.child}) within 1 s get the {'first one after' if is_first else 'last one before'} them"
                 )
             world_T_frame = world_T_frame @ link.parent_T_child(found.transform if found else None)
         return world_T_frame if framed.frame_T_sensor is None else world_T_frame @ framed.frame_T_sensor
 
-    def _count(self, fault: str) -> None:
+    def count(self, fault: str) -> None:
+        """Count a fault of a scan, reported at the end."""
         self._faults[fault] = self._faults.get(fault, 0) + 1
 
     def _check_clocks(self) -> None:

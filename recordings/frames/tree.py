@@ -20,6 +20,8 @@ USUAL_GAPS = 2
 MAX_TREE_FRAMES = 1000
 """Limit of the frames of a recording; a robot with two arms has a hundred."""
 MAX_POSE_TOPICS, MAX_FAULTS = 100, 20
+MAX_FRAMES_ON_TOPIC, LASER_SHARE = 8, 0.1
+"""Limit of the frames of scans on one topic, and the share of its scans from which a frame is that of a laser."""
 Judgement = Literal["near", "held", "confirmed", "restarted"]
 """`held`: far from the newest stamp. `confirmed`: close to the held stamp, or as far after it as that is after the
 stamps before, so that both are correct. `restarted`: both are correct, and the stamps before are not comparable,
@@ -183,8 +185,15 @@ class FrameTree:
     second_parents: dict[str, Edge] = field(default_factory=dict)
     poses: dict[str, PoseTopic] = field(default_factory=dict)
     sensors: dict[str, str] = field(default_factory=dict)
-    """Topic of the scans -> frame of the sensor, as its first scan names it; it may be empty."""
+    """Topic of the scans -> frame of the sensor, as its first scan names it; it may be empty. The scans of another
+    laser on the topic have the name TOPIC@FRAME instead."""
+    scan_frames: dict[str, dict[str, int]] = field(default_factory=dict)
+    """Topic -> frame -> number of scans."""
+    lasers: dict[str, str] = field(default_factory=dict)
+    """TOPIC@FRAME of each further laser on a topic -> frame."""
     faults: dict[str, None] = field(default_factory=dict)
+    unusable: dict[str, tuple[str, str]] = field(default_factory=dict)
+    """Child of transforms or poses that are not finite or have no rotation -> topic and parent of the first."""
 
     def add_transforms(self, topic: str, is_static: bool, transforms: Iterable[StampedTransform]) -> None:
         """Add the transforms of a message."""
@@ -193,6 +202,8 @@ class FrameTree:
             fault = self._fault(topic, parent, child, stamped.transform)
             if fault or stamped.transform is None:
                 self.note(fault)
+                if stamped.transform is None and len(self.unusable) < MAX_TREE_FRAMES:
+                    self.unusable.setdefault(child, (topic, parent))
                 continue
             known = self._known(topic, is_static, parent, child)
             if known is None:
@@ -202,11 +213,29 @@ class FrameTree:
             elif known.parent == parent:
                 self._add_to(known, child, stamped.stamp_ns, stamped.transform, is_static=is_static)
 
+    def add_scan(self, topic: str, frame: str) -> None:
+        """Count a scan on a topic in a frame; the first frame is that of its sensor."""
+        frame = frame_name(frame)
+        self.sensors.setdefault(topic, frame)
+        counts = self.scan_frames.setdefault(topic, {})
+        if frame in counts or len(counts) < MAX_FRAMES_ON_TOPIC:
+            counts[frame] = counts.get(frame, 0) + 1
+
+    def separate_lasers(self) -> None:
+        """Make a sensor of each frame that many scans on a topic have."""
+        for topic, counts in self.scan_frames.items():
+            for frame, number in counts.items():
+                if frame != self.sensors[topic] and number >= LASER_SHARE * sum(counts.values()):
+                    self.lasers[f"{topic}@{frame}"] = frame
+        self.sensors |= self.lasers
+
     def add_poses(self, topic: str, poses: Iterable[StampedTransform]) -> None:
         """Add the poses of a message."""
         for pose in poses:
             if pose.transform is None:
                 self.note(f"poses on {topic} that are not finite or have no rotation are left out")
+                if len(self.unusable) < MAX_TREE_FRAMES:
+                    self.unusable.setdefault(_label_or_empty(pose.child), (topic, _label_or_empty(pose.parent)))
             elif topic in self.poses:
                 self.poses[topic].motion.add(pose.stamp_ns, pose.transform)
             elif len(self.poses) == MAX_POSE_TOPICS:

@@ -17,9 +17,9 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.ego_motion import MatchingSettings, PoseSource, matched_trajectory, with_matched_poses
+from gridtrack.recordings.ego_motion import MatchingSettings, matched_trajectory, with_matched_poses
 from gridtrack.recordings.formats.native import write_native
-from gridtrack.recordings.read_options import Mount, parse_mount
+from gridtrack.recordings.read_options import Mount, PoseSource, parse_mount
 from gridtrack.recordings.recording_info import RecordingInfo
 
 CELLS = 100

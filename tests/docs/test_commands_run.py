@@ -92,6 +92,7 @@ SMALLER = (
     ("train my-tracker", "train static-map"),
     ("test-*.mcap --tracker my-tracker", "test-*.mcap --tracker static-map"),
     ("drive.bag --out drive.mcap --pose-topic", "poses.bag --out drive.mcap --pose-topic"),
+    ("compare drive.bag --ego-motion", "compare no-poses.bag --ego-motion"),
     ("drive.bag --out drive.mcap --ego-motion", "no-poses.bag --out drive.mcap --ego-motion"),
     ("hall.bag --out hall.mcap --topic", "clouds.bag --out hall.mcap --topic"),
 )  # fmt: skip

@@ -54,10 +54,13 @@ def test_a_stretch_that_is_a_path_is_refused_in_a_split(hostile: Callable[..., P
         plan_split(f"{path}@../../x", None, SECOND)
 
 
-def test_a_file_name_that_cannot_be_a_folder_of_results_is_refused(write, scan) -> None:
-    path = write((scan(k) for k in range(80)), "a\tb.mcap")
+def test_results_have_the_name_of_the_file_with_characters_that_a_folder_may_have(write, scan) -> None:
+    scans = [scan(k) for k in range(80)]
+    names = {"a\tb.mcap": "a_b", "run.v1.2.mcap": "run.v1.2", "run.v1.3.mcap": "run.v1.3"}
+    assert {name: plan_split(str(write(scans, name)), None, SECOND).name for name in names} == names
+    long = write(scans, f"{'x' * 159}.mcap")
     with pytest.raises(ConfigurationError, match=r"cannot be the name of a folder of results: expected .*; rename it"):
-        plan_split(str(path), None, SECOND)
+        plan_split(f"{long}@0s-6s", None, SECOND)
 
 
 @pytest.mark.parametrize("name", [" [1] *?.clf", ".hidden.clf", "a\tb.clf", f"{'x' * 200}.clf"])

@@ -13,6 +13,7 @@ import pytest
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import open_recording
+from gridtrack.recordings.stream import open_stream
 
 
 def flaser(k: int, ranges: list[str], seconds: str | None = None) -> str:
@@ -117,11 +118,12 @@ def test_stamps_are_read_as_streams_write_them(seconds: str, stamp_ns: int, tmp_
 
 
 @pytest.mark.parametrize("seconds", ["nan", "inf", "-1.0", "1e999999999", "1e13", "far"])
-def test_a_stamp_that_is_no_time_is_damage(seconds: str, tmp_path: Path) -> None:
-    path = log(tmp_path / "a.clf", flaser(0, ["1"] * 180), flaser(1, ["1"] * 180, seconds))
+def test_a_scan_with_a_stamp_that_is_no_time_is_left_out_and_the_log_goes_on(seconds: str, tmp_path: Path) -> None:
+    """Public logs begin with negative stamps, or have one odd stamp in the middle."""
+    path = log(tmp_path / "a.clf", *(flaser(k, ["1"] * 180, seconds if k in (0, 3) else "") for k in range(6)))
     recording = open_recording(path)
-    assert len(list(recording.scans())) == 1
-    assert f"line 4: not a readable FLASER (stamp {seconds})" in recording.warnings[0]
+    assert [scan.world_T_sensor.y for scan in recording.scans()] == [1, 2, 4, 5]
+    assert ["stamped outside 0 to 2^63 ns, left out: 2 of them" in line for line in recording.warnings] == [True]
 
 
 def test_names_of_hosts_in_any_encoding_are_read(tmp_path: Path) -> None:
@@ -164,6 +166,14 @@ def test_the_error_for_a_wrong_topic_suggests_another(tmp_path: Path) -> None:
 def test_many_equal_stamps_name_the_way_on(tmp_path: Path) -> None:
     path = log(tmp_path / "a.clf", *(flaser(k, ["1"] * 180, "1.13486e+09") for k in range(20)))
     (warning,) = open_recording(path).overview().warnings
-    assert "95% of the stamps are alike or in disorder: give the laser's rate, as in --stamps 10hz" in warning
+    assert (
+        "95% of the stamps are alike or in disorder: give the rate of the laser, as in `gridtrack recording" in warning
+    )
+    assert "--out a-stamped.mcap --stamps 10hz`, or take the logger's times with --stamps received" in warning
+    with pytest.raises(RecordingError, match="a single scan has no rate: scans of sensor 'scan' not stamped after"):
+        open_stream(path)
+    alike = (flaser(k, ["1"] * 180, "1.13486e+09").rpartition(" ")[0] + " 1.13486e+09" for k in range(20))
+    (warning,) = open_recording(log(tmp_path / "b.clf", *alike)).overview().warnings
+    assert warning.endswith("--stamps 10hz`")
     assert [s.stamp_ns for s in open_recording(path, stamps="10hz").scans()] == [k * 10**8 for k in range(20)]
     assert [s.stamp_ns for s in open_recording(path, stamps="received").scans()] == [k * 10**9 for k in range(20)]

@@ -16,13 +16,15 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
+from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.scan import MAX_RANGE_M, Scan
-from gridtrack.recordings import CloudSlice, import_recording, open_recording
+from gridtrack.recordings import CloudSlice, import_recording, open_recording, packaged_recording
+from gridtrack.recordings.formats.ros1_bag import ROS1_MAGIC
 from gridtrack.recordings.opening import recordings_at
 
 from scenes.drive_bag import CLOUD, LASER, Message, Ros
@@ -160,6 +162,37 @@ def packed_file(folder: Path, scans: Iterable[Scan]) -> Path:
     return path
 
 
+def packed_mcap(folder: Path, scans: Iterable[Scan]) -> Path:
+    (file,) = ros2_bag(folder, scans, StoragePlugin.MCAP).glob("*.mcap")
+    path = folder / "a_0.mcap.zstd"
+    path.write_bytes(zstandard.compress(file.read_bytes()))
+    return path
+
+
+def folder_of_packed_mcap(folder: Path, scans: Iterable[Scan]) -> Path:
+    """As `ros2 bag record --compression-mode file --storage mcap` writes it."""
+    bag = ros2_bag(folder, scans, StoragePlugin.MCAP)
+    (file,) = bag.glob("*.mcap")
+    (bag / f"{file.name}.zstd").write_bytes(zstandard.compress(file.read_bytes()))
+    file.unlink()
+    return bag
+
+
+def wrong_index(folder: Path, scans: Iterable[Scan]) -> Path:
+    """A bag in which the sizes of the indices are not those of their entries."""
+    path = ros1_bag(folder, scans)
+    content, at = bytearray(path.read_bytes()), len(ROS1_MAGIC)
+    while at < len(content):
+        (header_bytes,) = struct.unpack_from("<I", content, at)
+        data_at = at + 4 + header_bytes
+        (data_bytes,) = struct.unpack_from("<I", content, data_at)
+        if b"op=\x04" in content[at:data_at]:
+            struct.pack_into("<I", content, data_at, data_bytes + 5)
+        at = data_at + 4 + data_bytes
+    path.write_bytes(content)
+    return path
+
+
 def packed_messages(folder: Path, scans: Iterable[Scan]) -> Path:
     bag = ROS2.write(folder / "a", messages_of(ROS2, scans), compression=CompressionMode.MESSAGE)
     return next(bag.glob("*.db3*"))
@@ -175,6 +208,9 @@ MAKERS: dict[str, Callable[[Path, list[Scan]], Path]] = {
     "ros2 mcap": lambda folder, scans: next(ros2_bag(folder, scans, StoragePlugin.MCAP).glob("*.mcap")),
     "ros2 bag, packed messages, one db3": packed_messages,
     "ros2 bag, db3.zstd": packed_file,
+    "ros2 mcap, mcap.zstd": packed_mcap,
+    "ros2 bag, folder of mcap.zstd": folder_of_packed_mcap,
+    "ros1 bag, wrong length of indices": wrong_index,
     "ros2 bag, side file of SQLite": unfinished,
     "ros2 bag, two db3 without metadata": split_without_metadata,
     "ros1 mcap": lambda folder, scans: ros1_mcap(folder / "a.mcap", messages_of(ROS1, scans)),
@@ -207,10 +243,37 @@ def test_many_equal_stamps_name_the_time_of_reception(tmp_path: Path, scans: lis
     same = [("/scan", LASER, 10**9 * (k + 1), laser(ROS1, replace(s, stamp_ns=7))) for k, s in enumerate(scans[:20:2])]
     path = ROS1.write(tmp_path / "a.bag", same)
     (warning,) = open_recording(path).overview().warnings
-    assert "90% of the stamps are alike or in disorder: take the times of reception with --stamps received" in warning
+    assert (
+        "90% of the stamps are alike or in disorder: take the times of reception, with `gridtrack recording import"
+        in warning
+    )
     assert [s.stamp_ns for s in open_recording(path, stamps="received").scans()] == [10**9 * (k + 1) for k in range(10)]
     with pytest.raises(RecordingError, match="messages have times of reception: use received"):
         open_recording(path, stamps="10hz")
+
+
+def test_stamps_at_the_end_of_a_scan_are_moved_to_its_first_beam(tmp_path: Path, scans: list[Scan]) -> None:
+    path = MAKERS["ros1 bag"](tmp_path, scans)
+    sweep_ns = round(float(np.float32(1e-4)) * 35 * 1e9)
+    found = open_recording(path, topic="/scan", stamps="end").scans()
+    assert [s.stamp_ns for s in found] == [s.stamp_ns - sweep_ns for s in scans if s.sensor == "scan"]
+    with pytest.raises(RecordingError, match="--stamps end: scans on /rear/scan have no time between beams"):
+        list(open_recording(path, topic="/rear/scan", stamps="end").scans())
+
+
+def test_stamps_in_bursts_are_told_with_the_rate(tmp_path: Path, scans: list[Scan]) -> None:
+    """A buffer that is read every half a second gives five scans nearly the same stamp."""
+    stamps = [10**9 + 5 * 10**8 * (k // 5) + 2_000_000 * (k % 5) for k in range(40)]
+    even = [10**9 + 10**8 * k for k in range(40)]
+    for stamped, count in ((stamps, 1), (even, 0)):
+        made = [replace(scans[0], stamp_ns=stamp) for stamp in stamped]
+        received = [("/scan", LASER, 10**9 + 10**8 * k, laser(ROS1, scan)) for k, scan in enumerate(made)]
+        path = ROS1.write(tmp_path / f"{count}.bag", received)
+        bursts = [line for line in open_recording(path).overview().warnings if "come in bursts" in line]
+        assert len(bursts) == count
+    told = open_recording(tmp_path / "1.bag").overview().warnings[0]
+    assert "half of them less than 2 ms after another" in told
+    assert "give --rate 11.1, or take the times of reception, with `gridtrack recording import" in told
 
 
 @pytest.mark.parametrize("increment_s", [-1e-4, 1.0, math.nan, math.inf])
@@ -250,6 +313,38 @@ def test_a_bag_cut_inside_a_chunk_gives_the_messages_before_the_cut(tmp_path: Pa
     assert found == [s.stamp_ns for s in scans][: len(found)]
     assert len(found) > 10
     assert len(recording.warnings) == 1
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_an_mcap_file_cut_inside_its_only_chunk_gives_the_messages_before_the_cut(
+    compression: str, tmp_path: Path, scans: list[Scan]
+) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file, compression=CompressionType[compression.upper()])
+        writer.start(profile="ros2")
+        text, _ = ROS2.store.generate_msgdef(LASER)
+        schema = writer.register_schema(LASER, "ros2msg", text.encode())
+        channel = writer.register_channel("/scan", "cdr", schema)
+        for one in scans * 20:
+            random = np.random.default_rng(one.stamp_ns).uniform(0, 5, 36).astype(np.float32)
+            data = bytes(ROS2.store.serialize_cdr(laser(ROS2, replace(one, ranges=random)), LASER))
+            writer.add_message(channel, one.stamp_ns, data, one.stamp_ns)
+        writer.finish()
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    recording = open_recording(path)
+    assert recording.survey.topics["/scan"][1] > 100
+    assert any("cut off in the middle of a record; the rest is left out" in line for line in recording.warnings)
+    with pytest.raises(RecordingError, match="cut off"):
+        list(open_recording(path, strict=True).scans())
+
+
+def test_a_packed_recording_of_gridtrack_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap.zstd"
+    path.write_bytes(zstandard.compress(packaged_recording("leg_tracker").read_bytes()))
+    with pytest.raises(RecordingError, match="a packed recording of gridtrack: unpack it with `zstd -d`"):
+        list(open_recording(path).scans())
 
 
 def test_a_bag_without_its_index_can_be_read(tmp_path: Path, scans: list[Scan], same_scans) -> None:
@@ -296,6 +391,57 @@ def test_a_bearing_without_points_is_free_or_unknown(tmp_path: Path) -> None:
     assert seen["free"].range_max == 6.0
     imported = import_recording(path, tmp_path / "cut.mcap", topic="/points", cloud_slice=cut)
     assert "range_max_m=6,empty=unknown" in imported.info.command
+
+
+def ring(beams: int, phase_rad: float, missing: int = 0) -> np.ndarray:
+    """Points (N, 3) of a laser with `beams` in a revolution, on a circle of 3 m; some beams are missing."""
+    angles = phase_rad + np.arange(beams)[missing:] * 2 * math.pi / beams
+    return np.stack([3 * np.cos(angles), 3 * np.sin(angles), np.full(angles.size, 0.5)], axis=1)
+
+
+TALL = np.random.default_rng(0).uniform(-2.0, 2.0, (99, 3))
+
+
+@pytest.mark.parametrize(("beams", "phase_rad"), [(360, 0.0), (360, 0.004), (91, 0.01), (512, -math.pi)])
+def test_a_scan_has_the_bearings_of_a_coarse_cloud(beams: int, phase_rad: float, tmp_path: Path) -> None:
+    """Twice as many bearings would leave every other beam empty, and free through the walls."""
+    messages = [
+        ("/points", CLOUD, 10**8 * (k + 1), cloud(ROS2, ring(beams, phase_rad, 30 * k), stamp_ns=10**8 * (k + 1)))
+        for k in range(3)
+    ]
+    path = ROS2.write(tmp_path / "a", messages)
+    cut = CloudSlice(low_m=0.0, high_m=1.0)
+    recording = open_recording(path, topic="/points", cloud_slice=cut)
+    found = list(recording.scans())
+    assert [np.isinf(scan.ranges).sum() for scan in found] == [0, 30, 60]
+    assert {scan.ranges.size for scan in found} == {beams}
+    first = found[0].angle_min
+    assert -math.pi <= first < -math.pi + 2 * math.pi / beams + 1e-6
+    np.testing.assert_allclose(math.remainder(first - phase_rad, 2 * math.pi / beams), 0.0, atol=1e-4)
+    assert any(f"its clouds have {beams} bearings in a revolution" in line for line in recording.warnings)
+    fine = CloudSlice(low_m=0.0, high_m=1.0, beams=720)
+    assert {s.ranges.size for s in open_recording(path, topic="/points", cloud_slice=fine).scans()} == {720}
+
+
+def test_a_dense_or_irregular_cloud_keeps_the_usual_bearings(tmp_path: Path) -> None:
+    random = np.random.default_rng(3).uniform(-4, 4, (200, 3)) * [1, 1, 0.1] + [0, 0, 0.5]
+    for name, points in (("dense", ring(1800, 0.0)), ("irregular", random)):
+        path = ROS2.write(tmp_path / name, [("/points", CLOUD, 5, cloud(ROS2, points))])
+        (scan,) = open_recording(path, topic="/points", cloud_slice=CloudSlice(low_m=0.0, high_m=1.0)).scans()
+        assert scan.ranges.size == 720
+
+
+def test_the_first_echo_of_a_beam_is_read(tmp_path: Path, scans: list[Scan]) -> None:
+    kind = "sensor_msgs/msg/MultiEchoLaserScan"
+    one = laser(ROS2, scans[0])
+    echoes = [np.array([r, 9.0], np.float32) if np.isfinite(r) else np.empty(0, np.float32) for r in scans[0].ranges]
+    fields = {name: getattr(one, name) for name in one.__dataclass_fields__ if not name.startswith("_")}
+    ranges = [ROS2.make("sensor_msgs/msg/LaserEcho", echoes=echo) for echo in echoes]
+    message = ROS2.make(kind, **{**fields, "ranges": ranges, "intensities": []})
+    recording = open_recording(ROS2.write(tmp_path / "a", [("/echoes", kind, scans[0].stamp_ns, message)]))
+    (scan,) = recording.scans()
+    np.testing.assert_array_equal(scan.ranges, np.where(np.isfinite(scans[0].ranges), scans[0].ranges, np.inf))
+    assert any("of several echoes of a beam the first is read" in line for line in recording.warnings)
 
 
 @pytest.mark.parametrize("fields", [True, False])
@@ -364,7 +510,7 @@ def test_wrong_range_limits_are_refused_and_replaced(
     limits: tuple[float, float], tmp_path: Path, scans: list[Scan]
 ) -> None:
     path = MAKERS["ros1 bag"](tmp_path, [replace(s, range_min=limits[0], range_max=limits[1]) for s in scans])
-    with pytest.raises(RecordingError, match=r"give those of the laser with --range-limits MIN,MAX"):
+    with pytest.raises(RecordingError, match="import the recording with those of the laser, --range-limits MIN,MAX"):
         list(open_recording(path).scans())
     assert {(s.range_min, s.range_max) for s in open_recording(path, range_limits="0.1,20").scans()} == {(0.1, 20.0)}
 
@@ -404,11 +550,18 @@ def test_a_channel_without_a_schema_is_ignored(tmp_path: Path, scans: list[Scan]
     same_scans(open_recording(path).scans(), scans)
 
 
-def test_a_cloud_needs_its_topic_and_its_heights(tmp_path: Path) -> None:
-    path = ROS1.write(tmp_path / "a.bag", [("/points", CLOUD, 5, cloud(ROS1, np.ones((3, 3))))])
-    with pytest.raises(RecordingError, match=r"no scans; topics: /points \(sensor_msgs/msg/PointCloud2\)"):
+@pytest.mark.parametrize(
+    ("points", "heights"), [(ring(90, 0.0), "low_m=0.4,high_m=0.6"), (TALL, "low_m=0.2,high_m=1.0")]
+)
+def test_a_recording_of_clouds_alone_gives_the_command_with_topic_and_heights(
+    points: np.ndarray, heights: str, tmp_path: Path
+) -> None:
+    """The slice of a flat cloud contains it: an empty slice would be free everywhere."""
+    path = ROS1.write(tmp_path / "a.bag", [("/points", CLOUD, 5, cloud(ROS1, points))])
+    command = f"a.bag --out a-one.mcap --topic /points --cloud-slice {heights}`"
+    with pytest.raises(RecordingError, match=f"no laser scans: take them from a slice of the point cloud.*{command}"):
         list(open_recording(path).scans())
-    with pytest.raises(RecordingError, match="point cloud: give the heights"):
+    with pytest.raises(RecordingError, match="point cloud: give its slice"):
         list(open_recording(path, topic="/points").scans())
 
 

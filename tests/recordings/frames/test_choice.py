@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from collections.abc import Callable, Iterable
@@ -31,7 +32,7 @@ CHAINS = (
     "front_scan: odom -> base_footprint -> base_link -> front_laser; rear_scan: odom -> base_footprint -> base_link ->"
     " rear_laser (mirrored); from /tf, /tf_static; longest gap 0.02 s"
 )
-NO_MOTION = "no motion recorded: assumed at rest (if the robot drives: recording import --ego-motion kiss-icp)"
+NO_MOTION = "no motion recorded: assumed at rest (if the robot drives: --ego-motion kiss-icp)"
 
 
 def static(*links: tuple[str, str, SE3]) -> made.Message:
@@ -545,3 +546,23 @@ def test_the_static_transforms_in_the_namespace_of_the_scans_are_used(bag: Bag) 
 def test_ambiguous_transforms_are_one_warning(bag: Bag, messages: list[made.Message], message: str) -> None:
     (warning,) = open_recording(bag(*FRONT, STATIC, *messages)).overview().warnings
     assert re.search(message, warning)
+
+
+@pytest.mark.parametrize("turn_deg", [90, 180, 270])
+def test_a_laser_that_is_mounted_turned_has_its_true_mount_as_the_remedy(bag: Bag, run, turn_deg: int) -> None:
+    recorded = SE2(made.FRONT.base_T_laser.x, made.FRONT.base_T_laser.y, math.radians(30 - turn_deg))
+    static = ROS.transforms(0, ("base_link", "front_laser", SE3.in_plane(recorded)), topic="/tf_static")
+    drive = [
+        ROS.transforms(at, ("odom", "base_link", SE3.in_plane(made.robot_at(at)))) for at in range(-40, 15_100, 40)
+    ]
+    path = bag(*made.scans_of(ROS, 15_000, made.FRONT), static, *drive)
+    (warning,) = open_recording(path).overview().warnings
+    assert (
+        f"its poses disagree with its scans, and agree if it is turned by {turn_deg} deg: walls then move 0.0"
+        in warning
+    )
+    assert "--mount front_scan=base_link:0.3,0.1,30deg`" in warning
+    assert "refined" not in warning
+    (command,) = commands_in(warning)
+    run(command)
+    assert open_recording("a-posed.mcap").overview().warnings == ()

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.recordings import open_recording, parse_mount
+from gridtrack.recordings import import_recording, open_recording, parse_mount
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import MAX_FAULTS, MAX_TREE_FRAMES
 from gridtrack.recordings.recording import Recording
@@ -56,7 +56,7 @@ def the_warning(recording: Recording) -> str:
         ),
         pytest.param(
             [ROS.laser(1250, np.full(181, 2.0, np.float32), made.FRONT, frame="elsewhere")],
-            "topic '/front_scan': scans in another frame than the first scan are left out",
+            "scans on /front_scan in another frame than the first scan are left out: 1 of them",
             id="a scan in another frame",
         ),
         pytest.param(
@@ -218,3 +218,62 @@ def test_a_joint_that_is_recorded_more_rarely_is_at_rest_with_a_warning(bag: Bag
 def test_a_joint_that_is_recorded_often_or_as_static_is_no_warning(bag: Bag, every_ms: int, topic: str) -> None:
     recording = panned(bag, dict.fromkeys(range(0, 80_000, every_ms), 10.0), topic)
     assert recording.overview().warnings == ()
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        pytest.param([ROS.transforms(at, ("odom", "base_link", NAN)) for at in made.STAMPS_MS], id="transforms"),
+        pytest.param([ROS.transforms(at, ("base_link", "odom", NAN)) for at in made.STAMPS_MS], id="backwards"),
+        pytest.param([ROS.odometry(at, SE2(math.nan, 0.0, 0.0)) for at in made.STAMPS_MS], id="odometry"),
+        pytest.param([ROS.pose(at, SE2(math.nan, 0.0, 0.0)) for at in made.STAMPS_MS], id="poses"),
+    ],
+)
+def test_poses_that_are_recorded_and_all_unusable_are_refused_with_the_ways_on(
+    bag: Bag, broken: list[made.Message], tmp_path: Path
+) -> None:
+    pytest.importorskip("kiss_icp")
+    path = bag(*FRONT, STATIC, *broken)
+    problem = open_recording(path).pose_problem
+    assert "are not finite or have no rotation: use poses from the scans, with `gridtrack recording import" in problem
+    assert "or, if the robot stands still, import the recording with --pose-topic none" in problem
+    with pytest.raises(RecordingError, match="are not finite"):
+        open_stream(path)
+    assert not open_recording(path, pose_topic="none").pose_problem
+    assert import_recording(path, tmp_path / "posed.mcap", ego_motion="kiss-icp").survey.moves
+
+
+def test_unusable_transforms_of_a_frame_beside_the_sensors_do_not_matter(bag: Bag) -> None:
+    gripper = [ROS.transforms(at, ("base_link", "gripper", NAN)) for at in made.STAMPS_MS]
+    assert open_recording(bag(*FRONT, STATIC, *gripper)).pose_problem == ""
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("a_0.bag", "a_1.bag"),
+        ("a_2024-01-01-10-00-00_0.bag", "a_2024-01-01-10-05-00_1.bag"),
+        ("2024-01-01-10-00-00_0.bag", "2024-01-01-10-05-00_12.bag"),
+    ],
+)
+def test_a_later_part_of_a_split_recording_has_the_static_transforms_of_the_first(
+    bag: Bag, first: str, second: str
+) -> None:
+    """A recorder that splits writes latched transforms once, into the first part."""
+    part = bag(*FRONT, *MOVING, name=second)
+    assert "put the first part beside it" in " ".join(open_recording(part).overview().warnings)
+    bag(STATIC, *MOVING, name=first)
+    recording = open_recording(part)
+    assert made.walls_stay(recording.scans())
+    assert the_warning(recording).endswith(f"its static transforms are those of {first}")
+
+
+def test_a_number_at_the_end_of_a_name_is_no_split_recording_where_nothing_is_missing(bag: Bag) -> None:
+    assert the_poses(bag(*DRIVE, name="lab_3.bag")) == the_poses(bag(*DRIVE)) != ""
+    assert open_recording(bag(*FRONT, name="hall_3.bag")).overview().warnings == ()
+
+
+def the_poses(path: Path) -> str:
+    recording = open_recording(path)
+    assert recording.overview().warnings == ()
+    return recording.info.poses
