@@ -1,6 +1,7 @@
 """The command line `gridtrack`: its commands, and every user error as one line on stderr with exit code 2.
 
-A crash, such as a broken library, has exit code 3: 1 is the verdict "worse" of `regress`.
+A recording in which nothing was measured, and a crash, such as of a broken library, have exit code 3: 1 is the verdict
+"worse" of `regress`.
 """
 
 from __future__ import annotations
@@ -92,7 +93,7 @@ def main() -> None:
         with _shield(arguments), words_as_typed():
             app(arguments, prog_name="gridtrack")
     except GridtrackError as error:
-        _fail(error, str(error))
+        _fail(error, str(error), error.exit_code)
     except OSError as error:
         _fail(error, f"{error.filename}: {error.strerror}" if error.filename else str(error))
     except Exception as error:  # noqa: BLE001  no crash may look like the verdict "worse"
@@ -109,8 +110,8 @@ def _shield(arguments: list[str]) -> AbstractContextManager[None]:
     return shielded_host(f"gridtrack {arguments[0]}", alone=True)
 
 
-def _fail(error: Exception, reason: str) -> NoReturn:
+def _fail(error: Exception, reason: str, code: int = 2) -> NoReturn:
     if DEBUG_OPTION in sys.argv:
         traceback.print_exception(error)
     print_note(reason)
-    sys.exit(2)
+    sys.exit(code)

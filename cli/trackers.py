@@ -190,7 +190,7 @@ def new_tracker(name: str, folder: Path) -> Path:
     It can be installed, passes its tests, keeps the contract, and has a baseline of its scores. Raises
     ConfigurationError.
     """
-    from gridtrack.evaluation.regression.baseline import write_baseline
+    from gridtrack.evaluation.regression.baseline import baseline_of, write_baseline
     from gridtrack.evaluation.regression.measurement import Baseline
 
     module = name.replace("-", "_")
@@ -208,7 +208,7 @@ def new_tracker(name: str, folder: Path) -> Path:
     for file in TEMPLATE_FILES:
         write_text(_new_file(folder, file, module), _renamed(_example(file), name, module))
     renamed = Baseline.model_validate_json(_renamed(_example(BASELINE_FILE), name, module))
-    write_baseline(_new_file(folder, BASELINE_FILE, module), renamed.runs)
+    write_baseline(_new_file(folder, BASELINE_FILE, module), baseline_of(renamed.runs))
     return folder / f"{module}.py"
 
 

@@ -11,13 +11,21 @@ from itertools import combinations
 from pathlib import Path
 
 from gridtrack.common.entry_points import VALID_NAME
-from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
+from gridtrack.common.errors import ConfigurationError, PluginError, WeightsError, did_you_mean
 from gridtrack.common.files import check_utf8
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.sandbox import check_sandbox
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess, describe
-from gridtrack.evaluation.referee.splits import ORACLE, EvaluationSplit, Sampling, plan_splits, segments_of, with_points
+from gridtrack.evaluation.referee.splits import (
+    EVERY_S,
+    ORACLE,
+    EvaluationSplit,
+    Sampling,
+    plan_splits,
+    segments_of,
+    with_points,
+)
 from gridtrack.evaluation.referee.strata import OCCLUDED, SCORING_RULES
 from gridtrack.evaluation.runs.learned import (
     LearnedWeights,
@@ -35,7 +43,8 @@ from gridtrack.evaluation.scores.registry import scores
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.selection import Launch, Selection, launch, parse_selections, read_trackers_toml
+from gridtrack.trackers.selection import CardKind, Launch, Selection, launch, parse_selections, read_trackers_toml
+from gridtrack.trackers.training.weights import fitted_card
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +183,8 @@ def with_copied_weights(plan: ComparisonPlan, folder: Path) -> ComparisonPlan:
 def sampling_of(settings: CompareSettings) -> Sampling:
     """Horizon, interval, grid and rate as `settings` give them. Raises ConfigurationError."""
     grid = GridSpec.parse(settings.grid) if settings.grid else None
-    return Sampling(settings.horizon_s, settings.every_s, grid, settings.rate_hz, settings.format)
+    every_s = EVERY_S if settings.follow and settings.every_s is None else settings.every_s
+    return Sampling(settings.horizon_s, every_s, grid, settings.rate_hz, settings.format)
 
 
 def segmented(whole: EvaluationSplit, settings: CompareSettings) -> Iterable[EvaluationSplit]:
@@ -203,9 +213,10 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
     splits = tuple(split for whole in wholes for split in segmented(whole, settings))
     _refuse_equal_names(splits)
     _refuse_overlaps(wholes)
+    places = {_place_of(split): split for split in splits}
     weights = {
-        (selection.label, site): _weights_of(selection, site, settings.weights)
-        for site in dict.fromkeys(split.test.site for split in splits)
+        (selection.label, place): _fitting_weights(selection, split, settings.weights)
+        for place, split in places.items()
         for selection in selections
     }
     trials = tuple(
@@ -213,7 +224,7 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
             selection,
             launches[selection.label],
             split,
-            weights[selection.label, split.test.site],
+            weights[selection.label, _place_of(split)][0],
             settings.seed,
             settings.limits,
             others,
@@ -230,6 +241,7 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
         for trial in trials
         if trial.weights and trial.weights.card.interrupted
     ]
+    notices += [notice for _, notice in weights.values() if notice]
     notices += [trial.beyond_training for trial in trials if trial.beyond_training]
     if settings.allow_leak:
         notices += [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
@@ -313,8 +325,38 @@ def _refuse_thresholds_of_another_site(trial: Trial) -> None:
     )
 
 
-def _weights_of(selection: Selection, site: str, override: Path | None) -> LearnedWeights | None:
-    """The weights of a row. Raises WeightsError if the row's own folder has none."""
+def _place_of(split: EvaluationSplit) -> tuple[str, str, int]:
+    """What the weights of a row depend on: site, grid and period."""
+    return split.test.site, str(split.test.grid), split.test.period_ns
+
+
+def _fitting_weights(
+    selection: Selection, split: EvaluationSplit, override: Path | None
+) -> tuple[LearnedWeights | None, str]:
+    """The weights of a row, and a notice where those of the site do not fit grid or rate and general ones are used.
+
+    Raises WeightsError if the row's own folder has none.
+    """
+    test = split.test
+    found = _weights_of(selection, test.site, override, selection.card)
+    if found is None or selection.card != "any":
+        return found, ""
+    try:
+        fitted_card(found.card, found.path, stream_of(test))
+    except WeightsError as misfit:
+        with suppress(WeightsError):
+            general = _weights_of(selection, test.site, override, "general")
+            if general is not None:
+                why = str(misfit).removeprefix(f"{found.path}: ").partition(": ")[0]
+                return general, (
+                    f"{selection.label}, {split.name}: its weights of the site '{test.site}' are {why}; general weights"
+                    " are used, as with card=general"
+                )
+    return found, ""
+
+
+def _weights_of(selection: Selection, site: str, override: Path | None, kind: CardKind) -> LearnedWeights | None:
+    """The weights of a row of this kind. Raises WeightsError if the row's own folder has none."""
     if selection.weights is None:
-        return find_weights(selection.name, site, override, selection.card)
-    return weights_in(selection.weights, selection.name, site, selection.card)
+        return find_weights(selection.name, site, override, kind)
+    return weights_in(selection.weights, selection.name, site, kind)

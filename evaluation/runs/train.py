@@ -12,7 +12,14 @@ from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.remote_files import is_url
 from gridtrack.evaluation.referee.kinds import CellKinds
-from gridtrack.evaluation.referee.splits import TRAIN, VALIDATION, common_with, own_validation, shares_frames
+from gridtrack.evaluation.referee.splits import (
+    TRAIN,
+    VALIDATION,
+    common_with,
+    own_validation,
+    refuse_unmeasured,
+    shares_frames,
+)
 from gridtrack.evaluation.runs.card_thresholds import choose_card_thresholds
 from gridtrack.evaluation.runs.learned import (
     LearnedWeights,
@@ -218,6 +225,7 @@ def _stretch(
     recording: Recording, stretch: Stretch | str | None, use: str, grid: GridSpec | None, rate_hz: float | None
 ) -> GridStream:
     """The `stretch` of a recording, or its own one for this `use`, or all of a recording without any."""
+    refuse_unmeasured(recording)
     own, path = recording.info.stretches, recording.path
     if stretch is None and own and use not in own:
         raise ConfigurationError(
