@@ -291,7 +291,7 @@ def test_a_training_whose_weights_cannot_be_written_does_not_start(tmp_path):
 @pytest.mark.usefixtures("trackers_here")
 def test_a_trial_that_did_not_complete_is_exit_code_3(tmp_path):
     done = gridtrack(
-        "compare", f"{DEMO}@114s-118s", "--tracker", "blank", "--tracker", "static-map", "--weights", tmp_path,
+        "compare", f"{DEMO}@114s-118s", "--tracker", "blank", "--tracker", "static-map:card=site",
         "--grid", "60x0.15", "--horizon", "0.5s", "--out", tmp_path / "run", code=3,
     )  # fmt: skip
     assert re.search("static-map@leg_tracker@114s-118s: (not-applicable|untrained)", done.stderr)
