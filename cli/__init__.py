@@ -14,6 +14,7 @@ from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
 import typer
+from typer import TyperException
 from typer.core import TyperCommand
 
 from gridtrack.cli.completion import words_as_typed
@@ -91,7 +92,10 @@ def main() -> None:
         for argument in sys.argv[1:]:
             check_utf8(argument, ConfigurationError)
         with _shield(arguments), words_as_typed():
-            app(arguments, prog_name="gridtrack")
+            code = app(arguments, prog_name="gridtrack", standalone_mode=False)
+        sys.exit(code)
+    except TyperException as error:
+        _fail(error, _usage_text(error))
     except GridtrackError as error:
         _fail(error, str(error), error.exit_code)
     except OSError as error:
@@ -108,6 +112,13 @@ def _shield(arguments: list[str]) -> AbstractContextManager[None]:
     from gridtrack.evaluation.hosting.host import shielded_host
 
     return shielded_host(f"gridtrack {arguments[0]}", alone=True)
+
+
+def _usage_text(error: TyperException) -> str:
+    """A wrong option or a missing argument, and the command that lists them."""
+    context = getattr(error, "ctx", None)
+    text: str = getattr(error, "format_message", error.__str__)()
+    return f"{text.rstrip('.')}; see `{context.command_path if context else 'gridtrack'} --help`"
 
 
 def _fail(error: Exception, reason: str, code: int = 2) -> NoReturn:

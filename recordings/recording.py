@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
@@ -114,7 +115,9 @@ class Recording(ABC):
         """The command that imports the recording with its present options and those in `words`."""
         words = list(words)
         end = "one" if "--topic" in words else "posed"
-        command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{self.path.stem}-{end}.mcap"]
+        imported = re.fullmatch(rf"(.+-{end})(?:-(\d+))?", self.path.stem)
+        stem = f"{imported[1]}-{int(imported[2] or 1) + 1}" if imported else f"{self.path.stem}-{end}"
+        command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{stem}.mcap"]
         given = {
             "--format": self.options.format,
             "--topic": self.options.topic,

@@ -46,6 +46,10 @@ from gridtrack.trackers.contract import stream_of
 from gridtrack.trackers.selection import CardKind, Launch, Selection, launch, parse_selections, read_trackers_toml
 from gridtrack.trackers.training.weights import fitted_card
 
+SCORED_CELLS_PER_S, LONG_MINUTES = 2e7, 10
+"""Cells of forecasts that one processor scores in a second (`compare --tracker blank` on grids of 100 and 400 cells a
+side), and the time from which an estimate is a notice."""
+
 
 @dataclass(frozen=True, slots=True)
 class Trial:
@@ -242,12 +246,29 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
         if trial.weights and trial.weights.card.interrupted
     ]
     notices += [notice for _, notice in weights.values() if notice]
+    notices += _large_cost(trials)
     notices += [trial.beyond_training for trial in trials if trial.beyond_training]
     if settings.allow_leak:
         notices += [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
     else:
         refuse_leaks(trial.leaks for trial in trials)
     return ComparisonPlan(settings, splits, trials, tuple(dict.fromkeys(notices)))
+
+
+def _large_cost(trials: Sequence[Trial]) -> Iterator[str]:
+    """A line if scoring will take long: an estimate before anything runs."""
+    splits = [trial.split for trial in trials]
+    forecasts = [s.schedule.expected + (s.validation_schedule.expected if s.validation else 0) for s in splits]
+    cells = sum(n * (s.steps + 1) * s.test.grid.size**2 for n, s in zip(forecasts, splits, strict=True))
+    minutes = cells / SCORED_CELLS_PER_S / 60
+    if minutes > LONG_MINUTES:
+        largest = max(splits, key=lambda split: (split.steps + 1) * split.test.grid.size**2)
+        size = largest.test.grid.size
+        yield (
+            f"scoring {sum(forecasts)} forecasts, the largest of {largest.steps + 1} steps on {size} x {size} cells,"
+            f" takes about {minutes:.0f} minutes of processor time, besides the trackers' own: fewer cells (--grid), a"
+            " shorter --horizon or a longer --every take less"
+        )
 
 
 def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.common.remote_files import is_url
 from gridtrack.evaluation.referee.kinds import CellKinds
 from gridtrack.evaluation.referee.splits import (
+    TEST,
     TRAIN,
     VALIDATION,
     common_with,
@@ -232,7 +233,13 @@ def _stretch(
             f"{path}: it names no stretch '{use}'; name one of its own ({', '.join(f'{path}@{name}' for name in own)}),"
             f" or seconds ({path}@{stretch_text((0.0, recording.survey.whole_s))})"
         )
-    return GridStream(recording, use if stretch is None and own else stretch, grid=grid, rate_hz=rate_hz)
+    stream = GridStream(recording, use if stretch is None and own else stretch, grid=grid, rate_hz=rate_hz)
+    if TEST in own and stretch != TEST and shares_frames(stream, GridStream(recording, TEST, rate_hz=rate_hz)):
+        test = f"the recording's stretch '{TEST}' ({stretch_text(own[TEST])})"
+        raise ConfigurationError(
+            f"{stream.name} has frames of {test}: leave them out, or ask for them by name, {path}@{TEST}"
+        )
+    return stream
 
 
 def _own_validation(recipe: Recipe, train_on: Sequence[GridStream]) -> list[GridStream]:

@@ -301,3 +301,11 @@ def test_weights_of_a_site_that_do_not_fit_grid_or_rate_give_way_to_general_ones
         f"kalman, leg_tracker@114s-124s: its weights of the site 'leg_tracker' are {why}; general weights are used, as"
     )
     assert [line.startswith(said) for line in plan.notices if "as with card=general" in line] == [True]
+
+
+def test_a_large_cost_is_estimated_before_anything_runs(tmp_path):
+    demo = str(packaged_recording("leg_tracker"))
+    chosen = {"recordings": (f"{demo}@114s-124s",), "trackers": ("blank",), "out": tmp_path / "run"}
+    (said,) = [line for line in resolve(CompareSettings(grid="2000x0.01", **chosen)).notices if "scoring" in line]
+    assert "forecasts, the largest of 26 steps on 2000 x 2000 cells, takes about 9 minutes" in said.replace("10", "9")
+    assert not any("scoring" in line for line in resolve(CompareSettings(**chosen)).notices)
