@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -249,6 +250,19 @@ def test_a_tracker_with_learned_weights_for_the_site_is_checked_on_the_recording
     rows = json.loads(gridtrack("trackers", "check", "static-map", "--recording", DEMO, "--json").stdout)
     assert {row["verdict"] for row in rows} == {"passed", "not applicable"}
     assert list(rows[0]) == ["clause", "verdict", "observed", "mend", "requirement", "reason"]
+
+
+@pytest.mark.usefixtures("trackers_here")
+def test_a_check_with_weights_alone_has_the_stream_of_their_card(tmp_path):
+    folder = tmp_path / "static-map"
+    folder.mkdir()
+    for file in (Path(PACKAGE) / "data/weights/static-map").glob("leg_tracker.*"):
+        shutil.copy(file, folder)
+    rows = json.loads(gridtrack("trackers", "check", "static-map", "--weights", tmp_path, "--json").stdout)
+    assert {row["verdict"] for row in rows} == {"passed", "not applicable"}
+    shutil.copy(folder / "leg_tracker.toml", folder / "elsewhere.toml")
+    refused = gridtrack("trackers", "check", "static-map", "--weights", tmp_path, code=2).stderr
+    assert "has weights of static-map for several sites, elsewhere, leg_tracker: name a recording of one" in refused
 
 
 @pytest.mark.usefixtures("trackers_here")
