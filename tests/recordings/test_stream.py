@@ -84,7 +84,7 @@ def test_the_stream_has_the_metadata_of_the_recording(write, scan) -> None:
 
 def test_without_metadata_the_grid_is_the_default_and_the_rate_the_median(write, scan) -> None:
     stream = open_stream(write(scan(k, offset_ns=-k * 300_000) for k in range(30)))
-    assert stream.grid == GridSpec(100, 0.2)
+    assert stream.grid == GridSpec(50, 0.2)
     assert stream.period_s == 0.1
 
 
