@@ -21,7 +21,7 @@ from gridtrack.evaluation.regression.confirmation import confirmed
 from gridtrack.evaluation.regression.history import (
     History,
     HistoryEntry,
-    frames_of,
+    digest_of_frames,
     judged_by_history,
     new_entry,
     read_history,
@@ -123,7 +123,7 @@ def regress_command(
             past.add(new_entry(past.entries, baseline, reasons))
         raise typer.Exit(UNMEASURED) from None
     if past:
-        past.add(new_entry(past.entries, baseline, verdict, frames_of(stored)))
+        past.add(new_entry(past.entries, baseline, verdict, digest_of_frames(stored)))
     if verdict.worse:
         raise typer.Exit(WORSE)
 
@@ -163,7 +163,7 @@ def _update_baseline(runs: Sequence[Path], baseline: Path, settings: GateSetting
         return
     verdict = compare_with_baseline(new, first, GateSettings(scores=settings.scores))
     means = tuple(replace(row, run=row.baseline) for row in verdict.rows)
-    frames = frames_of(new)
+    frames = digest_of_frames(new)
     since = {
         which: [found for row in means if (found := of(past.entries, frames, row))]
         for which, of in (("first", since_first), ("best", since_best))
@@ -209,7 +209,7 @@ def _judge(
     if confirm:
         verdict = _confirmed(verdict, stored, measured, settings, run)
     if past:
-        verdict = judged_by_history(verdict, past.entries, frames_of(stored))
+        verdict = judged_by_history(verdict, past.entries, digest_of_frames(stored))
     return replace(verdict, turns=timed_in_turns(run, bases, settings.turns_margin)) if bases else verdict
 
 

@@ -28,7 +28,7 @@ from gridtrack.recordings.survey import Survey
 
 MAX_EMPTY_FRAMES = 6000
 """Limit of the empty frames in one gap: ten minutes at 10 Hz."""
-LEAST_CELLS = 20
+LEAST_WINDOW_CELLS = 20
 """Cells along a side of the smallest default window."""
 SLOW_SENSOR_RATIO = 1.5
 """A sensor is slow if its period is more than this many times the shortest one."""
@@ -276,7 +276,7 @@ def default_grid(survey: Survey) -> GridSpec:
         for sensor, pose in zip(survey.sensors.values(), survey.poses.values(), strict=True)
     )
     cells = 2 * math.ceil(round(min(reach_m, usual.size * usual.cell_m) / usual.cell_m, 3))
-    return GridSpec(min(max(cells, LEAST_CELLS), usual.size), usual.cell_m)
+    return GridSpec(min(max(cells, LEAST_WINDOW_CELLS), usual.size), usual.cell_m)
 
 
 def _ticks_in(stretch_s: Stretch, duration_ns: int, period_ns: int) -> range:

@@ -22,7 +22,7 @@ from gridtrack.reports.verdict_text import (
     amount_text,
     band_text,
     number_text,
-    p_text,
+    p_digits,
     place_of,
     rule_of,
     score_texts,
@@ -161,7 +161,7 @@ def _verdict_text(verdict: Verdict, row: VerdictRow) -> str:
 
 
 def _p_value_text(row: VerdictRow) -> str:
-    return UNDEFINED if row.p is None else p_text(row.p)
+    return UNDEFINED if row.p is None else p_digits(row.p)
 
 
 def junit_of(verdict: Verdict) -> str:

@@ -130,7 +130,7 @@ def _change_text(row: AnyRow) -> str:
     if isinstance(row, RecoveryRow):
         failures = f"{row.run} failure{'s' * (row.run != 1)}"
         return f"continued after {failures} inside it, in the baseline after {row.baseline}"
-    significance = "" if row.p is None else f", p {p_text(row.p)}"
+    significance = "" if row.p is None else f", p {p_digits(row.p)}"
     spread = "" if row.spread is None else f", spread between trainings {number_text(row.spread)}"
     then, now = score_texts(row)
     return (
@@ -280,7 +280,7 @@ def number_text(value: float | None) -> str:
     return UNDEFINED if value is None else f"{value:.{_decimals(value, LEAST_DECIMALS)}f}"
 
 
-def p_text(p: float) -> str:
+def p_digits(p: float) -> str:
     """A p-value."""
     return f"{p:.4f}" if p >= LEAST_P else f"< {LEAST_P}"
 

@@ -27,7 +27,7 @@ _OF_CARD = (
     ", so the thresholds of a tracker are those of its weights' card (chosen on the validation stretches of its"
     " training), and 0.5 where there is none; name a stretch with --validation"
 )
-EVERY_S, LEAST_FORECASTS = 1.0, 30
+USUAL_EVERY_S, LEAST_FORECASTS = 1.0, 30
 """Time between scored forecasts by default, and the least number of forecasts for which it is shortened."""
 MAX_FORECAST_BYTES = 1 << 30
 VALIDATION_FORECASTS = 60
@@ -40,7 +40,7 @@ class Sampling:
 
     horizon_s: float
     every_s: float | None
-    """None: EVERY_S, or less so that a short stretch has LEAST_FORECASTS."""
+    """None: USUAL_EVERY_S, or less so that a short stretch has LEAST_FORECASTS."""
     grid: GridSpec | None = None
     rate_hz: float | None = None
     format: str | None = None
@@ -163,7 +163,7 @@ def _every(test: GridStream, steps: int, every_s: float | None) -> tuple[int, tu
     """The frames from one scored forecast to the next, and a line if the stretch is short for the default."""
     if every_s is not None:
         return max(1, round(every_s / test.period_s)), ()
-    usual = max(1, round(EVERY_S / test.period_s))
+    usual = max(1, round(USUAL_EVERY_S / test.period_s))
     every = max(1, min(usual, (len(test) - WARM_UP - steps) // LEAST_FORECASTS))
     if every == usual:
         return every, ()

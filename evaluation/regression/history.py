@@ -110,7 +110,7 @@ def require_newest(folder: Path, history: History, baseline: Baseline) -> None:
         )
 
 
-def frames_of(baseline: Baseline) -> str:
+def digest_of_frames(baseline: Baseline) -> str:
     """A digest of what the scores depend on beside the trackers: the recordings, and the rules of scoring."""
     first = baseline.first
     splits = {name: split.model_dump(mode="json") for name, split in first.recordings.items()}
@@ -164,7 +164,7 @@ def new_entry(
 ) -> HistoryEntry:
     """The entry of `result`, a verdict or the reasons why there is none, after those of `history`.
 
-    `baseline`: the file of the baseline. `frames`: as of `frames_of`. `update`: `result` is the verdict on a new
+    `baseline`: the file of the baseline. `frames`: as of `digest_of_frames`. `update`: `result` is the verdict on a new
     baseline by itself, and `baseline` the file that it replaces.
     """
     commit, changed = _commit(Path.cwd())

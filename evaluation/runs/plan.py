@@ -18,8 +18,8 @@ from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.sandbox import check_sandbox
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess, describe
 from gridtrack.evaluation.referee.splits import (
-    EVERY_S,
     ORACLE,
+    USUAL_EVERY_S,
     EvaluationSplit,
     Sampling,
     plan_splits,
@@ -187,7 +187,7 @@ def with_copied_weights(plan: ComparisonPlan, folder: Path) -> ComparisonPlan:
 def sampling_of(settings: CompareSettings) -> Sampling:
     """Horizon, interval, grid and rate as `settings` give them. Raises ConfigurationError."""
     grid = GridSpec.parse(settings.grid) if settings.grid else None
-    every_s = EVERY_S if settings.follow and settings.every_s is None else settings.every_s
+    every_s = USUAL_EVERY_S if settings.follow and settings.every_s is None else settings.every_s
     return Sampling(settings.horizon_s, every_s, grid, settings.rate_hz, settings.format)
 
 

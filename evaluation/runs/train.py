@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -234,12 +235,18 @@ def _stretch(
             f" or seconds ({path}@{stretch_text((0.0, recording.survey.whole_s))})"
         )
     stream = GridStream(recording, use if stretch is None and own else stretch, grid=grid, rate_hz=rate_hz)
-    if TEST in own and stretch != TEST and shares_frames(stream, GridStream(recording, TEST, rate_hz=rate_hz)):
+    if TEST in own and stretch != TEST and _overlap(stream.stretch_s, own[TEST]):
         test = f"the recording's stretch '{TEST}' ({stretch_text(own[TEST])})"
         raise ConfigurationError(
             f"{stream.name} has frames of {test}: leave them out, or ask for them by name, {path}@{TEST}"
         )
     return stream
+
+
+def _overlap(one: Stretch, other: Stretch) -> bool:
+    """Whether two stretches of a recording have a time in common; an end of None is that of the recording."""
+    ends_s = [math.inf if end_s is None else end_s for _, end_s in (one, other)]
+    return max(one[0], other[0]) < min(ends_s)
 
 
 def _own_validation(recipe: Recipe, train_on: Sequence[GridStream]) -> list[GridStream]:
