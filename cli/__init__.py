@@ -118,7 +118,7 @@ def _usage_text(error: TyperException) -> str:
     """A wrong option or a missing argument, and the command that lists them."""
     context = getattr(error, "ctx", None)
     text: str = getattr(error, "format_message", error.__str__)()
-    return f"{text.rstrip('.')}; see `{context.command_path if context else 'gridtrack'} --help`"
+    return f"{text.rstrip('.')} (see `{context.command_path if context else 'gridtrack'} --help`)"
 
 
 def _fail(error: Exception, reason: str, code: int = 2) -> NoReturn:

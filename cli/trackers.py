@@ -36,7 +36,7 @@ from gridtrack.trackers.training.weights import read_card
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 
-NameArgument = Annotated[str, typer.Argument(autocompletion=complete_tracker)]
+NameArgument = Annotated[str, typer.Argument(metavar="NAME", autocompletion=complete_tracker)]
 DEFAULT_STREAM = StreamSpec(GridSpec(), 0.125)
 """The stream of `check` without a recording: 100x0.2 at 8 Hz."""
 
