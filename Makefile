@@ -1,6 +1,8 @@
 # `make help` lists the targets; each starts from a bare Python 3.11 and installs what it needs into $(VENV).
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV ?= .venv
+# TORCH_CPU=1: PyTorch without CUDA, whose libraries take gigabytes on Linux and need an NVIDIA GPU
+TORCH_CPU ?=
 BIN := $(VENV)/bin
 EXAMPLE := examples/example_tracker
 DEMO := data/leg_tracker/leg_tracker.mcap
@@ -8,6 +10,7 @@ JUNCTION := $(wildcard data/junction/test-*.tracks) --validation data/junction/v
 DEMO_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
+INSTALL := $(BIN)/pip install --constraint constraints.txt $(if $(TORCH_CPU),--extra-index-url https://download.pytorch.org/whl/cpu )--editable
 # two workers more than processors, because many tests wait for processes that they start; with bytecode, whatever the
 # environment says, because hundreds of processes import the package
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 2) --dist worksteal --durations=10
@@ -124,19 +127,19 @@ clean: ## remove what the other targets made
 	mkdir -p .link && ln -sfn .. $@
 
 $(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)
-	$(BIN)/pip install --constraint constraints.txt --editable '.[deep,model-free]'
+	$(INSTALL) '.[deep,model-free]'
 	touch $@
 
 $(VENV)/.installed-sim: pyproject.toml constraints.txt | $(VENV)
-	$(BIN)/pip install --constraint constraints.txt --editable '.[sim]'
+	$(INSTALL) '.[sim]'
 	touch $@
 
 $(VENV)/.installed-docs: pyproject.toml constraints.txt | $(VENV)
-	$(BIN)/pip install --constraint constraints.txt --editable '.[docs]'
+	$(INSTALL) '.[docs]'
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(VENV)
-	$(BIN)/pip install --constraint constraints.txt --editable '.[dev]'
+	$(INSTALL) '.[dev]'
 	touch $@ $(VENV)/.installed-demo
 
 $(VENV):

@@ -1,6 +1,7 @@
 """The command line `gridtrack`: its commands, and every user error as one line on stderr with exit code 2.
 
-A crash, such as a broken library, has exit code 3: 1 is the verdict "worse" of `regress`.
+A recording in which nothing was measured, and a crash, such as of a broken library, have exit code 3: 1 is the verdict
+"worse" of `regress`.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
 import typer
+from typer import TyperException
 from typer.core import TyperCommand
 
 from gridtrack.cli.completion import words_as_typed
@@ -90,9 +92,12 @@ def main() -> None:
         for argument in sys.argv[1:]:
             check_utf8(argument, ConfigurationError)
         with _shield(arguments), words_as_typed():
-            app(arguments, prog_name="gridtrack")
+            code = app(arguments, prog_name="gridtrack", standalone_mode=False)
+        sys.exit(code)
+    except TyperException as error:
+        _fail(error, _usage_text(error))
     except GridtrackError as error:
-        _fail(error, str(error))
+        _fail(error, str(error), error.exit_code)
     except OSError as error:
         _fail(error, f"{error.filename}: {error.strerror}" if error.filename else str(error))
     except Exception as error:  # noqa: BLE001  no crash may look like the verdict "worse"
@@ -109,8 +114,15 @@ def _shield(arguments: list[str]) -> AbstractContextManager[None]:
     return shielded_host(f"gridtrack {arguments[0]}", alone=True)
 
 
-def _fail(error: Exception, reason: str) -> NoReturn:
+def _usage_text(error: TyperException) -> str:
+    """A wrong option or a missing argument, and the command that lists them."""
+    context = getattr(error, "ctx", None)
+    text: str = getattr(error, "format_message", error.__str__)()
+    return f"{text.rstrip('.')} (see `{context.command_path if context else 'gridtrack'} --help`)"
+
+
+def _fail(error: Exception, reason: str, code: int = 2) -> NoReturn:
     if DEBUG_OPTION in sys.argv:
         traceback.print_exception(error)
     print_note(reason)
-    sys.exit(2)
+    sys.exit(code)

@@ -54,8 +54,10 @@ def settings_options(model: type[BaseModel], *without: str) -> Callable[[Callabl
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         @wraps(function)
         def command(**arguments: Any) -> None:
-            given = {options[name].path: arguments.pop(name) for name in options}
-            function(_nested({path: value for path, value in given.items() if value is not None}), **arguments)
+            given = {name: value for name in options if (value := arguments.pop(name)) is not None}
+            for name, value in given.items():
+                options[name].checked(value)
+            function(_nested({options[name].path: value for name, value in given.items()}), **arguments)
 
         _, *own = inspect.signature(function, eval_str=True).parameters.values()
         generated = [_parameter(name, option) for name, option in options.items()]

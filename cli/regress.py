@@ -6,7 +6,7 @@ import json
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,9 +16,20 @@ from gridtrack.cli.options import DEBUG_OPTION, JsonOption, TrackersTomlOption, 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import ConfigurationError, GridtrackError, one_line, printable
 from gridtrack.common.files import write_text
-from gridtrack.evaluation.regression.baseline import BaselineError, read_baseline, write_baseline
+from gridtrack.evaluation.regression.baseline import BaselineError, baseline_of, read_baseline, write_baseline
 from gridtrack.evaluation.regression.confirmation import confirmed
-from gridtrack.evaluation.regression.history import History, append_entry, read_history
+from gridtrack.evaluation.regression.history import (
+    History,
+    HistoryEntry,
+    digest_of_frames,
+    judged_by_history,
+    new_entry,
+    read_history,
+    require_newest,
+    since_best,
+    since_first,
+    write_entry,
+)
 from gridtrack.evaluation.regression.measurement import Baseline, Measurement, Unmeasured
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.regression.rerun import Trials, run_again
@@ -62,7 +73,11 @@ def regress_command(
     ] = None,
     trackers_toml: TrackersTomlOption = None,
     history: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Add the verdict to this folder, and draw scores over commits")
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Judge by the best entry of this folder too, add the verdict to it, and draw scores over commits",
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -81,7 +96,6 @@ def regress_command(
     only_judging = {
         "--confirm": confirm,
         "--speed-base": speed_base,
-        "--history": history,
         "--junit": junit,
         "--markdown": markdown,
         "--json": as_json,
@@ -92,53 +106,110 @@ def regress_command(
         raise ConfigurationError(f"{len(runs)} runs: one is judged at a time; --update makes a baseline of several")
     settings = validated(GateSettings, values, "gridtrack regress")
     bases = _bases(speed_base or (), trackers_toml)
-    earlier = read_history(history) if history else []
+    past = Past(history, read_history(history)) if history else None
     try:
         if update:
-            _update_baseline(runs, baseline, settings)
+            _update_baseline(runs, baseline, settings, past)
             return
-        verdict = _judge(runs[0], baseline, settings, confirm, bases)
+        stored = read_baseline(baseline)
+        verdict = _judge(runs[0], stored, settings, confirm, bases, past)
         _report_verdict(verdict, junit, markdown, as_json)
     except Exception as error:
         reasons = _reasons_unmeasured(error)
         if not reasons:
             raise
         _report_unmeasured(reasons, junit, markdown, as_json)
-        _remember(history, earlier, baseline, reasons)
+        if past and not update:
+            past.add(new_entry(past.entries, baseline, reasons))
         raise typer.Exit(UNMEASURED) from None
-    _remember(history, earlier, baseline, verdict)
+    if past:
+        past.add(new_entry(past.entries, baseline, verdict, digest_of_frames(stored)))
     if verdict.worse:
         raise typer.Exit(WORSE)
 
 
-def _update_baseline(runs: Sequence[Path], baseline: Path, settings: GateSettings) -> None:
-    """Write `runs` as the baseline; print its content, and what is worse than in the one that it replaces."""
+@dataclass(frozen=True)
+class Past:
+    """The history of a check: its folder and its entries."""
+
+    folder: Path
+    entries: History
+
+    def add(self, entry: HistoryEntry) -> None:
+        """Write an entry, and draw the history again."""
+        path = write_entry(self.folder, entry)
+        drawing = self.folder / "history.svg"
+        try:
+            write_text(drawing, history_svg([*(earlier for _, earlier in self.entries), entry]))
+            drawn = f"drawing: {drawing}"
+        except ConfigurationError as error:
+            drawn = f"no drawing: {error}"
+        typer.echo(f"history: {path}; {drawn}", err=True)
+
+
+def _update_baseline(runs: Sequence[Path], baseline: Path, settings: GateSettings, past: Past | None) -> None:
+    """Write `runs` as the baseline; print its content, what is worse than in the one that it replaces, and with a
+    history the change since its first and its best entry."""
     if len({run.resolve() for run in runs}) < len(runs):
         raise ConfigurationError("a run is given twice: each run of a baseline is a training or a seed of its own")
     first = measure_run(runs[0], None, settings.scores)
-    measured = [first, *(measure_run(run, first, settings.scores) for run in runs[1:])]
-    replaced = _against_replaced(runs[0], baseline, settings) if baseline.exists() else None
-    typer.echo(text_of_update(baseline, write_baseline(baseline, measured), replaced))
+    new = baseline_of([first, *(measure_run(run, first, settings.scores) for run in runs[1:])])
+    stored = _replaced(baseline)
+    replaced = _against_replaced(runs[0], stored, settings) if isinstance(stored, Baseline) else stored
+    if past is None:
+        kept = stored.history if isinstance(stored, Baseline) else ""
+        write_baseline(baseline, new.model_copy(update={"history": kept}))
+        typer.echo(text_of_update(baseline, new, replaced, {}))
+        return
+    verdict = compare_with_baseline(new, first, GateSettings(scores=settings.scores))
+    means = tuple(replace(row, run=row.baseline) for row in verdict.rows)
+    frames = digest_of_frames(new)
+    since = {
+        which: [found for row in means if (found := of(past.entries, frames, row))]
+        for which, of in (("first", since_first), ("best", since_best))
+    }
+    entry = new_entry(past.entries, baseline, replace(verdict, rows=means), frames, update=True)
+    write_baseline(baseline, new.model_copy(update={"history": entry.digest}))
+    typer.echo(text_of_update(baseline, new, replaced, since))
+    past.add(entry)
 
 
-def _against_replaced(run: Path, baseline: Path, settings: GateSettings) -> Verdict | str:
-    """The verdict on the run by the baseline that is replaced, or why there is none."""
+def _replaced(baseline: Path) -> Baseline | str | None:
+    """The baseline that is replaced, or why it cannot be read; None where there is none."""
     try:
-        return _judge(run, baseline, GateSettings(scores=settings.scores), confirm=False, bases={})
+        return read_baseline(baseline) if baseline.exists() else None
     except (BaselineError, Unmeasured) as reason:
         return str(reason)
 
 
-def _judge(run: Path, baseline: Path, settings: GateSettings, confirm: bool, bases: Mapping[str, Launch]) -> Verdict:
-    """The verdict on the run in the folder `run`.
+def _against_replaced(run: Path, stored: Baseline, settings: GateSettings) -> Verdict | str:
+    """The verdict on the run by the baseline that is replaced, or why there is none."""
+    try:
+        return _judge(run, stored, GateSettings(scores=settings.scores), confirm=False, bases={}, past=None)
+    except Unmeasured as reason:
+        return str(reason)
+
+
+def _judge(
+    run: Path,
+    stored: Baseline,
+    settings: GateSettings,
+    confirm: bool,
+    bases: Mapping[str, Launch],
+    past: Past | None,
+) -> Verdict:
+    """The verdict on the run in the folder `run`, by a baseline and the best entry of a history.
 
     `confirm` repeats what looks worse; `bases`, by label, are trackers whose times are measured in turns with it.
     """
-    stored = read_baseline(baseline)
+    if past:
+        require_newest(past.folder, past.entries, stored)
     measured = measure_run(run, stored.first, settings.scores)
     verdict = compare_with_baseline(stored, measured, settings)
     if confirm:
         verdict = _confirmed(verdict, stored, measured, settings, run)
+    if past:
+        verdict = judged_by_history(verdict, past.entries, digest_of_frames(stored))
     return replace(verdict, turns=timed_in_turns(run, bases, settings.turns_margin)) if bases else verdict
 
 
@@ -154,20 +225,6 @@ def _bases(texts: Sequence[str], trackers_toml: Path | None) -> dict[str, Launch
             raise ConfigurationError(f"--speed-base '{text}': expected LABEL=NAME, each label once")
         bases[label] = launch(name, external)
     return bases
-
-
-def _remember(folder: Path | None, earlier: History, baseline: Path, result: Verdict | Sequence[str]) -> None:
-    """Add `result` to the history and draw it again."""
-    if folder is None:
-        return
-    path, entry = append_entry(folder, earlier, baseline, result)
-    drawing = folder / "history.svg"
-    try:
-        write_text(drawing, history_svg([*(entry for _, entry in earlier), entry]))
-        drawn = f"drawing: {drawing}"
-    except ConfigurationError as error:
-        drawn = f"no drawing: {error}"
-    typer.echo(f"history: {path}; {drawn}", err=True)
 
 
 def _confirmed(

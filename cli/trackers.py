@@ -31,10 +31,12 @@ from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import StreamSpec, stream_of
 from gridtrack.trackers.selection import Launch, launch, read_trackers_toml
+from gridtrack.trackers.training.card import GENERAL
+from gridtrack.trackers.training.weights import read_card
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 
-NameArgument = Annotated[str, typer.Argument(autocompletion=complete_tracker)]
+NameArgument = Annotated[str, typer.Argument(metavar="NAME", autocompletion=complete_tracker)]
 DEFAULT_STREAM = StreamSpec(GridSpec(), 0.125)
 """The stream of `check` without a recording: 100x0.2 at 8 Hz."""
 
@@ -128,8 +130,8 @@ def check_command(
         str | None,
         typer.Option(
             metavar="RECORDING",
-            help=f"Check with the grid, rate and site of this recording; default: none, {DEFAULT_STREAM.grid} at"
-            f" {1 / DEFAULT_STREAM.period_s:g} Hz",
+            help="Check with the grid, rate and site of this recording; default: those of the site in --weights, else"
+            f" {DEFAULT_STREAM.grid} at {1 / DEFAULT_STREAM.period_s:g} Hz without a site",
         ),
     ] = None,
     weights: WeightsOption = None,
@@ -145,7 +147,7 @@ def check_command(
         typer.echo("\n".join(clause_lines(result)))
 
     chosen = tracker_alone(tracker)
-    stream = stream_of(open_stream(recording)) if recording else DEFAULT_STREAM
+    stream = stream_of(open_stream(recording)) if recording else _stream_of_weights(chosen.name, weights)
     found = find_weights(chosen.name, stream.site, weights, chosen.card)
     launched = launch(chosen.name, read_trackers_toml(trackers_toml) if trackers_toml else None)
     limits = Limits(sandbox=sandbox)
@@ -159,6 +161,26 @@ def check_command(
         typer.echo(contract_line(chosen.name, results))
     if not all(result.kept for result in results):
         raise typer.Exit(1)
+
+
+def _stream_of_weights(tracker: str, weights: Path | None) -> StreamSpec:
+    """The stream of the only site that `weights` has a card of `tracker` for; DEFAULT_STREAM with a general card, or
+    without `weights`.
+
+    Raises ConfigurationError for other numbers of cards, and WeightsError.
+    """
+    if weights is None or not weights.is_dir():
+        return DEFAULT_STREAM
+    cards = {path.stem: path for path in sorted((weights / tracker).glob("*.toml"))}
+    if GENERAL in cards:
+        return DEFAULT_STREAM
+    if len(cards) != 1:
+        sites = f" for several sites, {', '.join(cards)}: name a recording of one with --recording" if cards else ""
+        raise ConfigurationError(f"{weights}: {'has weights' if cards else 'has no weights'} of {tracker}{sites}")
+    (path,) = cards.values()
+    card = read_card(path)
+    assert card.period_s is not None  # of the card of a site
+    return StreamSpec(GridSpec.parse(card.grid), card.period_s, site=card.site)
 
 
 @app.command("new")
@@ -190,7 +212,7 @@ def new_tracker(name: str, folder: Path) -> Path:
     It can be installed, passes its tests, keeps the contract, and has a baseline of its scores. Raises
     ConfigurationError.
     """
-    from gridtrack.evaluation.regression.baseline import write_baseline
+    from gridtrack.evaluation.regression.baseline import baseline_of, write_baseline
     from gridtrack.evaluation.regression.measurement import Baseline
 
     module = name.replace("-", "_")
@@ -208,7 +230,7 @@ def new_tracker(name: str, folder: Path) -> Path:
     for file in TEMPLATE_FILES:
         write_text(_new_file(folder, file, module), _renamed(_example(file), name, module))
     renamed = Baseline.model_validate_json(_renamed(_example(BASELINE_FILE), name, module))
-    write_baseline(_new_file(folder, BASELINE_FILE, module), renamed.runs)
+    write_baseline(_new_file(folder, BASELINE_FILE, module), baseline_of(renamed.runs))
     return folder / f"{module}.py"
 
 

@@ -1,4 +1,5 @@
-"""Errors that a user can cause: the command line prints one line and exits with code 2."""
+"""Errors that a user can cause: the command line prints one line and exits with code 2, or 3 where nothing can be
+measured."""
 
 from __future__ import annotations
 
@@ -22,6 +23,8 @@ class GridtrackError(Exception):
     As text it is one printable line of at most MAX_LINE_CHARS characters, even if it quotes untrusted input.
     """
 
+    exit_code = 2
+
     def __str__(self) -> str:
         return bounded_line(super().__str__())
 
@@ -32,6 +35,12 @@ class ConfigurationError(GridtrackError):
 
 class RecordingError(GridtrackError):
     """A recording that cannot be read completely."""
+
+
+class NothingMeasuredError(RecordingError):
+    """A recording without a measured range: nothing can be scored or learned."""
+
+    exit_code = 3
 
 
 class WeightsError(GridtrackError):

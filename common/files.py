@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,14 @@ from gridtrack.common.untrusted import parse_json
 APPLICATION = "gridtrack"
 PACKED_SUFFIXES = (".gz", ".bz2", ".zst", ".zstd")
 MAX_NAME_BYTES = 160
+CONFLICT_MARK = re.compile(rb"^(?:<{7}|>{7}) ", re.MULTILINE)
+NO_JSON = {
+    b"\xef\xbb\xbf": "it begins with a byte order mark (BOM): save it as UTF-8 without one",
+    b"\xff\xfe": "it is UTF-16: save it as UTF-8",
+    b"\xfe\xff": "it is UTF-16: save it as UTF-8",
+    b"version https://git-lfs": "it is a Git LFS pointer: run `git lfs pull` in its repository",
+}
+"""Files that are no JSON, by their first bytes, and what to do."""
 NAME_RULE = (
     f"expected 1 to {MAX_NAME_BYTES} bytes of printable UTF-8 without / and \\, and no '.' or space at the beginning"
 )
@@ -74,10 +83,18 @@ def read_json(path: Path, max_bytes: int, error: type[GridtrackError]) -> dict[s
     try:
         content = parse_json(text, undefined=True)
     except ValueError as problem:
-        raise error(f"{path}: not JSON that can be read ({str(problem)[:80]})") from None
+        raise error(f"{path}: not JSON that can be read ({_why_no_json(text) or str(problem)[:80]})") from None
     if not isinstance(content, dict):
         raise error(f"{path}: expected one JSON object, found {type(content).__name__}")
     return content
+
+
+def _why_no_json(text: bytes) -> str:
+    """What a file is that is no JSON, and what to do; empty where it is not known."""
+    if mark := CONFLICT_MARK.search(text):
+        line = text.count(b"\n", 0, mark.start()) + 1
+        return f"line {line} is the mark of a merge conflict: choose a side with `git checkout --ours` or `--theirs`"
+    return next((why for head, why in NO_JSON.items() if text.startswith(head)), "" if text else "it is empty")
 
 
 def sha256_of(path: Path, limit: int | None = None) -> str:

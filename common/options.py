@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import BaseModel, BeforeValidator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
-from gridtrack.common.config import Settings
+from gridtrack.common.config import MAX_SHOWN_CHARS, Settings
 from gridtrack.common.errors import ConfigurationError
 
 UNITS = {"_s": "SECONDS", "_hz": "HZ", "_mb": "MB"}
@@ -39,6 +39,25 @@ class OptionField(NamedTuple):
     metavar: str
     """Empty: the type."""
     argument: bool
+
+    def checked(self, value: Any) -> Any:
+        """The value that the field has for `value` as a user gave it; the option's name begins every error.
+
+        Raises ConfigurationError.
+        """
+        kind: Any = Annotated[self.field.annotation, Option(), *self.field.metadata]
+        name = self.metavar if self.argument else f"--{self.name}"
+        try:
+            return TypeAdapter(kind, config=ConfigDict(allow_inf_nan=False)).validate_python(value)
+        except ConfigurationError as error:
+            text = str(error)
+            raise ConfigurationError(text if text.startswith(name) else f"{name} {text}") from None
+        except ValidationError as error:
+            found = error.errors(include_url=False)[0]
+            given = value if isinstance(value, str) else found["input"]
+            raise ConfigurationError(
+                f"{name} {given!s:.{MAX_SHOWN_CHARS}}: {found['msg'].replace('Input', 'it', 1)}"
+            ) from None
 
     def flag(self, value: bool) -> str:
         """The name of the option, without dashes, that gives a truth value."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
@@ -123,7 +124,10 @@ class Recording(ABC):
         words = list(words)
         ends = {"--topic": "one", "--stamps": "stamped"}
         end = next((end for option, end in ends.items() if option in words), "posed")
-        command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{name_from(self.path)}-{end}.mcap"]
+        name = name_from(self.path)
+        imported = re.fullmatch(rf"(.+-{end})(?:-(\d+))?", name)
+        stem = f"{imported[1]}-{int(imported[2] or 1) + 1}" if imported else f"{name}-{end}"
+        command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{stem}.mcap"]
         given = {
             "--format": self.options.format,
             "--topic": self.options.topic,

@@ -28,6 +28,8 @@ from gridtrack.recordings.survey import Survey
 
 MAX_EMPTY_FRAMES = 6000
 """Limit of the empty frames in one gap: ten minutes at 10 Hz."""
+LEAST_WINDOW_CELLS = 20
+"""Cells along a side of the smallest default window."""
 SLOW_SENSOR_RATIO = 1.5
 """A sensor is slow if its period is more than this many times the shortest one."""
 
@@ -73,7 +75,7 @@ class GridStream:
         self.sha256 = recording.sha256
         self.site = info.site
         self.classes = info.classes
-        self.grid = grid or (GridSpec.parse(info.grid) if info.grid else GridSpec())
+        self.grid = grid or (GridSpec.parse(info.grid) if info.grid else default_grid(survey))
         self.period_ns = round(1e9 / _rate(recording, rate_hz))
         self.period_s = self.period_ns / 1e9
         self.stretch_s, self.name = stretch_of(recording, stretch)
@@ -264,6 +266,17 @@ class GridStream:
                 f" {(longest[0] - survey.first_ns) / 1e9:.2f} s on; frames in them are empty"
             )
         return len(gaps)
+
+
+def default_grid(survey: Survey) -> GridSpec:
+    """The window of a recording that names none: that of GridSpec, with fewer cells where no sensor measures as far."""
+    usual, centre = GridSpec(), next(iter(survey.poses.values()))
+    reach_m = max(
+        sensor.first.range_max + math.hypot(pose.x - centre.x, pose.y - centre.y)
+        for sensor, pose in zip(survey.sensors.values(), survey.poses.values(), strict=True)
+    )
+    cells = 2 * math.ceil(round(min(reach_m, usual.size * usual.cell_m) / usual.cell_m, 3))
+    return GridSpec(min(max(cells, LEAST_WINDOW_CELLS), usual.size), usual.cell_m)
 
 
 def _ticks_in(stretch_s: Stretch, duration_ns: int, period_ns: int) -> range:

@@ -27,9 +27,22 @@ MANY_INVALID, MANY_CODES = 0.2, 0.05
 """Share of invalid ranges for a warning, and share of ranges that may be a code for no return."""
 ENOUGH_PERIODS, BURST_PERIODS, MANY_PAUSES = 20, 2.0, 0.1
 """Stamps come in bursts if the mean period, and this share of at least this many periods, is this many medians."""
+ENOUGH_ALIKE = 100
+"""Returns at one distance, and none elsewhere, from which on this distance is a constant of the driver."""
 MIN_REST_S = 10.0
 """Shorter rests of a sensor are not suggested as a stretch."""
-SURVEY_COUNTS = ("moved", "no_return", "at_end", "invalid", "zeros", "readings", "labelled", "with_truth")
+SURVEY_COUNTS = (
+    "moved",
+    "no_return",
+    "at_end",
+    "invalid",
+    "zeros",
+    "readings",
+    "nearest",
+    "farthest",
+    "labelled",
+    "with_truth",
+)
 POSE_JUMPS = tuple(field.name for field in fields(PoseJumps) if not field.name.startswith("_"))
 FIRST_SCAN = ("stamp_ns", "angle_min", "angle_increment", "range_min", "range_max", "sensor", "time_increment_s")
 """Stored fields of the first scan besides its ranges and poses; labels and truth are not stored."""
@@ -53,6 +66,9 @@ class SensorSurvey:
     invalid: int = 0
     zeros: int = 0
     readings: int = 0
+    nearest: float = math.inf
+    farthest: float = -math.inf
+    """The smallest and the largest finite range other than 0.0, metres, whether valid or not."""
     labelled: int = 0
     with_truth: int = 0
     jumps: PoseJumps = field(default_factory=PoseJumps)
@@ -74,6 +90,9 @@ class SensorSurvey:
         self.at_end += int(np.count_nonzero(at_end(scan) & (scan.ranges <= np.float32(scan.range_max))))
         self.invalid += int(np.count_nonzero(~(scan.ranges >= np.float32(scan.range_min))))
         self.zeros += int(np.count_nonzero(scan.ranges == 0.0))
+        finite = scan.ranges[np.isfinite(scan.ranges) & (scan.ranges != 0.0)]
+        self.nearest = min(self.nearest, float(finite.min(initial=math.inf)))
+        self.farthest = max(self.farthest, float(finite.max(initial=-math.inf)))
         self.labelled += scan.labels is not None
         self.with_truth += scan.scene is not None
         self.jumps.add(scan.stamp_ns, scan.world_T_sensor)
@@ -116,7 +135,11 @@ class SensorSurvey:
                 yield f"sensor '{self.first.sensor}': {text}"
 
     def _about_ranges(self) -> Iterator[str]:
-        """Warnings about many ranges that are invalid, exactly 0.0, or at the end of the range."""
+        """Warnings about ranges that measure nothing, or else about many that are invalid, exactly 0.0, or at the end
+        of the range."""
+        if nothing := self.nothing_measured():
+            yield nothing
+            return
         at_end, invalid, zeros = (count / max(self.readings, 1) for count in (self.at_end, self.invalid, self.zeros))
         if at_end > MANY_CODES:
             yield (
@@ -132,6 +155,27 @@ class SensorSurvey:
                 + f": nothing is known on these beams. Where the driver writes {'0.0' if codes == 'zero' else 'NaN'}"
                 f" for no return, import the recording with --no-return {codes}"
             )
+
+    def nothing_measured(self) -> str:
+        """Why the ranges measure nothing, with the likely cause; empty where they do."""
+        hits = self.readings - self.no_return - self.invalid
+        low_m, high_m = self.first.range_min, self.first.range_max
+        if hits > ENOUGH_ALIKE and self.nearest == self.farthest:
+            return (
+                f"every return is at {self.nearest:g} m: the driver writes a constant, or the laser is covered or"
+                " switched off"
+            )
+        if hits:
+            return ""
+        nothing = (
+            f"nothing is occupied, because no range lies between range_min and range_max ({low_m:g} to {high_m:g})"
+        )
+        if math.isfinite(self.nearest):
+            remedy = _likely_unit(self.nearest, self.farthest, low_m, high_m)
+            return f"{nothing}: they are {self.nearest:g} to {self.farthest:g}; {remedy}"
+        counts = {"0.0": self.zeros, "NaN": self.invalid - self.zeros, "inf": self.no_return}
+        values = " or ".join(value for value, count in counts.items() if count)
+        return f"{nothing}: all are {values}; the laser was covered or switched off, or its driver failed"
 
     def missing(self, stamps_ns: NDArray[np.int64], period_ns: float) -> NDArray[np.bool_]:
         """Marks (n,) of the ticks `stamps_ns` without a scan of this sensor, if there are others (`resample_scans`)."""
@@ -167,6 +211,12 @@ class Survey:
     def warnings(self) -> list[str]:
         """The warnings about the ranges and the poses of the sensors."""
         return [text for sensor in self.sensors.values() for text in sensor.warnings(self.first_ns)]
+
+    @property
+    def nothing_measured(self) -> str:
+        """Why no sensor measures anything, by the first of them; empty where one does."""
+        found = [sensor.nothing_measured() for sensor in self.sensors.values()]
+        return found[0] if found and all(found) else ""
 
     @property
     def first_ns(self) -> int:
@@ -222,6 +272,17 @@ class Survey:
             return None
         rate = 1.0 / max(periods)
         return round(rate, 1) if rate >= 1.0 else float(f"{rate:.2g}")
+
+
+def _likely_unit(nearest: float, farthest: float, low_m: float, high_m: float) -> str:
+    """What to do about ranges outside the limits: by the unit that would make them fit, if there is one."""
+    for unit, factor in (("centimetres", 1e2), ("millimetres", 1e3)):
+        if low_m <= farthest / factor <= high_m:
+            return f"the ranges are probably {unit}: convert them, and let the driver write metres (ROS REP 117)"
+        if low_m <= nearest * factor and farthest * factor <= high_m:
+            limits = f"{low_m / factor:g},{high_m / factor:g}"
+            return f"the limits are probably {unit}: import the recording with --range-limits {limits}"
+    return "give the limits of the laser with --range-limits"
 
 
 def write_survey(recording: Recording, path: Path) -> None:

@@ -24,7 +24,7 @@ from gridtrack.evaluation.runs.plan import ComparisonPlan, resolve
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.stored_run import stored_run
-from gridtrack.evaluation.runs.summary import RunSummary
+from gridtrack.evaluation.runs.summary import RunSummary, TrialSummary
 from gridtrack.evaluation.runs.trial_record import missing_measurements, read_trial_record
 from gridtrack.recordings.stretches import fetched
 from gridtrack.reports.page import render_report
@@ -44,7 +44,7 @@ class Comparison:
     summary: RunSummary
     interrupted: bool
     not_measured: bool = False
-    """A complete trial lacks a requested measurement."""
+    """A complete trial lacks a requested measurement, or no cell was occupied on a recording."""
     out: str = ""
     """The folder as the user named it, or its URL."""
 
@@ -130,7 +130,7 @@ def _run(
     plan = resolve(settings, note=note)
     with RunProgress(console) as progress:
         summary = run(plan, command, progress)
-    not_measured = not summary.interrupted and _note_missing(plan, note)
+    not_measured = not summary.interrupted and _note_missing(plan, summary, note)
     return Comparison(plan.settings.out, summary, summary.interrupted, not_measured)
 
 
@@ -146,11 +146,24 @@ def _follow(
     return Comparison(settings.out, summary, summary.interrupted or followed.interrupted)
 
 
-def _note_missing(plan: ComparisonPlan, note: Callable[[str], None]) -> bool:
-    """Note each requested measurement that a complete trial lacks; whether there are any."""
+def _note_missing(plan: ComparisonPlan, summary: RunSummary, note: Callable[[str], None]) -> bool:
+    """Note each recording without an occupied cell, and each requested measurement that a complete trial lacks; whether
+    there are any."""
     records = [read_trial_record(plan.settings.out / trial.name) for trial in plan.trials]
     complete = [record for record in records if record and record.outcome == "ok"]
     missing = [line for record in complete for line in missing_measurements(plan.settings, record)]
+    missing += [
+        f"{name}: no cell was occupied in any scored frame: `gridtrack recording info` shows whether the laser measured"
+        " anything, and --grid sets the window around it"
+        for name in summary.recordings
+        if _nothing_occupied([row.recordings[name] for row in summary.trackers.values() if name in row.recordings])
+    ]
     for line in missing:
         note(f"not measured: {line}")
     return bool(missing)
+
+
+def _nothing_occupied(trials: Sequence[TrialSummary]) -> bool:
+    """Whether trials of one recording were scored, and F1 is defined at no step, for want of an occupied cell."""
+    curves = [found.value for trial in trials if (found := trial.estimate("visible", "f1", "f1")) is not None]
+    return bool(curves) and all(value is None for curve in curves for value in curve)

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from gridtrack.trackers.contract import StreamSpec
 
 UPDATE = "--gridtrack-update-baseline"
+WRITTEN = pytest.StashKey[dict[Path, str]]()
+"""In the configuration of a session: each baseline that a test has written, and the comparison in it."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -63,15 +65,22 @@ def _require_contract(tracker: str, stream: StreamSpec | None = None) -> None:
 @pytest.fixture
 def tracker_regression(request: pytest.FixtureRequest, tmp_path: Path) -> TrackerRegression:
     """Run a tracker on a recording; fail the test if it is worse than its baseline or could not be measured."""
-    return TrackerRegression(request.path.parent, tmp_path, request.node.nodeid, request.config.getoption(UPDATE))
+    config = request.config
+    written = config.stash.setdefault(WRITTEN, {}) if config.getoption(UPDATE) else None
+    if written is not None and hasattr(config, "workerinput"):
+        pytest.fail(f"{UPDATE}: tests in several processes could replace one another's baseline: leave -n out", False)
+    return TrackerRegression(request.path.parent, tmp_path, request.node.nodeid, written)
 
 
 class TrackerRegression:
     """The value of the fixture: a function of a tracker and a recording."""
 
-    def __init__(self, beside: Path, scratch: Path, test: str, update: bool) -> None:
-        """`beside`: the folder of the test, to which paths are relative; `scratch`: the folder of the runs."""
-        self._beside, self._scratch, self._test, self._update = beside, scratch, test, update
+    def __init__(self, beside: Path, scratch: Path, test: str, written: dict[Path, str] | None) -> None:
+        """`beside`: the folder of the test, to which paths are relative; `scratch`: the folder of the runs.
+
+        `written`: the baselines that this session has written; None: it compares with them.
+        """
+        self._beside, self._scratch, self._test, self._written = beside, scratch, test, written
 
     def __call__(
         self,
@@ -90,13 +99,14 @@ class TrackerRegression:
         Returns the verdict; None where the baseline was written instead.
         """
         from gridtrack.common.errors import GridtrackError, printable
-        from gridtrack.evaluation.regression.baseline import write_baseline
+        from gridtrack.evaluation.regression.baseline import baseline_of, write_baseline
         from gridtrack.reports.verdict_text import text_of
 
         try:
             plan = self._plan(tracker, recording, options)
-            if self._update:
-                write_baseline(self._beside / baseline, [self._measure(plan, None)])
+            if self._written is not None:
+                self._refuse_second(self._beside / baseline, f"{tracker} on {recording} in {self._test}")
+                write_baseline(self._beside / baseline, baseline_of([self._measure(plan, None)]))
                 return None
             verdict = self._verdict(plan, self._beside / baseline, margin, tolerance)
         except GridtrackError as error:
@@ -104,6 +114,13 @@ class TrackerRegression:
         if verdict.worse:
             pytest.fail(f"{text_of(verdict)}\nIf the change is intended: pytest {self._test} {UPDATE}", pytrace=False)
         return verdict
+
+    def _refuse_second(self, baseline: Path, content: str) -> None:
+        """Fail the test if this session has written another comparison to the same file."""
+        assert self._written is not None
+        first = self._written.setdefault(baseline.resolve(), content)
+        if first != content:
+            pytest.fail(f"{baseline}: has the baseline of {first}: name another file for {content}", pytrace=False)
 
     def _plan(self, tracker: str, recording: str, options: dict[str, Any]) -> ComparisonPlan:
         from gridtrack.common.config import validated

@@ -21,9 +21,11 @@ from gridtrack.reports.verdict_text import (
     NO_COLLAPSE,
     amount_text,
     band_text,
+    number_text,
+    p_digits,
     place_of,
     rule_of,
-    score_text,
+    score_texts,
     second_lines,
     second_text,
     sentence_of,
@@ -59,6 +61,12 @@ def markdown_of(verdict: Verdict) -> str:
         ["verdict", *_HEADINGS, "p"],
         changed,
         lambda row: [_verdict_text(verdict, row), *_row_cells(row), _p_value_text(row)],
+    )
+    parts += _section(
+        "Since the best entry of the history",
+        ["verdict", *_HEADINGS, "entry"],
+        verdict.below_best,
+        lambda row: [_verdict_text(verdict, row), *_row_cells(row), row.since],
     )
     parts += _section(
         "On one recording",
@@ -103,6 +111,7 @@ def data_of(verdict: Verdict) -> dict[str, Any]:
         "trainings": verdict.trainings,
         "significance": verdict.significance,
         "rows": [_row_data(row, verdict.standing_of(row)) for row in verdict.rows],
+        "below_best": [_row_data(row, verdict.standing_of(row)) for row in verdict.below_best],
         "on_recordings": [_row_data(row, verdict.standing_of(row)) for row in verdict.on_recordings],
         "recoveries": [_row_data(row, verdict.standing_of(row)) for row in verdict.recoveries],
         "speed": [_row_data(row, verdict.standing_of(row)) for row in verdict.speed],
@@ -136,7 +145,7 @@ def _section(title: str, headings: Sequence[str], rows: Sequence[Any], cells: An
 
 def _row_cells(row: VerdictRow) -> list[str]:
     sizes = [amount_text(row, value) for value in (row.fall, row.smallest, row.margin)]
-    values = [score_text(row.baseline), score_text(row.run), *sizes, score_text(row.spread)]
+    values = [*score_texts(row), *sizes, number_text(row.spread)]
     return [row.label, row.name, row.stratum, band_text(row.band), *values]
 
 
@@ -152,7 +161,7 @@ def _verdict_text(verdict: Verdict, row: VerdictRow) -> str:
 
 
 def _p_value_text(row: VerdictRow) -> str:
-    return UNDEFINED if row.p is None else f"{row.p:.4f}"
+    return UNDEFINED if row.p is None else p_digits(row.p)
 
 
 def junit_of(verdict: Verdict) -> str:
@@ -189,4 +198,5 @@ def _case_name(row: AnyRow) -> str:
         return f"speed of {row.call} in turns with {row.base}"
     if isinstance(row, RecoveryRow):
         return "recoveries"
-    return f"{f'{row.recording}: ' if row.recording else ''}{row.name}, {place_of(row)}"
+    since = f" since {row.since}" if row.since else ""
+    return f"{f'{row.recording}: ' if row.recording else ''}{row.name}, {place_of(row)}{since}"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from gridtrack.reports.run import UNDEFINED
 
 MAX_FALLEN = 3
 """Largest number of lines on single recordings in the text."""
+LEAST_DECIMALS, MOST_DECIMALS, LEAST_P = 4, 9, 0.0001
 NO_COLLAPSE = "no collapse"
 """The standing of a change on one recording that is listed and does not decide."""
 UNKNOWN_SPREAD = "the baseline has one run: the spread between trainings is unknown and not taken into account"
@@ -28,6 +30,7 @@ REASONS: dict[Criterion, str] = {
     "margin": "",
     "significant": "",
     "collapse": ", a collapse",
+    "best": "",
 }
 
 
@@ -47,16 +50,30 @@ def text_of(verdict: Verdict) -> str:
     return "\n".join(map(printable, [*lines, rule_of(verdict), _conclusion(verdict)]))
 
 
-def text_of_update(path: Path, baseline: Baseline, replaced: Verdict | str | None) -> str:
+def text_of_update(
+    path: Path, baseline: Baseline, replaced: Verdict | str | None, since: Mapping[str, Sequence[VerdictRow]]
+) -> str:
     """The baseline that `--update` wrote, for a terminal: its runs, and the range of F1 of each tracker over them.
 
     `replaced`: the verdict on its first run by the baseline that it replaces, if any, or why there is no verdict.
+    `since`: its scores against the `first` and the `best` entries of the history.
     """
     if len(baseline.runs) == 1:
         lines = [f"baseline: {path}; {UNKNOWN_SPREAD}"]
     else:
         lines = [f"baseline: {path}, of {len(baseline.runs)} runs", *_ranges_of(baseline)]
-    return "\n".join(map(printable, [*_replaced_lines(replaced), *lines]))
+    return "\n".join(map(printable, [*_replaced_lines(replaced), *_lines_since(since), *lines]))
+
+
+def _lines_since(since: Mapping[str, Sequence[VerdictRow]]) -> Iterator[str]:
+    """The largest change to the worse of each tracker since the first, and since the best entry of a history."""
+    for which, rows in since.items():
+        for label in dict.fromkeys(row.label for row in rows):
+            worst = max((row for row in rows if row.label == label), key=lambda row: row.severity)
+            if worst.fall > 0:
+                yield f"{label}, {place_of(worst)}: {_change_text(worst)}, its largest change to the worse"
+            else:
+                yield f"{label}: no score is worse than in the {which} entry of the history"
 
 
 def _replaced_lines(replaced: Verdict | str | None) -> list[str]:
@@ -113,11 +130,12 @@ def _change_text(row: AnyRow) -> str:
     if isinstance(row, RecoveryRow):
         failures = f"{row.run} failure{'s' * (row.run != 1)}"
         return f"continued after {failures} inside it, in the baseline after {row.baseline}"
-    significance = "" if row.p is None else f", p {row.p:.4f}"
-    spread = "" if row.spread is None else f", spread between trainings {row.spread:.4f}"
+    significance = "" if row.p is None else f", p {p_digits(row.p)}"
+    spread = "" if row.spread is None else f", spread between trainings {number_text(row.spread)}"
+    then, now = score_texts(row)
     return (
-        f"{row.name} {score_text(row.baseline)} to {score_text(row.run)}, "
-        f"{_fall_text(row)}{significance}{spread}"
+        f"{row.name} {then} to {now}, "
+        f"{_fall_text(row)}{f' since {row.since}' if row.since else ''}{significance}{spread}"
         f"{REASONS[row.criterion]}"
     )
 
@@ -246,9 +264,27 @@ def amount_text(row: VerdictRow, value: float) -> str:
     """A change as margins are given: of F1, or a share of a log loss; none where no change can be found."""
     if not np.isfinite(value):
         return "none"
-    return f"{value:.1%}" if row.relative else f"{value:.4f}"
+    return f"{value:.{_decimals(value * 100, 1)}%}" if row.relative else number_text(value)
 
 
-def score_text(value: float | None) -> str:
-    """A score of the baseline or the run, or its spread."""
-    return UNDEFINED if value is None else f"{value:.4f}"
+def score_texts(row: VerdictRow) -> tuple[str, str]:
+    """The score in the baseline and in the run, with enough digits to show their difference."""
+    values = row.baseline, row.run
+    difference = 0.0 if row.baseline is None or row.run is None else row.run - row.baseline
+    then, now = (UNDEFINED if one is None else f"{one:.{_decimals(difference, LEAST_DECIMALS)}f}" for one in values)
+    return then, now
+
+
+def number_text(value: float | None) -> str:
+    """A number with two digits or more."""
+    return UNDEFINED if value is None else f"{value:.{_decimals(value, LEAST_DECIMALS)}f}"
+
+
+def p_digits(p: float) -> str:
+    """A p-value."""
+    return f"{p:.4f}" if p >= LEAST_P else f"< {LEAST_P}"
+
+
+def _decimals(value: float, least: int) -> int:
+    """Decimals that show two digits of `value`; at least `least`, and not more than MOST_DECIMALS."""
+    return min(max(least, 1 - math.floor(math.log10(abs(value)))), MOST_DECIMALS) if value else least

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -51,21 +52,28 @@ NOT_OF_A_COMPARISON = "points= and weights= are for rows of a comparison"
         (("regress", "run", "--baseline", "b.json", "--update", "--json"), "--json: --update judges nothing"),
         (("regress", "run", "--baseline", "b.json", "--update", "--junit", "a"), "--junit: --update judges nothing"),
         (("regress", "run", "--baseline", "b.json", "--tolerance", "a"), "--tolerance 'a': expected LABEL=F1"),
-        (("regress", "run", "--baseline", "b.json", "--margin", "2"), "'margin' = 2.0: Input should be less than 1"),
+        (("regress", "run", "--baseline", "b.json", "--margin", "2"), "--margin 2.0: it should be less than 1"),
         (("recording", "info", "no\x1b[31m\nwhere.bag"), "no [31m where.bag: no such recording"),
         (("recording", "info", "hall\udce9.mcap"), r"hall\xe9.mcap: this path is not UTF-8"),
         (
             ("recording", "info", DEMO, "--no-return", "no"),
-            "'no_return.0' = 'no': Input should be 'max', 'zero' or 'nan'",
+            "--no-return no: it should be 'max', 'zero' or 'nan'",
         ),
         (("compare", DEMO, "--out", "runs/hall\udce9"), r"runs/hall\xe9: this path is not UTF-8"),
         (("compare", f"{DEMO}@../../x"), "'../../x' is not the name of a stretch: expected 1 to 160 bytes"),
-        (("compare", DEMO, "--horizon", "soon"), "'soon': expected seconds, such as 2.5s"),
+        (("compare", DEMO, "--horizon", "soon"), "--horizon 'soon': expected seconds, such as 2.5s"),
         (("compare", DEMO, "--grid", "100"), "grid '100': expected CELLSxMETRES"),
-        (("compare", DEMO, "--every", "0"), "'every_s' = 0.0: Input should be greater than 0"),
-        (("compare", DEMO, "--update-timeout", "0s"), "update_s' = 0.0: Input should be greater than 0"),
-        (("compare", DEMO, "--engine", "cloud"), "'engine' = 'cloud': Input should be 'local', 'ray' or 'slurm'"),
+        (("compare", DEMO, "--every", "0"), "--every 0: it should be greater than 0"),
+        (("compare", DEMO, "--update-timeout", "0s"), "--update-timeout 0s: it should be greater than 0"),
+        (("compare", DEMO, "--engine", "cloud"), "--engine cloud: it should be 'local', 'ray' or 'slurm'"),
         (("compare", DEMO, "--degrade", "beam-dropuot=0.2"), "did you mean 'beam-dropout'?"),
+        (("compare", DEMO, "--trackers", "kalman"), "No such option: --trackers (Possible options: "),
+        (("compare",), "Missing argument 'RECORDING[@RANGE]' (see `gridtrack compare --help`)"),
+        (("compare", DEMO, "--seed", "x"), "Invalid value for '--seed': Input should be a valid integer"),
+        (("regres", "run"), "No such command 'regres'. Did you mean 'regress'? (see `gridtrack --help`)"),
+        (("train", DEMO), "name the tracker before the recordings: gridtrack train NAME "),
+        (("train", "static-map", f"{DEMO}@80s-100s"), "has frames of the recording's stretch 'test' (90s-"),
+        (("trackers", "check", "kalman", "--weights", PACKAGE), f"{PACKAGE}: has no weights of kalman"),
         (("train", "persistence", DEMO), "tracker 'persistence' has nothing to learn"),
         (("train", "static-map", f"{DEMO}@0s-80s"), "shares frames with"),
         (("trackers", "check", "static-map:card=site"), "'static-map' needs weights, and there are none here: name a"),
@@ -245,6 +253,19 @@ def test_a_tracker_with_learned_weights_for_the_site_is_checked_on_the_recording
 
 
 @pytest.mark.usefixtures("trackers_here")
+def test_a_check_with_weights_alone_has_the_stream_of_their_card(tmp_path):
+    folder = tmp_path / "static-map"
+    folder.mkdir()
+    for file in (Path(PACKAGE) / "data/weights/static-map").glob("leg_tracker.*"):
+        shutil.copy(file, folder)
+    rows = json.loads(gridtrack("trackers", "check", "static-map", "--weights", tmp_path, "--json").stdout)
+    assert {row["verdict"] for row in rows} == {"passed", "not applicable"}
+    shutil.copy(folder / "leg_tracker.toml", folder / "elsewhere.toml")
+    refused = gridtrack("trackers", "check", "static-map", "--weights", tmp_path, code=2).stderr
+    assert "has weights of static-map for several sites, elsewhere, leg_tracker: name a recording of one" in refused
+
+
+@pytest.mark.usefixtures("trackers_here")
 def test_a_check_gives_a_verdict_on_each_clause_and_exit_code_1_for_a_violation(bad_trackers):
     lines = gridtrack("trackers", "check", "counts-predictions", code=1).stdout.splitlines()
     assert [line.split()[0] for line in lines[:2]] == ["passed", "passed"]
@@ -291,7 +312,7 @@ def test_a_training_whose_weights_cannot_be_written_does_not_start(tmp_path):
 @pytest.mark.usefixtures("trackers_here")
 def test_a_trial_that_did_not_complete_is_exit_code_3(tmp_path):
     done = gridtrack(
-        "compare", f"{DEMO}@114s-118s", "--tracker", "blank", "--tracker", "static-map", "--weights", tmp_path,
+        "compare", f"{DEMO}@114s-118s", "--tracker", "blank", "--tracker", "static-map:card=site",
         "--grid", "60x0.15", "--horizon", "0.5s", "--out", tmp_path / "run", code=3,
     )  # fmt: skip
     assert re.search("static-map@leg_tracker@114s-118s: (not-applicable|untrained)", done.stderr)

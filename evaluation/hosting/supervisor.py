@@ -82,7 +82,8 @@ class Program:
         nothing = os.open(os.devnull, os.O_RDWR)
         os.dup2(nothing, 0)
         os.dup2(nothing, 1)
-        self.start_error = os.read(failure, 4096).decode(errors="replace")
+        failed = os.read(failure, 4096).decode(errors="replace")
+        self.start_error = failed and f"{command[0]}: {failed}"
 
     def watch(self, control: socket.socket, wake: int) -> None:
         """Return when the program has ended or exceeds its memory limit, or the host asks for its end."""

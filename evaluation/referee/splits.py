@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gridtrack.common.errors import ConfigurationError, RecordingError
+from gridtrack.common.errors import ConfigurationError, NothingMeasuredError, RecordingError
 from gridtrack.common.files import NAME_RULE, is_name, name_from
 from gridtrack.common.grid import GridSpec, Points, nearest_step
 from gridtrack.evaluation.referee.kinds import Regions, regions_of
@@ -27,6 +27,8 @@ _OF_CARD = (
     ", so the thresholds of a tracker are those of its weights' card (chosen on the validation stretches of its"
     " training), and 0.5 where there is none; name a stretch with --validation"
 )
+USUAL_EVERY_S, LEAST_FORECASTS = 1.0, 30
+"""Time between scored forecasts by default, and the least number of forecasts for which it is shortened."""
 MAX_FORECAST_BYTES = 1 << 30
 VALIDATION_FORECASTS = 60
 """Approximate minimum of forecasts on which thresholds are chosen; with ten or twenty the choice is noise."""
@@ -37,7 +39,8 @@ class Sampling:
     """Grid and rate of the streams (None: the recording's own), horizon and period of the forecasts."""
 
     horizon_s: float
-    every_s: float
+    every_s: float | None
+    """None: USUAL_EVERY_S, or less so that a short stretch has LEAST_FORECASTS."""
     grid: GridSpec | None = None
     rate_hz: float | None = None
     format: str | None = None
@@ -141,9 +144,10 @@ def split_of(
     path = recording.path
     if not is_name(name):
         raise ConfigurationError(f"{path}: '{name}' cannot be the name of a folder of results: {NAME_RULE}; rename it")
+    refuse_unmeasured(recording)
     test = GridStream(recording, stretch, grid=sampling.grid, rate_hz=sampling.rate_hz)
     steps = _steps(test, sampling.horizon_s)
-    every = max(1, round(sampling.every_s / test.period_s))
+    every, often = _every(test, steps, sampling.every_s)
     if not Schedule(len(test), steps, every).expected:
         raise ConfigurationError(f"{_too_short(test, steps)}: name a longer stretch, or a shorter --horizon")
     if validation is not None and opened is None:
@@ -151,8 +155,26 @@ def split_of(
     chosen_on, notices = _validation_stretch(test, validation, steps, opened)
     poses = (f"{path}: poses: {recording.info.poses}",) if recording.info.poses else ()
     warnings = (*recording.warnings, *(chosen_on.recording.warnings if chosen_on else ()))
-    told = tuple(dict.fromkeys((*warnings, *notices, *poses)))
+    told = tuple(dict.fromkeys((*warnings, *notices, *poses, *often)))
     return EvaluationSplit(name, path, test, chosen_on, steps, every, told)
+
+
+def _every(test: GridStream, steps: int, every_s: float | None) -> tuple[int, tuple[str, ...]]:
+    """The frames from one scored forecast to the next, and a line if the stretch is short for the default."""
+    if every_s is not None:
+        return max(1, round(every_s / test.period_s)), ()
+    usual = max(1, round(USUAL_EVERY_S / test.period_s))
+    every = max(1, min(usual, (len(test) - WARM_UP - steps) // LEAST_FORECASTS))
+    if every == usual:
+        return every, ()
+    forecasts = Schedule(len(test), steps, every).expected
+    return every, (f"{test.name}: {forecasts} forecasts, one every {every * test.period_s:.3g} s (--every)",)
+
+
+def refuse_unmeasured(recording: Recording) -> None:
+    """Raise NothingMeasuredError for a recording without a measured range; one that is still written may get some."""
+    if recording.growth is None and (why := recording.survey.nothing_measured):
+        raise NothingMeasuredError(f"{recording.path}: {why}")
 
 
 def _steps(stream: GridStream, horizon_s: float) -> int:

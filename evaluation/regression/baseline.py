@@ -26,16 +26,19 @@ class BaselineError(GridtrackError):
     """A file that is not a baseline of a version that can be read."""
 
 
-def write_baseline(path: Path, runs: Sequence[Measurement]) -> Baseline:
-    """Write a baseline of `runs` to `path`, with one line for each unit and stratum, so that git can compare versions.
-
-    Raises BaselineError where the file is something else than a baseline or cannot be written, and the errors of
-    `require_comparable`.
-    """
+def baseline_of(runs: Sequence[Measurement]) -> Baseline:
+    """The baseline of `runs`. Raises the errors of `require_comparable`."""
     require_comparable(runs)
-    _refuse_other_content(path)
     content = [run.model_dump(mode="json", by_alias=True) for run in runs]
-    baseline = Baseline(digest=digest_of(content), runs=tuple(runs))
+    return Baseline(digest=digest_of(content), runs=tuple(runs))
+
+
+def write_baseline(path: Path, baseline: Baseline) -> None:
+    """Write a baseline to `path`, with one line for each unit and stratum, so that git can compare versions.
+
+    Raises BaselineError where the file is something else than a baseline or cannot be written.
+    """
+    _refuse_other_content(path)
     text = json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=0, allow_nan=False)
     for on_one_line in (_LIST_OF_NUMBERS, _SUMS_BY_BAND):
         text = on_one_line.sub(lambda found: "".join(found[0].split()), text)
@@ -43,7 +46,6 @@ def write_baseline(path: Path, runs: Sequence[Measurement]) -> Baseline:
         write_text(path, text + "\n")
     except OSError as error:
         raise BaselineError(f"{path}: the baseline cannot be written ({error.strerror})") from None
-    return baseline
 
 
 def read_baseline(path: Path) -> Baseline:
@@ -87,19 +89,20 @@ def _read_content(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise BaselineError(f"{path}: there is no such baseline; --update makes one of the run") from None
     except BaselineError as error:
-        raise BaselineError(f"{error}: name a baseline, or restore this one") from None
+        raise BaselineError(f"{error}; name a baseline, or restore this one") from None
 
 
 def _refuse_other_content(path: Path) -> None:
     """Raises BaselineError where a file that is there is no baseline, of any version."""
+    why = f"{path}: is not a baseline"
     try:
-        is_baseline = _is_baseline(read_json(path, MAX_BASELINE_BYTES, BaselineError))
+        if _is_baseline(read_json(path, MAX_BASELINE_BYTES, BaselineError)):
+            return
     except FileNotFoundError:
         return
-    except BaselineError:
-        is_baseline = False
-    if not is_baseline:
-        raise BaselineError(f"{path}: is not a baseline, and is not replaced: name another file, or remove this one")
+    except BaselineError as error:
+        why = str(error)
+    raise BaselineError(f"{why}; it is not replaced: name another file, or remove this one")
 
 
 def _is_baseline(content: dict[str, Any]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -15,7 +16,8 @@ from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import read_json, sha256_of, write_text
 from gridtrack.evaluation.regression.baseline import digest_of
-from gridtrack.evaluation.regression.judging import VerdictRow
+from gridtrack.evaluation.regression.judging import VerdictRow, judged_since
+from gridtrack.evaluation.regression.measurement import Baseline
 from gridtrack.evaluation.regression.verdict import Verdict
 
 HISTORY_SCHEMA: Final = 1
@@ -66,11 +68,21 @@ class HistoryEntry(Settings):
     """Whether a tracked file differed from the commit."""
     baseline: Text
     """SHA-256 of the baseline's file; empty where there is none."""
+    frames: Text = ""
+    """Of the recordings and the rules of scoring: only entries with the same one are compared. Empty in entries of
+    earlier versions, and where nothing was measured."""
+    update: bool = False
+    """Whether the run became the baseline."""
     verdict: Literal["no worse", "worse", "not measured"]
     reasons: tuple[Text, ...] = ()
     """Why nothing was measured."""
     scores: tuple[HistoryScore, ...] = ()
     speed: tuple[HistorySpeed, ...] = ()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of its content, which the next entry names."""
+        return digest_of(self.model_dump(mode="json", by_alias=True))
 
 
 History = list[tuple[str, HistoryEntry]]
@@ -89,32 +101,95 @@ def read_history(folder: Path) -> History:
     return history
 
 
-def append_entry(
-    folder: Path, history: History, baseline: Path, result: Verdict | Sequence[str]
-) -> tuple[Path, HistoryEntry]:
-    """Write the entry of `result`, a verdict or the reasons why there is none, after those of `history`.
+def require_newest(folder: Path, history: History, baseline: Baseline) -> None:
+    """Raise HistoryError where the entry that was the newest when `baseline` was made is missing."""
+    if baseline.history and baseline.history not in {digest for digest, _ in history}:
+        raise HistoryError(
+            f"{folder}: the entry that was the newest when the baseline was made is missing: restore it, or begin"
+            " another folder with --update --history"
+        )
 
-    `baseline`: the file of the baseline. Returns the entry and its file. Raises HistoryError where it cannot be
-    written.
+
+def digest_of_frames(baseline: Baseline) -> str:
+    """A digest of what the scores depend on beside the trackers: the recordings, and the rules of scoring."""
+    first = baseline.first
+    splits = {name: split.model_dump(mode="json") for name, split in first.recordings.items()}
+    return digest_of([first.scoring_rules, splits])
+
+
+def since_first(history: History, frames: str, row: VerdictRow) -> VerdictRow | None:
+    """The row against the first entry of these frames that has it; None where there is none."""
+    found = _values_of(history, frames, row)
+    return judged_since(row, found[0][0], f"the first entry of the history ({found[0][1]})") if found else None
+
+
+def since_best(history: History, frames: str, row: VerdictRow) -> VerdictRow | None:
+    """The row against the entry of these frames in which its score was best; None where there is none."""
+    found = _values_of(history, frames, row)
+    if not found:
+        return None
+    best = (max if row.higher_is_better else min)(found, key=lambda one: one[0])
+    return judged_since(row, best[0], f"the best entry of the history ({best[1]})")
+
+
+def _values_of(history: History, frames: str, row: VerdictRow) -> list[tuple[float, str]]:
+    """The values of a row in the entries of these frames, with the names of the entries, the oldest first; none where
+    the run has no value."""
+    key = (row.label, row.name, row.stratum, row.band)
+    return [
+        (score.value, _name_of(entry))
+        for _, entry in (history if row.run is not None else ())
+        if entry.frames == frames
+        for score in entry.scores
+        if (score.label, score.score, score.stratum, score.band) == key and score.value is not None
+    ]
+
+
+def _name_of(entry: HistoryEntry) -> str:
+    """The day, and the commit where there is one."""
+    return f"{entry.recorded[:8]}, commit {entry.commit[:7]}" if entry.commit else entry.recorded[:8]
+
+
+def judged_by_history(verdict: Verdict, history: History, frames: str) -> Verdict:
+    """`verdict`, in which scores that fell since the best entry of these frames are worse too."""
+    if not any(entry.frames == frames for _, entry in history):
+        note = "no entry of the history is of these frames: the baseline alone judges"
+        return replace(verdict, notes=(*verdict.notes, note)) if history else verdict
+    found = (since_best(history, frames, row) for row in verdict.rows if verdict.standing_of(row) != "worse")
+    return replace(verdict, below_best=tuple(row for row in found if row is not None and row.verdict == "worse"))
+
+
+def new_entry(
+    history: History, baseline: Path, result: Verdict | Sequence[str], frames: str = "", *, update: bool = False
+) -> HistoryEntry:
+    """The entry of `result`, a verdict or the reasons why there is none, after those of `history`.
+
+    `baseline`: the file of the baseline. `frames`: as of `digest_of_frames`. `update`: `result` is the verdict on a new
+    baseline by itself, and `baseline` the file that it replaces.
     """
     commit, changed = _commit(Path.cwd())
-    entry = HistoryEntry(
+    return HistoryEntry(
         recorded=datetime.now(UTC).strftime(STAMP),
         previous=history[-1][0] if history else "",
         commit=commit,
         changed=changed,
         baseline=sha256_of(baseline) if baseline.is_file() else "",
+        frames=frames,
+        update=update,
         **_content(result),
     )
-    content = entry.model_dump(mode="json", by_alias=True)
-    digest = digest_of(content)
-    path = folder / f"{entry.recorded}-{digest[:12]}.json"
+
+
+def write_entry(folder: Path, entry: HistoryEntry) -> Path:
+    """Write an entry into the folder of its history, and return its file. Raises HistoryError."""
+    path = folder / f"{entry.recorded}-{entry.digest[:12]}.json"
+    content = {**entry.model_dump(mode="json", by_alias=True), "digest": entry.digest}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(path, json.dumps({**content, "digest": digest}, indent=1, allow_nan=False) + "\n")
+        write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
     except OSError as error:
         raise HistoryError(f"{path}: the entry cannot be written ({error.strerror})") from None
-    return path, entry
+    return path
 
 
 def _content(result: Verdict | Sequence[str]) -> dict[str, Any]:

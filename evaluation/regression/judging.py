@@ -28,8 +28,9 @@ from gridtrack.evaluation.scores.definition import Floats
 from gridtrack.evaluation.statistics.jackknife import ALPHA, LEAST_UNITS
 
 RowVerdict = Literal["worse", "no worse", "equal", "nothing to find"]
-Criterion = Literal["", "margin", "significant", "collapse"]
-"""Why a row is worse: beyond the margin (few units), beyond it and significant, or on a single recording."""
+Criterion = Literal["", "margin", "significant", "collapse", "best"]
+"""Why a row is worse: beyond the margin (few units), beyond it and significant, on a single recording, or below the
+best entry of the history."""
 COLLAPSE = 20.0
 """A fall on one recording of more than this many margins is a collapse: 0.1 of F1, a log loss twice as large."""
 COLLAPSE_ERRORS = 6.0
@@ -39,8 +40,8 @@ QUANTILE = 0.7
 QUANTILE_OF_NORMAL = float(ndtri(0.5 + QUANTILE / 2))
 CELLS_TOGETHER = 25.0
 """Ten cells or more of an object, over the four to eight steps of a band."""
-ROUNDING = 1e-9
-"""A smaller fall counts as none; of a share of a log loss 1e-4, as its sums are stored to six digits."""
+ROUNDING, RELATIVE_ROUNDING = 1e-9, 1e-4
+"""A smaller fall counts as none; of a share of a log loss the second, as its sums are stored to six digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +74,8 @@ class VerdictRow:
     relative: bool = False
     higher_is_better: bool = True
     default_margin: float = MARGIN
+    since: str = ""
+    """The entry of a history that `baseline` is of; empty for the baseline itself."""
 
     @property
     def name(self) -> str:
@@ -147,6 +150,20 @@ def judged_on(row: PairedRow, recording: str, margin: float, noise: TypicalUnit)
     )
 
 
+def judged_since(row: VerdictRow, then: float, entry: str) -> VerdictRow:
+    """The row over all units with the value `then` of an entry of the history in place of the baseline's.
+
+    It is worse where it fell by more than the smallest fall that would have been found from the baseline.
+    """
+    assert row.run is not None
+    fall = (then - row.run) * (1.0 if row.higher_is_better else -1.0)
+    fall = fall / then if row.relative and then else fall
+    since = replace(row, baseline=then, fall=fall, p=None, spread=None, criterion="", verdict="no worse", since=entry)
+    if fall <= row.smallest + (RELATIVE_ROUNDING if row.relative else ROUNDING):
+        return since
+    return replace(since, criterion="best", verdict="worse")
+
+
 def _over(row: PairedRow, members: NDArray[np.bool_], recording: str, margin: float) -> VerdictRow:
     """The row over the parts `members` (P,), not judged."""
     then, now = (float(row.value(side[members].sum(axis=0))) for side in (row.baseline, row.run))
@@ -182,7 +199,7 @@ def _margin(row: PairedRow, settings: GateSettings, *, enough_units: bool) -> fl
 
 
 def _rounding(row: PairedRow) -> float:
-    return 1e-4 if row.output.relative_margin else ROUNDING
+    return RELATIVE_ROUNDING if row.output.relative_margin else ROUNDING
 
 
 def _unit(row: PairedRow, found: VerdictRow) -> float:

@@ -146,6 +146,8 @@ class Baseline(Settings):
     schema_version: Literal[4] = Field(default=BASELINE_SCHEMA, alias="schema")
     digest: str
     """SHA-256 of `runs`, so that a change by hand is found."""
+    history: str = ""
+    """The digest of the newest entry of the history at the time, so that a missing one is found; empty without one."""
     runs: Annotated[tuple[Measurement, ...], Field(min_length=1, max_length=100)]
 
     @property

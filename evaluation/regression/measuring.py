@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.regression.measurement import BANDS, Measurement, Speed, SplitKey, UnitSums, Unmeasured
+from gridtrack.evaluation.regression.measurement import (
+    BANDS,
+    MeasuredTrial,
+    Measurement,
+    Speed,
+    SplitKey,
+    UnitSums,
+    Unmeasured,
+)
 from gridtrack.evaluation.runs.finished import FinishedTrial, RunTrials
 from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.runs.run_record import (
@@ -27,7 +35,8 @@ from gridtrack.evaluation.runs.run_record import (
 )
 from gridtrack.evaluation.runs.sums import ScoredFrames, TrialSums
 from gridtrack.evaluation.runs.trial_record import TrialRecord, missing_measurements, read_trial_record
-from gridtrack.evaluation.scores.definition import ScoreDefinition
+from gridtrack.evaluation.scores.definition import Ratio, ScoreDefinition, Sums
+from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.scores.registry import scores
 from gridtrack.evaluation.statistics.units import UnitRule
 
@@ -58,8 +67,8 @@ def measure_run(run: Path, like: Measurement | None = None, foreign: Sequence[st
 
     `foreign`: names of scores of other packages. A score is judged by those of its outputs that have a margin.
 
-    Raises Unmeasured where the run is not complete: a trial failed, is partial or missing, nothing was scored, or a
-    requested measurement is missing; RunError where `run` is not a run's folder.
+    Raises Unmeasured where the run is not complete: a trial failed, is partial or missing, nothing was scored, no cell
+    was occupied, or a requested measurement is missing; RunError where `run` is not a run's folder.
     """
     record = _read_run_record(run)
     configuration = record.configuration
@@ -88,9 +97,20 @@ def measure_run(run: Path, like: Measurement | None = None, foreign: Sequence[st
         },
     }
     try:
-        return Measurement.model_validate(content)
+        measured = Measurement.model_validate(content)
     except ValidationError as error:
         raise Unmeasured([f"{run}: not a run that can be measured ({error.errors()[0]['msg']})"]) from None
+    if not any(_any_occupied(measured, label, trial) for label, _, trial in measured.trials()):
+        raise Unmeasured([f"{run}: no cell was occupied in any stratum and step band: nothing was measured"])
+    return measured
+
+
+def _any_occupied(run: Measurement, label: str, trial: MeasuredTrial) -> bool:
+    """Whether any cell was occupied in a scored step of a trial."""
+    by_band = [sums for unit in trial.units for bands in unit.sums[F1.name].values() for sums in bands.values()]
+    found = F1.value(Sums(np.array(by_band), run.scores[label][F1.name]))[F1.lead.name]
+    assert isinstance(found, Ratio)
+    return bool(np.any(found.support))
 
 
 def _read_trials(run: Path, record: RunRecord, splits: Mapping[str, SplitKey]) -> ReadTrials:

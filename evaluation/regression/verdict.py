@@ -9,7 +9,7 @@ import numpy as np
 
 from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.evaluation.regression.judging import RowVerdict, VerdictRow, judged_recordings, judged_row
-from gridtrack.evaluation.regression.measurement import Baseline, Measurement, Unmeasured
+from gridtrack.evaluation.regression.measurement import Baseline, Measurement
 from gridtrack.evaluation.regression.pairing import require_paired
 from gridtrack.evaluation.regression.recoveries import RecoveryRow, compare_recoveries
 from gridtrack.evaluation.regression.rows import paired_rows, row_tests
@@ -56,6 +56,8 @@ class Verdict:
     """Of every row that was worse, where a confirmation was requested."""
     turns: tuple[TurnsRow, ...] = ()
     """Times measured in turns with a base, where requested; they have intervals of their own."""
+    below_best: tuple[VerdictRow, ...] = ()
+    """The scores over all units that are worse than in the best entry of the history, and not than the baseline."""
 
     @property
     def collapses(self) -> tuple[VerdictRow, ...]:
@@ -65,12 +67,14 @@ class Verdict:
     @property
     def decisive(self) -> tuple[AnyRow, ...]:
         """Every row that decides."""
-        return (*self.rows, *self.collapses, *self.recoveries, *self.speed, *self.turns)
+        return (*self.rows, *self.below_best, *self.collapses, *self.recoveries, *self.speed, *self.turns)
 
     @property
     def worse(self) -> tuple[AnyRow, ...]:
-        """The rows that are worse; if there is none, the run passes."""
-        return tuple(row for row in self.decisive if self.standing_of(row) == "worse")
+        """The rows that are worse, scores first, the largest fall before the others; if there is none, the run
+        passes."""
+        found = (row for row in self.decisive if self.standing_of(row) == "worse")
+        return tuple(sorted(found, key=lambda row: -row.severity if isinstance(row, VerdictRow) else 0.0))
 
     def standing_of(self, row: AnyRow) -> Standing:
         """The verdict on a row, `not confirmed` where it was worse and a second run was not."""
@@ -85,7 +89,7 @@ def compare_with_baseline(
 ) -> Verdict:
     """The verdict on `run`, paired with `baseline` by units.
 
-    Raises Unmeasured where they do not pair or no cell was occupied, ConfigurationError for an unknown label.
+    Raises Unmeasured where they do not pair, ConfigurationError for an unknown label.
     """
     settings = settings or GateSettings()
     for label in (*settings.tolerance, *filter(None, [settings.speed_reference])):
@@ -96,8 +100,6 @@ def compare_with_baseline(
     paired = paired_rows(baseline, run, scores(settings.scores))
     tests = row_tests(paired)
     rows = tuple(judged_row(row, test, settings) for row, test in zip(paired, tests, strict=True))
-    if all(row.verdict == "nothing to find" for row in rows if row.score == "f1.f1"):
-        raise Unmeasured(["no cell was occupied in any stratum and step band: nothing was measured"])
     speed, speed_notes = compare_speed(baseline, run, settings.speed_reference, settings.ratio_margin)
     units = len(np.unique(paired[0].units)) if paired else 0
     return Verdict(

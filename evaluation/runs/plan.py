@@ -11,13 +11,21 @@ from itertools import combinations
 from pathlib import Path
 
 from gridtrack.common.entry_points import VALID_NAME
-from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
+from gridtrack.common.errors import ConfigurationError, PluginError, WeightsError, did_you_mean
 from gridtrack.common.files import check_utf8
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.sandbox import check_sandbox
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess, describe
-from gridtrack.evaluation.referee.splits import ORACLE, EvaluationSplit, Sampling, plan_splits, segments_of, with_points
+from gridtrack.evaluation.referee.splits import (
+    ORACLE,
+    USUAL_EVERY_S,
+    EvaluationSplit,
+    Sampling,
+    plan_splits,
+    segments_of,
+    with_points,
+)
 from gridtrack.evaluation.referee.strata import OCCLUDED, SCORING_RULES
 from gridtrack.evaluation.runs.learned import (
     LearnedWeights,
@@ -37,7 +45,12 @@ from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.selection import Launch, Selection, launch, parse_selections, read_trackers_toml
+from gridtrack.trackers.selection import CardKind, Launch, Selection, launch, parse_selections, read_trackers_toml
+from gridtrack.trackers.training.weights import fitted_card
+
+SCORED_CELLS_PER_S, LONG_MINUTES = 2e7, 10
+"""Cells of forecasts that one processor scores in a second (`compare --tracker blank` on grids of 100 and 400 cells a
+side), and the time from which an estimate is a notice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +189,8 @@ def with_copied_weights(plan: ComparisonPlan, folder: Path) -> ComparisonPlan:
 def sampling_of(settings: CompareSettings) -> Sampling:
     """Horizon, interval, grid and rate as `settings` give them. Raises ConfigurationError."""
     grid = GridSpec.parse(settings.grid) if settings.grid else None
-    return Sampling(settings.horizon_s, settings.every_s, grid, settings.rate_hz, settings.format)
+    every_s = USUAL_EVERY_S if settings.follow and settings.every_s is None else settings.every_s
+    return Sampling(settings.horizon_s, every_s, grid, settings.rate_hz, settings.format)
 
 
 def segmented(whole: EvaluationSplit, settings: CompareSettings) -> Iterable[EvaluationSplit]:
@@ -211,9 +225,10 @@ def resolve(
     splits = tuple(split for whole in wholes for split in segmented(whole, settings))
     _refuse_equal_names(splits)
     _refuse_overlaps(wholes)
+    places = {_place_of(split): split for split in splits}
     weights = {
-        (selection.label, site): _weights_of(selection, site, settings.weights)
-        for site in dict.fromkeys(split.test.site for split in splits)
+        (selection.label, place): _fitting_weights(selection, split, settings.weights)
+        for place, split in places.items()
         for selection in selections
     }
     trials = tuple(
@@ -221,7 +236,7 @@ def resolve(
             selection,
             launches[selection.label],
             split,
-            weights[selection.label, split.test.site],
+            weights[selection.label, _place_of(split)][0],
             settings.seed,
             settings.limits,
             others,
@@ -238,6 +253,8 @@ def resolve(
         for trial in trials
         if trial.weights and trial.weights.card.interrupted
     ]
+    notices += [notice for _, notice in weights.values() if notice]
+    notices += _large_cost(trials)
     notices += [trial.beyond_training for trial in trials if trial.beyond_training]
     if settings.allow_leak:
         notices += [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
@@ -256,6 +273,22 @@ def _wholes(settings: CompareSettings, note: Callable[[str], None]) -> tuple[Eva
 
     validation = settings.validation and posed(settings.validation)
     return plan_splits(map(posed, settings.recordings), validation, sampling_of(settings))
+
+
+def _large_cost(trials: Sequence[Trial]) -> Iterator[str]:
+    """A line if scoring will take long: an estimate before anything runs."""
+    splits = [trial.split for trial in trials]
+    forecasts = [s.schedule.expected + (s.validation_schedule.expected if s.validation else 0) for s in splits]
+    cells = sum(n * (s.steps + 1) * s.test.grid.size**2 for n, s in zip(forecasts, splits, strict=True))
+    minutes = cells / SCORED_CELLS_PER_S / 60
+    if minutes > LONG_MINUTES:
+        largest = max(splits, key=lambda split: (split.steps + 1) * split.test.grid.size**2)
+        size = largest.test.grid.size
+        yield (
+            f"scoring {sum(forecasts)} forecasts, the largest of {largest.steps + 1} steps on {size} x {size} cells,"
+            f" takes about {minutes:.0f} minutes of processor time, besides the trackers' own: fewer cells (--grid), a"
+            " shorter --horizon or a longer --every take less"
+        )
 
 
 def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
@@ -333,8 +366,38 @@ def _refuse_thresholds_of_another_site(trial: Trial) -> None:
     )
 
 
-def _weights_of(selection: Selection, site: str, override: Path | None) -> LearnedWeights | None:
-    """The weights of a row. Raises WeightsError if the row's own folder has none."""
+def _place_of(split: EvaluationSplit) -> tuple[str, str, int]:
+    """What the weights of a row depend on: site, grid and period."""
+    return split.test.site, str(split.test.grid), split.test.period_ns
+
+
+def _fitting_weights(
+    selection: Selection, split: EvaluationSplit, override: Path | None
+) -> tuple[LearnedWeights | None, str]:
+    """The weights of a row, and a notice where those of the site do not fit grid or rate and general ones are used.
+
+    Raises WeightsError if the row's own folder has none.
+    """
+    test = split.test
+    found = _weights_of(selection, test.site, override, selection.card)
+    if found is None or selection.card != "any":
+        return found, ""
+    try:
+        fitted_card(found.card, found.path, stream_of(test))
+    except WeightsError as misfit:
+        with suppress(WeightsError):
+            general = _weights_of(selection, test.site, override, "general")
+            if general is not None:
+                why = str(misfit).removeprefix(f"{found.path}: ").partition(": ")[0]
+                return general, (
+                    f"{selection.label}, {split.name}: its weights of the site '{test.site}' are {why}; general weights"
+                    " are used, as with card=general"
+                )
+    return found, ""
+
+
+def _weights_of(selection: Selection, site: str, override: Path | None, kind: CardKind) -> LearnedWeights | None:
+    """The weights of a row of this kind. Raises WeightsError if the row's own folder has none."""
     if selection.weights is None:
-        return find_weights(selection.name, site, override, selection.card)
-    return weights_in(selection.weights, selection.name, site, selection.card)
+        return find_weights(selection.name, site, override, kind)
+    return weights_in(selection.weights, selection.name, site, kind)

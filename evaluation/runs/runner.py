@@ -77,10 +77,14 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, en
     except KeyboardInterrupt:
         interrupted = True
     try:
-        return folder.finish(stages.all_records(), stages.notices, interrupted)
+        summary = folder.finish(stages.all_records(), stages.notices, interrupted)
     except KeyboardInterrupt:
         progress.note("interrupted while the summary was made: the scores are kept; continue with --resume")
         raise
+    for notice in summary.notices:
+        if notice not in (*plan.notices, *stages.notices):
+            progress.note(notice)
+    return summary
 
 
 def _remove_records(folder: Path, names: Iterable[str]) -> None:

@@ -35,8 +35,8 @@ class CompareSettings(Settings):
     """Tracker that the others are compared with; default: persistence, else the first"""
     horizon_s: Seconds = Field(2.5, gt=0.0, le=60.0)
     """Longest horizon of a forecast"""
-    every_s: Seconds = Field(1.0, gt=0.0, le=3600.0)
-    """Time between scored forecasts"""
+    every_s: Seconds | None = Field(None, gt=0.0, le=3600.0)
+    """Time between scored forecasts; default: 1 s, or less so that a short recording has 30"""
     segment_s: Seconds | None = Field(None, ge=10.0, le=86_400.0)
     """Cut longer test stretches into segments of at most this length, each a trial of its own"""
     warm_up_s: Seconds = Field(60.0, ge=0.0, le=3600.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import permutations
 from typing import TypeVar
 
@@ -40,6 +41,7 @@ from gridtrack.evaluation.runs.summary import (
 )
 from gridtrack.evaluation.runs.trial_record import TrialRecord
 from gridtrack.evaluation.scores.definition import CurvesByStratum, ScoreDefinition
+from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.scores.registry import built_in, find_output
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 from gridtrack.evaluation.statistics.units import UnitRule
@@ -48,7 +50,7 @@ from gridtrack.trackers.contract import Role
 HEADLINE = "f1"
 """The score that decides the headline tests."""
 LEAST_LEAD = 0.001
-"""A row is ahead of another by at least this much F1 at either threshold: less is not shown in a table."""
+"""A row is ahead of another by at least this much in either order: less is not shown in a table."""
 
 
 def summarise(
@@ -86,7 +88,7 @@ class _Summary:
             found.append("the recordings have no horizons in common: no scores are pooled over them")
         found += unlike_recordings(run.recordings) if run.pools else []
         trackers = _related(rows, self._scores)
-        found += _reversed_rankings(run, trackers)
+        found += _reversed_rankings(run, trackers, self._scores)
         score, output = self._headline
         shown = {
             score for row in trackers.values() for scope in _scopes(row) for es in scope.strata.values() for score in es
@@ -323,12 +325,29 @@ def _mismatched_degradations(records: Iterable[tuple[str, TrialRecord]]) -> list
     return list(dict.fromkeys(labels))
 
 
-def _reversed_rankings(run: RunTrials, trackers: Mapping[str, TrackerSummary]) -> Iterator[str]:
-    """A line for each headline stratum in which the ranking by F1 reverses between the chosen thresholds and 0.5.
+@dataclass(frozen=True)
+class _Order:
+    """A score that orders rows, a higher value first, and the words for "by this score"."""
+
+    score: str
+    output: str
+    words: str
+
+
+def _reversed_rankings(
+    run: RunTrials, trackers: Mapping[str, TrackerSummary], scores: Sequence[ScoreDefinition]
+) -> Iterator[str]:
+    """A line for each headline stratum in which the ranking by F1 reverses between the chosen thresholds and 0.5, and
+    one where it is not that of the score without a threshold that stands beside it.
 
     Over all recordings at the horizons of their pooled scores, on each where there are none. Ranked rows count, and the
     floors; not the ceiling.
     """
+    chosen, half = (
+        _Order("f1", "f1", "in F1 at the chosen thresholds"),
+        _Order("f1", "at_half", "in F1 at a threshold of 0.5"),
+    )
+    beside = next((one for one in scores if one.lead.tested and one.lead.direction > 0 and not one.thresholded), None)
     names = [ALL_RECORDINGS] if run.pools else list(run.recordings)
     for name in names:
         horizons_s = run.horizons_s if run.pools else run.recordings[name].horizons_s
@@ -337,32 +356,48 @@ def _reversed_rankings(run: RunTrials, trackers: Mapping[str, TrackerSummary]) -
             for label, row in trackers.items()
             if not row.ceiling and (scope := row.pooled if run.pools else row.recordings.get(name)) and scope.ranked
         }
+        if beside is not None:
+            by_f1, by_other = (_Order(one.name, one.lead.name, f"in {one.title}") for one in (F1, beside))
+            about = f"the order of trackers depends on the score, {beside.title} or F1"
+            yield from _reversal(f"{name}: {about}", scopes, HEADLINE_STRATA[0], horizons_s, (by_other, by_f1))
         for stratum in HEADLINE_STRATA:
-            pairs = sorted(_reversed_pairs(scopes, stratum, horizons_s), key=lambda pair: -pair[0])
-            if pairs:
-                pairs_of = "pair of rows and horizon" if len(pairs) == 2 else "pairs of rows and horizons"
-                more = f"; {len(pairs) - 1} more such {pairs_of}" if len(pairs) > 1 else ""
-                yield f"{name}: the order of trackers depends on the threshold: {pairs[0][1]}{more}"
+            about = f"{name}: the order of trackers depends on the threshold"
+            yield from _reversal(about, scopes, stratum, horizons_s, (chosen, half))
+
+
+def _reversal(
+    about: str,
+    scopes: Mapping[str, ScopeSummary],
+    stratum: str,
+    horizons_s: Sequence[float],
+    orders: tuple[_Order, _Order],
+) -> Iterator[str]:
+    """A line with the largest reversal of a stratum and the number of the others; none without any."""
+    pairs = sorted(_reversed_pairs(scopes, stratum, horizons_s, orders), key=lambda pair: -pair[0])
+    if pairs:
+        pairs_of = "pair of rows and horizon" if len(pairs) == 2 else "pairs of rows and horizons"
+        more = f"; {len(pairs) - 1} more such {pairs_of}" if len(pairs) > 1 else ""
+        yield f"{about}: {pairs[0][1]}{more}"
 
 
 def _reversed_pairs(
-    scopes: Mapping[str, ScopeSummary], stratum: str, horizons_s: Sequence[float]
+    scopes: Mapping[str, ScopeSummary], stratum: str, horizons_s: Sequence[float], orders: tuple[_Order, _Order]
 ) -> Iterator[tuple[float, str]]:
     """Every pair of rows that reverses: the smaller of its two leads, and the pair in words."""
+    one, other = orders
     for horizon_s, step in headline_steps(horizons_s):
-        f1 = {
-            label: tuple(scope.at(stratum, "f1", output, step).value for output in ("f1", "at_half"))
+        values = {
+            label: tuple(scope.at(stratum, by.score, by.output, step).value for by in orders)
             for label, scope in scopes.items()
         }
-        for ahead, behind in permutations(f1, 2):
-            (chosen, half), (other_chosen, other_half) = f1[ahead], f1[behind]
-            if chosen is None or half is None or other_chosen is None or other_half is None:
+        for ahead, behind in permutations(values, 2):
+            (first, second), (its_first, its_second) = values[ahead], values[behind]
+            if first is None or second is None or its_first is None or its_second is None:
                 continue
-            lead = min(chosen - other_chosen, other_half - half)
+            lead = min(first - its_first, its_second - second)
             if lead >= LEAST_LEAD:
                 yield (
                     lead,
-                    f"on {stratum} cells {horizon_s:g} s ahead {ahead} is above {behind} at the chosen thresholds (F1"
-                    f" {chosen:.3f} and {other_chosen:.3f}) and below it at a threshold of 0.5 ({half:.3f} and"
-                    f" {other_half:.3f})",
+                    f"on {stratum} cells {horizon_s:g} s ahead {ahead} is above {behind} {one.words} ({first:.3f} and"
+                    f" {its_first:.3f}) and below it {other.words} ({second:.3f} and {its_second:.3f})",
                 )

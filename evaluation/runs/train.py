@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,7 +13,15 @@ from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.remote_files import is_url
 from gridtrack.evaluation.referee.kinds import CellKinds
-from gridtrack.evaluation.referee.splits import TRAIN, VALIDATION, common_with, own_validation, shares_frames
+from gridtrack.evaluation.referee.splits import (
+    TEST,
+    TRAIN,
+    VALIDATION,
+    common_with,
+    own_validation,
+    refuse_unmeasured,
+    shares_frames,
+)
 from gridtrack.evaluation.runs.card_thresholds import choose_card_thresholds
 from gridtrack.evaluation.runs.learned import (
     LearnedWeights,
@@ -219,13 +228,26 @@ def _stretch(
     recording: Recording, stretch: Stretch | str | None, use: str, grid: GridSpec | None, rate_hz: float | None
 ) -> GridStream:
     """The `stretch` of a recording, or its own one for this `use`, or all of a recording without any."""
+    refuse_unmeasured(recording)
     own, path = recording.info.stretches, recording.path
     if stretch is None and own and use not in own:
         raise ConfigurationError(
             f"{path}: it names no stretch '{use}'; name one of its own ({', '.join(f'{path}@{name}' for name in own)}),"
             f" or seconds ({path}@{stretch_text((0.0, recording.survey.whole_s))})"
         )
-    return GridStream(recording, use if stretch is None and own else stretch, grid=grid, rate_hz=rate_hz)
+    stream = GridStream(recording, use if stretch is None and own else stretch, grid=grid, rate_hz=rate_hz)
+    if TEST in own and stretch != TEST and _overlap(stream.stretch_s, own[TEST]):
+        test = f"the recording's stretch '{TEST}' ({stretch_text(own[TEST])})"
+        raise ConfigurationError(
+            f"{stream.name} has frames of {test}: leave them out, or ask for them by name, {path}@{TEST}"
+        )
+    return stream
+
+
+def _overlap(one: Stretch, other: Stretch) -> bool:
+    """Whether two stretches of a recording have a time in common; an end of None is that of the recording."""
+    ends_s = [math.inf if end_s is None else end_s for _, end_s in (one, other)]
+    return max(one[0], other[0]) < min(ends_s)
 
 
 def _own_validation(recipe: Recipe, train_on: Sequence[GridStream]) -> list[GridStream]:

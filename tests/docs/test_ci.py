@@ -103,9 +103,26 @@ def run_lines(gridtrack: Command, lines: list[Line]) -> int:
     return code
 
 
+def gitlab() -> list[str]:
+    """The shell lines for GitLab, which one shell runs."""
+    script: list[str] = yaml.safe_load(blocks(PAGE, "yaml")[2])["regression"]["script"]
+    return script
+
+
 def test_both_services_run_the_same_lines() -> None:
-    gitlab = yaml.safe_load(blocks(PAGE, "yaml")[2])["regression"]["script"]
-    assert gitlab == [line for line, always in steps(0) if not always]
+    lines = [line.removesuffix(" || compared=$?") for line in gitlab()]
+    assert lines == [*(line for line, _ in steps(0)[:3]), "exit ${compared:-0}"]
+
+
+@pytest.mark.parametrize(("compared", "judged", "code"), [(0, 0, 0), (3, 3, 3), (3, 0, 3), (0, 1, 1)])
+def test_gitlab_judges_a_run_that_crashed_and_the_job_fails(
+    repository: Path, compared: int, judged: int, code: int
+) -> None:
+    write_program(
+        repository.parent / "bin/gridtrack", f"echo $1 >> said; test $1 = compare && exit {compared}; exit {judged}"
+    )
+    assert subprocess.run(["bash", "-e", "-c", "\n".join(gitlab())], check=False).returncode == code
+    assert (repository / "said").read_text().split() == ["compare", "regress"]
 
 
 @pytest.mark.usefixtures("trackers_here")
@@ -131,6 +148,13 @@ def test_a_job_passes_with_its_baseline_times_in_turns_and_fails_once_the_tracke
     assert run_lines(gridtrack, steps(0)) == 1
     assert int(ElementTree.parse(repository / "junit.xml").getroot().get("failures", "0")) > 0
     assert "## gridtrack regress: worse" in (repository / "summary.md").read_text()
+
+    shutil.rmtree(repository / "runs")
+    (repository.parent / "site/mine.py").write_text(TRACKER.replace("self.last = frame.occupied", "1 / 0"))
+    assert run_lines(gridtrack, steps(0)) == 3
+    (case,) = ElementTree.parse(repository / "junit.xml").iterfind("testcase/error")
+    assert "my-tracker@one: crashed: update with frame 1: ZeroDivisionError" in case.get("message", "")
+    assert "## gridtrack regress: not measured" in (repository / "summary.md").read_text()
 
 
 def offer_base(repository: Path) -> None:

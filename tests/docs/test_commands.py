@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
 import tomllib
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -135,3 +136,11 @@ def test_the_options_that_a_page_on_a_tracker_sets_exist() -> None:
 )
 def test_a_wrong_command_is_found(line: str, problem: str) -> None:
     assert problem_of(line).startswith(f"{line}: {problem}")
+
+
+@pytest.mark.parametrize(("words", "index"), [([], False), (["TORCH_CPU=1"], True)])
+def test_make_installs_the_pytorch_of_the_processor_where_it_is_asked_for(words, index, tmp_path):
+    printed = ["make", "--dry-run", "demo", f"VENV={tmp_path}", *words]
+    said = subprocess.run(printed, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    (install,) = [line for line in said.splitlines() if "/bin/pip install" in line]
+    assert ("--extra-index-url https://download.pytorch.org/whl/cpu" in install) == index

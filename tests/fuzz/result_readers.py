@@ -19,7 +19,7 @@ from fuzz.damage import Choices, damaged_json, damaged_text, damaged_value, dump
 from fuzz.reader import CLASSES, GRID, Reader, on_file
 from gridtrack.evaluation.referee.samples import read_samples
 from gridtrack.evaluation.regression.baseline import digest_of, read_baseline
-from gridtrack.evaluation.regression.history import append_entry, read_history
+from gridtrack.evaluation.regression.history import new_entry, read_history, write_entry
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.runs.recipe import read_recipe
 from gridtrack.evaluation.runs.run_record import (
@@ -129,7 +129,7 @@ def damaged_baseline(choices: Choices, content: bytes) -> bytes:
 
 
 def history(folder: Path) -> None:
-    append_entry(folder / "history", [], folder / "none.json", ["nothing was measured"])
+    write_entry(folder / "history", new_entry([], folder / "none.json", ["nothing was measured"]))
 
 
 def damaged_entry(choices: Choices, content: bytes) -> bytes:

@@ -82,3 +82,12 @@ def test_a_sensor_with_an_unprintable_name_is_refused(write, scan) -> None:
     path = write([replace(scan(0), sensor="a\nb")])
     with pytest.raises(RecordingError, match=ALLOWED):
         list(open_recording(path).scans())
+
+
+@pytest.mark.parametrize(
+    ("name", "out"),
+    [("a.mcap", "a-posed.mcap"), ("a-posed.mcap", "a-posed-2.mcap"), ("a-posed-2.mcap", "a-posed-3.mcap")],
+)
+def test_a_suggested_import_has_a_name_of_its_own(write: Callable[..., Path], scan, name: str, out: str) -> None:
+    command = open_recording(write((scan(k) for k in range(2)), name)).import_command(["--ego-motion", "refined"])
+    assert f" --out {out} --ego-motion refined" in command

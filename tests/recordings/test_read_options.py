@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridtrack.common.errors import ConfigurationError
+from gridtrack.common.errors import ConfigurationError, NothingMeasuredError
 from gridtrack.evaluation.referee.splits import Sampling, plan_split
 from gridtrack.recordings import import_recording, open_recording
 from gridtrack.recordings.read_options import Mount, parse_mount
@@ -45,8 +45,39 @@ def test_an_invalid_mount_is_one_line_of_error(text: str) -> None:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("ranges", "limits", "why"),
+    [
+        ([np.inf], (0.1, 10.0), "all are inf; the laser was covered or switched off, or its driver failed"),
+        ([np.nan, 0.0], (0.1, 10.0), "all are 0.0 or NaN; the laser was"),
+        ([523.0, 9800.0], (0.1, 10.0), "(0.1 to 10): they are 523 to 9800; the ranges are probably millimetres: conv"),
+        ([52.0, 980.0], (0.1, 10.0), "they are 52 to 980; the ranges are probably centimetres"),
+        ([0.5, 9.8], (100.0, 10_000.0), "the limits are probably millimetres: import the recording with --range-limi"),
+        ([0.5, 0.7], (1.0, 9.0), "they are 0.5 to 0.7; give the limits of the laser with --range-limits"),
+        ([3.0], (0.1, 10.0), "every return is at 3 m: the driver writes a constant"),
+        ([3.0, np.inf], (0.1, 10.0), "every return is at 3 m"),
+        ([3.0, 3.5], (0.1, 10.0), ""),
+    ],
+)
+def test_ranges_that_measure_nothing_say_why_in_info_and_are_refused_with_exit_code_3(
+    write, scan, ranges: list[float], limits: tuple[float, float], why: str
+) -> None:
+    low_m, high_m = limits
+    content = np.resize(np.float32(ranges), 36)
+    path = write(replace(scan(k), ranges=content, range_min=low_m, range_max=high_m) for k in range(80))
+    warnings = open_recording(path).overview().warnings
+    if not why:
+        plan_split(str(path), None, Sampling(1.0, 1.0))
+        assert warnings == ()
+        return
+    assert [why in line for line in warnings] == [True]
+    with pytest.raises(NothingMeasuredError, match=r"made\.mcap: (nothing is occupied|every return)") as refused:
+        plan_split(str(path), None, Sampling(1.0, 1.0))
+    assert (why in str(refused.value), refused.value.exit_code) == (True, 3)
+
+
 def ranges_with(value: float, share: float) -> np.ndarray:
-    ranges = np.full(100, 2.0, np.float32)
+    ranges = np.linspace(1.5, 2.0, 100, dtype=np.float32)
     ranges[: round(share * 100)] = value
     return ranges
 

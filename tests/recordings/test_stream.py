@@ -84,7 +84,7 @@ def test_the_stream_has_the_metadata_of_the_recording(write, scan) -> None:
 
 def test_without_metadata_the_grid_is_the_default_and_the_rate_the_median(write, scan) -> None:
     stream = open_stream(write(scan(k, offset_ns=-k * 300_000) for k in range(30)))
-    assert stream.grid == GridSpec(100, 0.2)
+    assert stream.grid == GridSpec(50, 0.2)
     assert stream.period_s == 0.1
 
 
@@ -272,3 +272,10 @@ def test_a_label_without_a_class_is_an_error_with_its_time(write, scan) -> None:
     path = write([labelled(scan(k), 7) if k == 25 else scan(k) for k in range(40)], classes=["car"])
     with pytest.raises(RecordingError, match=r"a label is class 7 at 2\.500 s, but the recording has 1 classes"):
         list(open_stream(f"{path}@2s-", grid=GRID).labelled())
+
+
+@pytest.mark.parametrize(("range_max", "cells"), [(5.6, 56), (30.0, 100), (0.5, 20), (9.99, 100)])
+def test_the_default_window_is_as_large_as_the_laser_measures_in_the_usual_cells(write, scan, range_max, cells) -> None:
+    path = write(replace(scan(k), range_max=range_max) for k in range(30))
+    grid = open_stream(path).grid
+    assert (grid.size, grid.cell_m) == (cells, 0.2)

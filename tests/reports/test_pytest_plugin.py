@@ -77,6 +77,22 @@ def test_a_regression_test_in_the_repository_of_a_tracker_fails_when_it_is_worse
     assert "mine is not the tracker of the baseline (options: none in the baseline, half_life_s=0.05" in other.out
 
 
+@pytest.mark.usefixtures("trackers_here")
+def test_two_tests_that_write_one_baseline_are_refused(tmp_path):
+    code = """
+def test_one(tracker_regression):
+    tracker_regression("{0}", "demo.mcap@90s-97s", baseline="one.json", horizon_s=1.0)
+
+def test_two(tracker_regression):
+    tracker_regression("{1}", "demo.mcap@90s-97s", baseline="./one.json", horizon_s=1.0)
+"""
+    (tmp_path / "demo.mcap").symlink_to(packaged_recording("leg_tracker"))
+    done = run_pytest(tmp_path, code.format("persistence", "blank"), "--gridtrack-update-baseline")
+    assert (done.code, "1 failed, 1 passed" in done.out) == (1, True)
+    assert "one.json: has the baseline of persistence on demo.mcap@90s-97s in test_it.py::test_one: name" in done.out
+    assert json.loads((tmp_path / "one.json").read_text())["runs"][0]["trackers"].keys() == {"persistence"}
+
+
 def test_an_option_that_does_not_exist_is_an_error_of_one_line(suite):
     done = suite(more=", horizon=2")
     assert done.code == 1

@@ -34,6 +34,7 @@ def timed_here(words: Sequence[str]) -> tuple[float, resource.struct_rusage]:
 
 
 QUICK = {
+    "studies.install_size": "--out TMP/install_size.json",
     "benchmarks.dogma": "--particles 1000",
     "benchmarks.ego_motion": "data/drives/car-202.tracks --scans 60 --out TMP/cost.json",
     "benchmarks.estimators": "--frames 5 --hours 0.001 --out TMP/estimators.json",

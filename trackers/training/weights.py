@@ -170,10 +170,19 @@ def load_weights(stream: StreamSpec, tracker: str) -> Weights:
         raise WeightsError(f"{path}: made for tracker {card.tracker}, but this is {tracker}: train for this one")
     if not card.general and card.site != stream.site:
         raise WeightsError(f"{path}: made for site {card.site}, but this is {stream.site}: train for this one")
-    if card.period_s is not None:
-        _check_period(card.period_s, stream, path)
-        card = _laid_in(stream.grid, card, path)
+    card = fitted_card(card, path, stream)
     return Weights(card, read_arrays(path.with_suffix(ARRAYS_SUFFIX), card.arrays_sha256))
+
+
+def fitted_card(card: Card, path: Path, stream: StreamSpec) -> Card:
+    """The card at `path` for the grid and period of `stream`; a general one fits any.
+
+    Raises WeightsError for another period, and for cells of another size or number, or between those of the grid.
+    """
+    if card.period_s is None:
+        return card
+    _check_period(card.period_s, stream, path)
+    return _laid_in(stream.grid, card, path)
 
 
 def load_start(path: Path, tracker: str) -> Weights:

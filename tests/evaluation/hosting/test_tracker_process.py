@@ -204,7 +204,7 @@ def test_child_processes_of_the_tracker_are_ended(log: Path, tmp_path: Path, how
 
 def test_a_missing_program_is_unavailable(log: Path) -> None:
     with (
-        pytest.raises(TrialEnded, match=r"unavailable: cannot be started \(No such file or directory\)"),
+        pytest.raises(TrialEnded, match=r"unavailable: cannot be started \(/nowhere/tracker: No such file"),
         TrackerProcess(Launch("x", ("/nowhere/tracker",)), STREAM, {}, LIMITS, log),
     ):
         pass

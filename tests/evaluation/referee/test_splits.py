@@ -12,7 +12,7 @@ from gridtrack.evaluation.runs.recipe import Recipe
 from gridtrack.evaluation.runs.run_record import description_of
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.train import train_tracker
-from gridtrack.recordings import import_recording
+from gridtrack.recordings import import_recording, packaged_recording
 from gridtrack.trackers.training.card import Card, TrainingData
 from gridtrack.trackers.training.weights import save_weights
 
@@ -64,6 +64,24 @@ def test_a_short_validation_stretch_is_forecast_from_more_often_than_the_test(re
     assert often.validation_schedule.expected == len(range(20, 99 - 10, 2))
     seldom = plan_split(str(record(seconds=60)), f"{record('long', seconds=60, stretches={})}", SECOND)
     assert seldom.validation_schedule.every == seldom.every == 5
+
+
+@pytest.mark.parametrize(
+    ("seconds", "every", "forecasts", "says"),
+    [
+        (4, 1, 10, "made.mcap: 10 forecasts, one every 0.1 s (--every)"),
+        (12, 3, 30, "made.mcap: 30 forecasts, one every 0.3 s (--every)"),
+        (40, 10, 37, ""),
+    ],
+)
+def test_by_default_there_is_a_forecast_a_second_and_more_of_them_on_a_short_recording(
+    record, seconds, every, forecasts, says
+):
+    path = str(record("made", seconds=seconds, stretches={}))
+    split = plan_split(path, None, Sampling(horizon_s=1.0, every_s=None))
+    assert (split.every, split.schedule.expected) == (every, forecasts)
+    assert [line for line in split.notices if "--every" in line] == [says] * bool(says)
+    assert plan_split(path, None, Sampling(horizon_s=1.0, every_s=1.0)).every == 10
 
 
 def test_another_recording_can_be_the_validation(record):
@@ -163,8 +181,8 @@ def test_frames_seen_in_training_are_detected(record, seen, expected):
     assert common_with(test, TrainingData(recording=seen, sha256="another")) is None
 
 
-def learned(folder, tracker="static-map", site="room"):
-    place = {"site": site, "grid": "1x1", "period_s": 0.1, "world_T_grid": (0.0, 0.0)}
+def learned(folder, tracker="static-map", site="room", grid="1x1"):
+    place = {"site": site, "grid": grid, "period_s": 0.1, "world_T_grid": (0.0, 0.0)}
     card = Card(tracker=tracker, **place, seed=0, command=str(folder), train=())
     save_weights(weights_path(folder, tracker, site), card, {})
 
@@ -183,9 +201,11 @@ def test_weights_are_found_in_the_given_folder_then_the_users_then_the_package(t
 
 def test_weights_of_a_site_choose_no_thresholds_at_another_one(record, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
-    elsewhere = import_recording(record("other", wall_m=2.2), tmp_path / "elsewhere.mcap", site="elsewhere").path
+    elsewhere = import_recording(
+        record("other", wall_m=2.2, stretches={}), tmp_path / "elsewhere.mcap", site="elsewhere"
+    ).path
     chosen_there = {"recordings": (str(record()),), "validation": f"{elsewhere}@4s-9s", "out": tmp_path / "run"}
-    learned(tmp_path / "site")
+    learned(tmp_path / "site", grid=str(plan_split(str(record()), None, SECOND).test.grid))
     with pytest.raises(
         ConfigurationError,
         match=r"^static-map: its weights are of the site 'room', and its thresholds would be chosen on"
@@ -233,7 +253,18 @@ def test_a_sites_name_cannot_lead_out_of_the_folder(tmp_path):
 def test_training_and_choosing_on_the_same_frames_is_refused(record, tmp_path):
     path = str(record())
     with pytest.raises(ConfigurationError, match="shares frames with"):
-        train_tracker(Recipe(tracker="static-map", recordings=(f"{path}@0s-10s",), out=tmp_path))
+        train_tracker(Recipe(tracker="static-map", recordings=(f"{path}@0s-8s",), out=tmp_path))
+
+
+def test_training_on_the_test_stretch_asks_for_it_by_name(record, tmp_path):
+    path = str(record(stretches={"test": (9.0, None)}))
+    for train, validation in ((f"{path}@0s-10s", f"{path}@4s-8s"), (f"{path}@0s-4s", f"{path}@8s-12s")):
+        with pytest.raises(
+            ConfigurationError, match=r"has frames of the recording's stretch 'test' \(9s-\): leave them"
+        ):
+            train_tracker(Recipe(tracker="static-map", recordings=(train,), validation=(validation,), out=tmp_path))
+    named = Recipe(tracker="static-map", recordings=(f"{path}@test",), validation=(f"{path}@4s-8s",), out=tmp_path)
+    assert train_tracker(named, lambda text: None).is_file()
 
 
 def test_training_what_cannot_learn_or_on_no_stretch_is_refused(record, tmp_path):
@@ -259,3 +290,35 @@ def test_thresholds_of_another_recording_are_chosen_on_its_own_strata(record):
     assert (on_validation == cell_kinds(plan_split(str(elsewhere), None, SECOND))).all()
     own = plan_split(str(here), None, SECOND).regions()
     assert own.validation is own.test
+
+
+@pytest.mark.parametrize(
+    ("how", "why"),
+    [
+        ({"grid": "60x0.2"}, "made for grid 100x0.1@-2,-4.5, but this is 60x0.2@-6,-6"),
+        ({"rate_hz": 5.0}, "made for a period of 0.1 s (10 Hz), but this stream's is 0.2 s"),
+    ],
+)
+def test_weights_of_a_site_that_do_not_fit_grid_or_rate_give_way_to_general_ones_and_a_notice(how, why, tmp_path):
+    demo, out = str(packaged_recording("leg_tracker")), tmp_path / "run"
+    chosen = {
+        "recordings": (f"{demo}@114s-124s",),
+        "validation": f"{demo}@75s-85s",
+        "horizon_s": 1.0,
+        "out": out,
+        **how,
+    }
+    plan = resolve(CompareSettings(trackers=("kalman", "site=kalman:card=site"), **chosen))
+    assert [trial.weights.kind for trial in plan.trials] == ["general", "site"]
+    said = (
+        f"kalman, leg_tracker@114s-124s: its weights of the site 'leg_tracker' are {why}; general weights are used, as"
+    )
+    assert [line.startswith(said) for line in plan.notices if "as with card=general" in line] == [True]
+
+
+def test_a_large_cost_is_estimated_before_anything_runs(tmp_path):
+    demo = str(packaged_recording("leg_tracker"))
+    chosen = {"recordings": (f"{demo}@114s-124s",), "trackers": ("blank",), "out": tmp_path / "run"}
+    (said,) = [line for line in resolve(CompareSettings(grid="2000x0.01", **chosen)).notices if "scoring" in line]
+    assert "forecasts, the largest of 26 steps on 2000 x 2000 cells, takes about 14 minutes" in said
+    assert not any("scoring" in line for line in resolve(CompareSettings(**chosen)).notices)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gridtrack.evaluation.regression.baseline import baseline_of as made_of
 from gridtrack.evaluation.regression.baseline import digest_of, write_baseline
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.runs.passes import AtStrength, CallTimes, Latency, Robustness
@@ -53,6 +54,8 @@ class Made:
     """Spread of the recall from recording to recording, of this training only."""
     only: tuple[str, ...] = ()
     """The recordings that the loss is confined to; all where empty."""
+    occupied: bool = True
+    """Whether any cell is."""
     nats: float = 0.1
     """Log loss of a free cell."""
     class_nats: float | None = None
@@ -79,7 +82,7 @@ def tally_of(made: Made, recording: str, frame: int, rng: np.random.Generator, o
     recall = np.full((STEPS + 1, len(STRATA)), made.recall + offset)
     if not made.only or recording in made.only:
         recall[made.at, STRATA.index("dynamic")] -= made.loss
-    occupied = np.tile([cells.poisson(n) for n in OCCUPIED.values()], (STEPS + 1, 1))
+    occupied = np.tile([cells.poisson(n if made.occupied else 0) for n in OCCUPIED.values()], (STEPS + 1, 1))
     hits = rng.binomial(occupied, np.clip(recall, 0, 1))
     false_alarms = rng.binomial(occupied, 0.4)
     tally = Tally.empty(STEPS, STRATA)
@@ -187,7 +190,7 @@ def baseline_of(tmp_path: Path, run_of: WriteRun, written: Written) -> Callable[
     def baseline_of(*given: Any, **how: Any) -> Path:
         measured = written(
             repr(("baseline", given, how)),
-            lambda folder: write_baseline(folder / "baseline.json", [measure_run(run_of(*given, **how))]),
+            lambda folder: write_baseline(folder / "baseline.json", made_of([measure_run(run_of(*given, **how))])),
         )
         return Path(shutil.copy(measured / "baseline.json", tmp_path))
 

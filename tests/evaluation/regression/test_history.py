@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 from pathlib import Path
@@ -107,8 +106,66 @@ def test_a_history_that_was_changed_or_shortened_is_refused(check, tmp_path, edi
     assert (done.code, "schema '9' of a history; this gridtrack reads schema 1" in done.err) == (2, True)
 
 
-def test_an_update_of_the_baseline_is_no_verdict(check, regress, tmp_path):
-    check("one", GOOD)
-    done = regress(tmp_path / "one", "--baseline", tmp_path / "baseline.json", "--update", "--history", tmp_path / "h")
-    assert (done.code, "--history: --update judges nothing" in done.err) == (2, True)
-    assert json.loads(entries(tmp_path)[0].read_text())["schema"] == 1
+@pytest.fixture
+def drift(write_run, regress, tmp_path):
+    """`drift(n, *options)`: after `n` updates in one history, each of which raises the log loss by half a margin,
+    `regress` on a run with the next such rise, which passes without the history."""
+
+    def drift(updates, *options):
+        asked = ["--baseline", tmp_path / "baseline.json"]
+        with_history = [*asked, "--history", tmp_path / "history"]
+        runs = [write_run(f"run-{n}", {"net": {"nats": 0.1 * 1.025**n}}, recordings=2) for n in range(updates + 1)]
+        for run in runs[:-1]:
+            updated = regress(run, *with_history, "--update")
+            assert updated.code == 0
+        assert regress(runs[-1], *asked, "--margin", "0.005").code == 0
+        return updated, regress(runs[-1], *with_history, "--margin", "0.005", *options)
+
+    return drift
+
+
+def test_ten_small_falls_with_an_update_after_each_are_worse_than_the_best_entry(drift, tmp_path):
+    updated, done = drift(10, "--junit", tmp_path / "junit.xml", "--markdown", tmp_path / "said.md")
+    assert done.code == 1
+    said = [line for line in done.out.splitlines() if line.startswith("worse: net, static, 0.5 to 1.5 s: log loss ")]
+    since = r"log loss 0\.\d+ to 0\.\d+, a rise of 2\d\.\d% since the best entry of the history \(\d{8}.*\); a rise of"
+    assert re.search(since, said[0])
+    since = [line for line in updated.out.splitlines() if line.endswith(", its largest change to the worse")]
+    assert [re.search("since the (first|best) entry", line)[1] for line in since] == ["first", "best"]
+    assert " since the best entry of the history (" in (tmp_path / "junit.xml").read_text()
+    assert "### Since the best entry of the history" in (tmp_path / "said.md").read_text()
+    history = [entry for _, entry in read_history(tmp_path / "history")]
+    assert [entry.update for entry in history] == [True] * 10 + [False]
+    assert history[-1].verdict == "worse"
+
+
+def test_a_fall_since_the_best_entry_within_the_margin_is_no_worse(drift):
+    assert drift(1)[1].code == 0
+
+
+def test_a_fall_since_the_best_entry_within_the_tolerance_is_no_worse(drift):
+    assert drift(4, "--tolerance", "net=0.1")[1].code == 0
+
+
+def test_a_missing_entry_is_noticed_also_if_it_is_the_newest(drift, regress, tmp_path):
+    drift(2)
+    entries(tmp_path)[-1].unlink()
+    asked = [tmp_path / "run-1", "--baseline", tmp_path / "baseline.json", "--margin", "0.1", "--history"]
+    history, another = tmp_path / "history", tmp_path / "another"
+    assert regress(*asked, history).code == 0
+    for entry in entries(tmp_path)[1:]:
+        entry.unlink()
+    done = regress(*asked, history)
+    assert (done.code, "the entry that was the newest when the baseline was made is missing" in done.err) == (2, True)
+    assert regress(*asked[:3], "--update").code == 0
+    assert regress(*asked, history).code == 2, "an update without the history keeps the name of its entry"
+    assert regress(*asked, another, "--update").code == 0
+    assert regress(*asked, another).code == 0
+
+
+def test_entries_of_other_frames_are_not_compared(drift, write_run, regress, tmp_path):
+    drift(1)
+    fewer, baseline = write_run("fewer", {"net": {"recall": 0.3}}, recordings=1), tmp_path / "fewer.json"
+    regress(fewer, "--baseline", baseline, "--update")
+    done = regress(fewer, "--baseline", baseline, "--history", tmp_path / "history")
+    assert (done.code, "no entry of the history is of these frames: the baseline alone judges" in done.out) == (0, True)

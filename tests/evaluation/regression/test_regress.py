@@ -60,7 +60,7 @@ def test_a_run_compared_with_itself_passes_and_every_count_is_equal(baseline, wr
     assert {row["p"] for row in verdict["rows"]} == {1.0}
     assert list(verdict["rows"][0]) == [
         *("label", "score", "title", "stratum", "band", "recording", "baseline", "run", "fall", "margin", "smallest"),
-        *("p", "spread", "criterion", "relative", "higher_is_better", "default_margin", "standing"),
+        *("p", "spread", "criterion", "relative", "higher_is_better", "default_margin", "since", "standing"),
     ]
     assert {(r["label"], r["score"], r["stratum"], r["band"]) for r in verdict["rows"]} == {
         (label, score, stratum, band)
@@ -164,6 +164,30 @@ def test_a_new_tracker_and_a_new_recording_are_noted_and_not_judged(short_baseli
     assert done.code == 0
     assert "tracker newcomer is not in the baseline: not judged" in done.out
     assert "recording junction-02 is not in the baseline: not judged" in done.out
+
+
+@pytest.mark.parametrize(
+    ("then", "now", "relative", "says"),
+    [
+        (0.0111123, 0.0111346, True, "F1 0.011112 to 0.011135, a fall of 0.20%"),
+        (0.61231, 0.58731, False, "F1 0.6123 to 0.5873, a fall of 0.0250"),
+        (0.5, 0.49999998, False, "F1 0.500000000 to 0.499999980, a fall of 0.000000020"),
+    ],
+)
+def test_a_change_is_printed_with_digits_that_show_it(then, now, relative, says):
+    fall = abs(then - now) / (then if relative else 1.0)
+    where = "net", "f1.f1", "F1", "dynamic", "long", ""
+    row = VerdictRow(*where, then, now, fall, 0.0, 0.0, 1e-6, None, "significant", "worse", relative)
+    assert says in sentence_of(row)
+    assert ", p < 0.0001;" in sentence_of(row)
+
+
+def test_what_is_worse_is_listed_from_the_worst_down(short_baseline, write_run, regress):
+    trackers = {"kalman": {"recall": 0.58}, "persistence": {**NAMES["persistence"], "recall": 0.1}}
+    said = regress(write_run("now", trackers, recordings=2), "--baseline", short_baseline).out.splitlines()
+    worse = [line for line in said if line.startswith("worse: ") and "F1" in line and " on junction" not in line]
+    falls = [float(line.partition("a fall of ")[2].partition(";")[0].split(",")[0]) for line in worse]
+    assert (len(falls) > 6, falls) == (True, sorted(falls, reverse=True))
 
 
 def forget(key):
@@ -346,6 +370,40 @@ def test_a_corrupted_baseline_is_one_clear_line(content, write_run, regress, tmp
     done = regress(write_run("now", NAMES, recordings=1), "--baseline", path)
     assert done.code == 2
     assert done.err.count("\n") == 1
+
+
+BOM = "\ufeff"
+CONFLICT = "{\n<<<<<<< HEAD\n"
+
+
+@pytest.mark.parametrize(
+    ("before", "encoding", "says"),
+    [
+        (BOM, "utf-8", "(it begins with a byte order mark (BOM): save it as UTF-8 without one)"),
+        (BOM, "utf-16-le", "(it is UTF-16: save it as UTF-8)"),
+        (CONFLICT, "utf-8", "(line 2 is the mark of a merge conflict: choose a side with `git checkout --ours` or"),
+        ("version https://git-lfs.github.com/spec/v1\n", "utf-8", "(it is a Git LFS pointer: run `git lfs pull`"),
+    ],
+)
+def test_a_baseline_that_an_editor_or_git_has_spoilt_says_how(
+    short_baseline, write_run, regress, before, encoding, says
+):
+    short_baseline.write_bytes((before + short_baseline.read_text()).encode(encoding))
+    run, spoilt = write_run("now", NAMES, recordings=2), short_baseline.read_bytes()
+    for update in ((), ("--update",)):
+        done = regress(run, "--baseline", short_baseline, *update)
+        assert (done.code, done.err.count("\n")) == (2, 1)
+        assert says in done.err
+    assert short_baseline.read_bytes() == spoilt
+
+
+def test_a_run_without_an_occupied_cell_is_not_measured_and_makes_no_baseline(write_run, regress, tmp_path):
+    run = write_run("now", {"kalman": {"occupied": False}}, recordings=2)
+    for update in ((), ("--update",)):
+        done = regress(run, "--baseline", tmp_path / "new.json", *update)
+        assert done.code == (3 if update else 2)
+    assert "now: no cell was occupied in any stratum and step band: nothing was measured" in done.err
+    assert not (tmp_path / "new.json").exists()
 
 
 def test_a_baseline_that_is_not_there_names_the_option_that_makes_it(write_run, regress, tmp_path):

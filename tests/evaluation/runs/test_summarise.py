@@ -320,26 +320,38 @@ def test_a_floor_without_which_no_share_is_known_is_a_notice(tmp_path):
 
 
 def reversed_lines(rows, description=None):
-    """The notices of rankings that reverse; rows are (F1, F1 at 0.5), with further fields."""
+    """The notices of rankings that reverse; rows are (F1, F1 at 0.5), with further fields; `area` is PR-AUC."""
     steps = synthetic.STEPS + 1
     described = {"crossing": description or synthetic.description()}
     trackers = {}
     for label, (f1, at_half, *more) in rows.items():
         known = {"outcome": "ok", "tracker": "tracker", "stratum": "dynamic"} | dict(more)
         outputs = {"f1": Estimate(value=(f1,) * steps), "at_half": Estimate(value=(at_half,) * steps)}
-        strata = {known["stratum"]: {"f1": outputs}}
+        area = {"pr_auc": {"area": Estimate(value=(known["area"],) * steps)}} if "area" in known else {}
+        strata = {known["stratum"]: {"f1": outputs} | area}
         trial = TrialSummary(outcome=known["outcome"], frames_scored=9, frames_expected=9, strata=strata)
         trackers[label] = TrackerSummary(tracker=known["tracker"], recordings={"crossing": trial})
     run = type("Run", (), {"pools": False, "recordings": described})
-    return list(_reversed_rankings(run, trackers))
+    return list(_reversed_rankings(run, trackers, (F1, PR_AUC)))
 
 
 def test_a_ranking_that_reverses_names_both_rows_the_stratum_the_horizon_and_all_four_scores():
     (line,) = reversed_lines({"kalman": (0.100, 0.189), "persistence": (0.153, 0.150)})
     assert line == (
         "crossing: the order of trackers depends on the threshold: on dynamic cells 0.5 s ahead persistence is above"
-        " kalman at the chosen thresholds (F1 0.153 and 0.100) and below it at a threshold of 0.5 (0.150 and 0.189);"
-        " 2 more such pairs of rows and horizons"
+        " kalman in F1 at the chosen thresholds (0.153 and 0.100) and below it in F1 at a threshold of 0.5 (0.150 and"
+        " 0.189); 2 more such pairs of rows and horizons"
+    )
+
+
+def test_an_order_by_pr_auc_that_is_not_that_by_f1_is_named():
+    in_motion = ("stratum", "in-motion")
+    rows = {"kalman": (0.286, 0.3, in_motion, ("area", 0.65)), "persistence": (0.444, 0.4, in_motion, ("area", 0.199))}
+    (line,) = reversed_lines(rows)
+    assert line == (
+        "crossing: the order of trackers depends on the score, PR-AUC or F1: on in-motion cells 0.5 s ahead kalman is"
+        " above persistence in PR-AUC (0.650 and 0.199) and below it in F1 (0.286 and 0.444); 2 more such pairs of rows"
+        " and horizons"
     )
 
 
@@ -347,7 +359,7 @@ def test_the_horizon_of_a_reversed_ranking_is_that_of_the_step():
     """A period of 80 ms has no step at 1 s: the tables say 0.96 s, and so does the notice."""
     described = synthetic.description(period_s=0.08, steps=synthetic.STEPS)
     (line,) = reversed_lines({"a": (0.2, 0.1), "b": (0.1, 0.2)}, described)
-    assert "on dynamic cells 0.48 s ahead a is above b at" in line
+    assert "on dynamic cells 0.48 s ahead a is above b in F1 at" in line
     assert line.endswith("; 1 more such pair of rows and horizon")
 
 
