@@ -13,7 +13,7 @@ from gridtrack.reports.table import row_key
 TEMPLATES = Path(__file__).parent / "templates"
 TRACKER_COLOURS = 8
 """Further trackers repeat the colours, with broken lines."""
-FLOOR_GREYS = 3
+FLOOR_GREYS = 5
 """Floors beyond this many repeat the greys."""
 RUN_DASHES = 4
 """Runs beyond this many repeat the dashes."""
@@ -21,6 +21,8 @@ DASHES: Mapping[str, tuple[float, ...]] = {
     "f0": (7, 3),
     "f1": (3, 2),
     "f2": (1.5, 3),
+    "f3": (7, 2, 1.5, 2),
+    "f4": (12, 3),
     "ceiling": (1, 2),
     "again": (10, 2, 2, 2),
     "run0": (),

@@ -69,6 +69,8 @@ class HistoryEntry(Settings):
     verdict: Literal["no worse", "worse", "not measured"]
     reasons: tuple[Text, ...] = ()
     """Why nothing was measured."""
+    floors: tuple[Text, ...] = ()
+    """Labels of the rows that every tracker must beat."""
     scores: tuple[HistoryScore, ...] = ()
     speed: tuple[HistorySpeed, ...] = ()
 
@@ -123,6 +125,7 @@ def _content(result: Verdict | Sequence[str]) -> dict[str, Any]:
         return {"verdict": "not measured", "reasons": tuple(reason[:2000] for reason in result)}
     return {
         "verdict": "worse" if result.worse else "no worse",
+        "floors": result.floors,
         "scores": tuple(_score(row, result) for row in result.rows),
         "speed": (
             *(

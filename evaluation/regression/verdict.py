@@ -56,6 +56,8 @@ class Verdict:
     """Of every row that was worse, where a confirmation was requested."""
     turns: tuple[TurnsRow, ...] = ()
     """Times measured in turns with a base, where requested; they have intervals of their own."""
+    floors: tuple[str, ...] = ()
+    """Labels of the rows that every tracker must beat."""
 
     @property
     def collapses(self) -> tuple[VerdictRow, ...]:
@@ -109,6 +111,7 @@ def compare_with_baseline(
         len(baseline.runs),
         units >= LEAST_UNITS,
         (*_notes(baseline, run), *speed_notes),
+        floors=tuple(label for label, entry in run.trackers.items() if entry.role == "floor"),
     )
 
 
