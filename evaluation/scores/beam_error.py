@@ -130,8 +130,8 @@ BEAM_ERROR = ScoreDefinition(
     ),
     about="Mean distance, metres, from the end of a beam of the observed frame to the end that the forecast expects,"
     " over all beams, from the sensor to the edge of the window. The bias is above 0 where an obstacle was not"
-    " forecast, and below 0 where a forecast obstacle is not there. Small probabilities add up along a beam, so calibrated cells"
-    " can have a large error. Khurana et al., 2023.",
+    " forecast, and below 0 where a forecast obstacle is not there. Small probabilities add up along a beam, so"
+    " calibrated cells can have a large error. Khurana et al., 2023.",
     strata=lambda facts: ("visible",),
     parts=lambda facts: ("late", "early", *block("beams", BINS)),
     count=_count,

@@ -89,6 +89,7 @@ LONG = {
     "benchmarks.junction": "needs SUMO",
     "benchmarks.recurrent": "trains on whole batches",
     "benchmarks.report_size": A_RUN,
+    "studies.card_thresholds": "rewrites the cards that ship",
     "studies.convert_results": "needs results of 0.2",
     "studies.drive_recordings": "needs SUMO",
     "studies.kept_summary": "test_results.py runs it",
