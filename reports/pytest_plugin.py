@@ -113,6 +113,7 @@ class TrackerRegression:
         given = {
             "recordings": (str(self._beside / recording),),
             "trackers": (tracker,),
+            "no_floors": True,
             "out": Path(tempfile.mkdtemp(dir=self._scratch, prefix="run-")),
             **options,
         }

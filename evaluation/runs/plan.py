@@ -250,7 +250,7 @@ def _added_floors(settings: CompareSettings) -> tuple[list[str], list[str]]:
 
     Beside named trackers they have general weights, which learned from no frame of the comparison.
     """
-    if not settings.floors:
+    if settings.no_floors:
         return [], []
     named = {selection.name for selection in parse_selections(settings.trackers)}
     others = {name: entry for name, entry in registry.floors().items() if name not in named}

@@ -28,7 +28,7 @@ def rows(settings):
     """`rows(*trackers, **settings)`: the card that each row of the comparison may use, by label."""
 
     def rows(*trackers, **more):
-        plan = resolve(settings(*trackers, **({"floors": True} | more)))
+        plan = resolve(settings(*trackers, **({"no_floors": False} | more)))
         return {trial.label: trial.selection.card for trial in plan.trials}
 
     return rows
@@ -40,12 +40,12 @@ def test_floors_that_no_row_names_are_added_with_general_weights(rows):
     assert rows("kalman", "mine=blank") == {"kalman": "any", "mine": "any"} | dict.fromkeys(
         (name for name in floors if name != "blank"), "general"
     )
-    assert rows("kalman", floors=False) == {"kalman": "any"}
+    assert rows("kalman", no_floors=True) == {"kalman": "any"}
 
 
 def test_every_tracker_has_the_floors_as_if_they_were_named_and_no_floor_if_refused(rows):
     assert rows() == dict.fromkeys(registry.entries(), "any")
-    assert rows(floors=False).keys() == registry.entries().keys() - registry.floors().keys()
+    assert rows(no_floors=True).keys() == registry.entries().keys() - registry.floors().keys()
 
 
 def test_a_floor_of_another_package_is_added_and_left_out_in_a_line_where_its_extra_is_missing(settings, rows, install):
@@ -54,7 +54,7 @@ def test_a_floor_of_another_package_is_added_and_left_out_in_a_line_where_its_ex
     assert rows("blank")["drift"] == "general"
     needed = "Requires-Dist: no-such-library; extra == 'lost'"
     install("lost-floor", {"lost": "drift:Drift"}, requires=needed, group=group)
-    plan = resolve(settings("blank", floors=True))
+    plan = resolve(settings("blank", no_floors=False))
     assert "lost" not in {trial.label for trial in plan.trials}
     assert "lost, a floor, is left out: it needs pip install 'lost-floor[lost]'" in plan.notices
 

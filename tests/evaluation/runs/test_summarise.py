@@ -91,7 +91,7 @@ def test_a_score_is_in_the_strata_in_which_it_is_defined(tmp_path):
     assert having == {
         "f1": set(STRATA_WITH_TRUTH),
         "fss": {"visible", "dynamic", "in-motion", "occluded"},
-        "beam_error": set(STRATA),
+        "beam_error": {"visible"},
     }
 
 
