@@ -83,10 +83,10 @@ def load(name: str) -> type[Tracker]:
     problem = contract_breach(found)
     if problem:
         raise PluginError(f"{where}: {problem}")
-    assert isinstance(found, type)
-    if name in floors() and found.role != "floor":
-        raise PluginError(f'{where}: registered in {FLOOR_GROUP}, and its role is {found.role!r}: set role = "floor"')
-    return found
+    tracker: type[Tracker] = found
+    if name in floors() and tracker.role != "floor":
+        raise PluginError(f'{where}: registered in {FLOOR_GROUP}, and its role is {tracker.role!r}: set role = "floor"')
+    return tracker
 
 
 @cache

@@ -162,8 +162,7 @@ def smoothed_rates(occupied: NDArray[np.float64], visible: NDArray[np.float64]) 
 
     The prior of a bin is the rate over all distances, whose prior is the rate of all cells at the horizon.
     """
-    overall = occupied.sum((1, 2, 3), keepdims=True) / np.maximum(visible.sum((1, 2, 3), keepdims=True), 1.0)
-    rates = overall
-    for summed in (lambda counts: counts.sum(axis=2, keepdims=True), lambda counts: counts):
-        rates = (summed(occupied) + DISTANCE_PRIOR_CELLS * rates) / (summed(visible) + DISTANCE_PRIOR_CELLS)
-    return rates.astype(np.float32)
+    rates = occupied.sum((1, 2, 3), keepdims=True) / np.maximum(visible.sum((1, 2, 3), keepdims=True), 1.0)
+    for found, seen in ((one.sum(axis=2, keepdims=True) for one in (occupied, visible)), (occupied, visible)):
+        rates = (found + DISTANCE_PRIOR_CELLS * rates) / (seen + DISTANCE_PRIOR_CELLS)
+    return np.asarray(rates, np.float32)

@@ -37,7 +37,7 @@ def _octave(k: int, coarsening: int) -> NDArray[np.float64]:
     return 2.0 ** -(k + 1) * (1.0 + np.arange(bins) / bins)
 
 
-PROBABILITY_EDGES = np.union1d(_edges(), np.nextafter(np.float32(MASSES), np.float32(2.0)).astype(np.float64))
+PROBABILITY_EDGES = np.union1d(_edges(), np.nextafter(np.array(MASSES, np.float32), np.float32(2.0)).astype(np.float64))
 """Edges (B+1,) of the bins of a histogram of probabilities, float32: multiples of 2^-17, and the number after each of
 MASSES.
 
