@@ -121,7 +121,7 @@ def follow(trackers: Sequence[str], minutes: float, folder: Path) -> int:
     Recorder(recording, minutes).start()
     while not recording.exists():
         time.sleep(1.0)
-    words = ["compare", "--follow", str(recording), "--out", str(run)]
+    words = ["compare", "--no-floors", "--follow", str(recording), "--out", str(run)]
     words += [word for tracker in trackers for word in ("--tracker", tracker)]
     gridtrack = str(Path(sys.executable).with_name("gridtrack"))
     with log.open("wb") as written, (folder / "samples.csv").open("w") as samples:

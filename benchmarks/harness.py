@@ -50,7 +50,8 @@ class NoProgress:
 def compare(recording: str, trackers: Sequence[str]) -> RunSummary:
     """The summary of a run, one trial at a time."""
     with tempfile.TemporaryDirectory() as folder:
-        settings = CompareSettings(recordings=(recording,), trackers=tuple(trackers), out=Path(folder), jobs=1)
+        rows = {"trackers": tuple(trackers), "no_floors": True}
+        settings = CompareSettings(recordings=(recording,), out=Path(folder), jobs=1, **rows)
         return run(resolve(settings), (), NoProgress())
 
 

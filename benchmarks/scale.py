@@ -124,7 +124,7 @@ def write_recordings(folder: Path, count: int) -> list[Path]:
 def measure(engine: str, count: int, folder: Path) -> Cost:
     """The cost of a comparison of `count` recordings, its report and its regression check, in an empty `folder`."""
     recordings, run, baseline = write_recordings(folder, count), folder / "run", folder / "baseline.json"
-    words = ["compare", *map(str, recordings), "--horizon", "1s", "--every", "0.5s", "--out", str(run)]
+    words = ["compare", "--no-floors", *map(str, recordings), "--horizon", "1s", "--every", "0.5s", "--out", str(run)]
     words += [word for tracker in TRACKERS for word in ("--tracker", tracker)]
     words += ["--engine", engine, *(("--address", "local") if engine == "ray" else ())]
     with Descendants() as descendants:

@@ -38,7 +38,7 @@ from gridtrack.evaluation.referee.targets import (
     SEEN_FREE,
     SEEN_OCCUPIED,
     Target,
-    returned_beams,
+    crossing_beams,
 )
 from gridtrack.evaluation.runs.scorekeeper import Counter
 from gridtrack.evaluation.runs.sums import SumsWriter
@@ -116,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     }
     scan = Scan(0, rng.uniform(3.0, 9.0, 720).astype(np.float32), 0.0, np.pi / 720, 0.1, 30.0)
     pose = SE2(0.0, 1.0)
-    beams = returned_beams(Observation(targets(rng, False)[0].frame, (scan,), (pose,)), GRID)
+    beams = crossing_beams(Observation(targets(rng, False)[0].frame, (scan,), (pose,)), GRID)
     for strata, truth in ((STRATA, False), (STRATA_WITH_TRUTH, True)):
         region_maps, observed = street(strata), targets(rng, truth)
         names = tuple(str(k) for k in range(CLASSES))

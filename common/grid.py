@@ -16,6 +16,9 @@ MAX_ORIGIN_M = 1e6
 Mask = NDArray[np.bool_]
 Points = Literal["centres", "raw"]
 """The points of a frame: the centres of the occupied cells, or the returns of the laser."""
+RESOLUTION_CELLS = 2.0**-40
+"""Coordinates in cells are rounded to this before the cell is found: a point that a rounding error puts beside a grid
+line is on it, and belongs to the upper cell."""
 TIE_DIGITS = 3
 """Decimals of a number of steps; a period of six digits makes further decimals inexact."""
 
@@ -89,8 +92,14 @@ class GridSpec:
 
     def cells_of(self, points: NDArray[np.floating]) -> tuple[NDArray[np.int64], Mask]:
         """Cells (N, 2) as [row, column] of points (N, 2) in the grid frame, and which of them lie inside (N,)."""
-        scaled = np.floor((np.asarray(points, np.float64) - np.array(self.origin)) / self.cell_m).astype(np.int64)
+        scaled = (np.asarray(points, np.float64) - np.array(self.origin)) / self.cell_m
+        scaled = np.floor(snapped(scaled)).astype(np.int64)
         return scaled[:, ::-1], ((scaled >= 0) & (scaled < self.size)).all(axis=1)
+
+
+def snapped(coordinate: Any) -> Any:
+    """A coordinate, or an array of them, in cells, rounded to RESOLUTION_CELLS."""
+    return np.rint(coordinate / RESOLUTION_CELLS) * RESOLUTION_CELLS
 
 
 @dataclass(frozen=True, slots=True)

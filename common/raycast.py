@@ -1,4 +1,8 @@
-"""Exact traversal of laser beams through the grid: the cells in which a beam has length."""
+"""Exact traversal of laser beams through the grid: the cells in which a beam has length.
+
+Coordinates are rounded to RESOLUTION_CELLS. A beam or an outline along a grid line is in the upper cells, as is a point
+on it, and not in cells that it crosses by a rounding error.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.common.grid import RESOLUTION_CELLS, GridSpec, Mask, snapped
 from gridtrack.common.scan import Scan
 
 FRACTION_BITS = 40
+assert RESOLUTION_CELLS == 2.0**-FRACTION_BITS
+snap = numba.njit(cache=True, nogil=True, inline="always")(snapped)
+"""`grid.snapped`, for compiled functions."""
 MAX_COORDINATE_CELLS, MAX_BEAM_CELLS = 1e9, 1e300
 """Limits of a coordinate and of the length of a beam, in cells. A beam beyond them, or not finite, is ignored."""
 Beams = tuple[NDArray[np.float32], NDArray[np.float64], float, float, float, float, float]
@@ -58,8 +65,8 @@ def _beams(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> Beams:
         turned(directions_of(scan.angle_min, scan.angle_increment, scan.ranges.size), grid_T_sensor.theta),
         scan.range_min,
         scan.range_max,
-        (grid_T_sensor.x - grid.origin[0]) / grid.cell_m,
-        (grid_T_sensor.y - grid.origin[1]) / grid.cell_m,
+        snapped((grid_T_sensor.x - grid.origin[0]) / grid.cell_m),
+        snapped((grid_T_sensor.y - grid.origin[1]) / grid.cell_m),
         grid.cell_m,
     )
 
@@ -98,7 +105,7 @@ def _cast(ranges, directions, range_min, range_max, x0, y0, cell_m, visible, occ
         if not abs(dx) + abs(dy) < MAX_BEAM_CELLS:
             continue
         cross(x0, y0, dx, dy, size, visible)
-        row, column = math.floor(y0 + dy), math.floor(x0 + dx)
+        row, column = math.floor(snap(y0 + dy)), math.floor(snap(x0 + dx))
         if 0 <= row < size and 0 <= column < size:
             visible[row * size + column] = True
             if distance <= range_max:
@@ -121,7 +128,7 @@ def _ends(ranges, directions, range_min, range_max, x0, y0, cell_m, size, cells)
         dx, dy = directions[i, 0] * length, directions[i, 1] * length
         if not abs(dx) + abs(dy) < MAX_BEAM_CELLS:
             continue
-        row, column = math.floor(y0 + dy), math.floor(x0 + dx)
+        row, column = math.floor(snap(y0 + dy)), math.floor(snap(x0 + dx))
         if 0 <= row < size and 0 <= column < size:
             cells[i] = row * size + column
 
@@ -148,17 +155,19 @@ def _cross_slabs(u0, v0, du, dv, enter, leave, size, stride_u, stride_v, visible
     conversion.
     """
     slope = dv / du
-    first, last = u0 + enter * du, u0 + leave * du
+    first, last = snap(u0 + enter * du), snap(u0 + leave * du)
     if du < 0.0:
         first, last = last, first
-    rising, falling = int(slope > 0.0), int(slope < 0.0)
+    if first == last:
+        return
+    step = _fixed(slope)
+    rising, falling = int(step > 0), int(step < 0)
     top = (size << FRACTION_BITS) - 1
     slab = min(max(math.floor(first), 0), size - 1)
     crossings = min(max(math.ceil(last) - 1, slab), size - 1) - slab
     base = slab * stride_u
     cell = min(max(_fixed(v0 + slope * (first - u0)) - falling, 0), top) >> FRACTION_BITS
     visible[np.uint64(base + cell * stride_v)] = True
-    step = _fixed(slope)
     v = _inside(_fixed(v0 + slope * (slab + 1 - u0)), step, crossings, top)
     for _ in range(crossings):
         visible[np.uint64(base + ((v - rising) >> FRACTION_BITS) * stride_v)] = True
@@ -173,21 +182,29 @@ def _cross_slabs(u0, v0, du, dv, enter, leave, size, stride_u, stride_v, visible
 def _inside(v, step, crossings, top):  # type: ignore[no-untyped-def]
     """`v`, moved if a rounding error would carry one of `v + k * step`, 0 <= k < crossings, outside of 1 to `top`.
 
-    The lower limit is 1 because a slope too small for a step still takes 1 from v. Between the limits lie at most
-    size - 2 cells, so there is always room.
+    The lower limit is 1 because a step up or down takes 1 from v; without a step it is 0. Between the limits lie at
+    most size - 2 cells, so there is always room.
     """
     travel = (crossings - 1) * step
     if step > 0:
         return min(max(v, 1), top - travel)
     if step < 0:
         return max(min(v, top), 1 - travel)
-    return min(max(v, 1), top)
+    return min(max(v, 0), top)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fixed(v):  # type: ignore[no-untyped-def]
     """A coordinate in cells as a 64-bit integer with FRACTION_BITS binary places."""
     return np.int64(round(v * (1 << FRACTION_BITS)))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def first_cell(at, along, size):  # type: ignore[no-untyped-def]
+    """Row or column of the cell in which a beam begins, or enters the grid; on a grid line the cell ahead."""
+    at = snap(at)
+    cell = math.ceil(at) - 1 if along < 0.0 else math.floor(at)
+    return min(max(cell, 0), size - 1)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -202,3 +219,23 @@ def clip(x0, y0, dx, dy, size):  # type: ignore[no-untyped-def]
         near, far = (0.0 - start) / along, (size - start) / along
         enter, leave = max(enter, min(near, far)), min(leave, max(near, far))
     return enter, leave
+
+
+def window_ranges(
+    start: NDArray[np.float64], directions: NDArray[np.float64], longest: float, size: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Ranges (B,) at which beams from `start` (2,) enter and leave the grid, up to `longest`; all in cells.
+
+    A beam that misses the grid leaves it before it enters.
+    """
+    ranges: NDArray[np.float64] = np.empty((2, len(directions)))
+    _clip_all(start[0], start[1], np.ascontiguousarray(directions), longest, size, ranges)
+    return ranges[0], ranges[1]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _clip_all(x0, y0, directions, longest, size, ranges):  # type: ignore[no-untyped-def]
+    """Set the ranges (2, B) of `window_ranges`."""
+    for i in range(directions.shape[0]):
+        enter, leave = clip(x0, y0, directions[i, 0] * longest, directions[i, 1] * longest, size)
+        ranges[0, i], ranges[1, i] = enter * longest, leave * longest

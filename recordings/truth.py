@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.common.grid import GridSpec, Mask, snapped
 from gridtrack.common.raycast import MAX_COORDINATE_CELLS, cross
 from gridtrack.common.scene import UNLABELLED, Outline, Scene
 
@@ -85,7 +85,7 @@ def placed_outlines(
         corners = _transformed(
             np.concatenate(outlines).astype(np.float64), np.repeat(_coefficients(poses), sizes, axis=0)
         )
-        corners = (world_T_grid.inverse().apply(corners) - grid.origin) / grid.cell_m
+        corners = snapped((world_T_grid.inverse().apply(corners) - grid.origin) / grid.cell_m)
     if not (np.abs(corners) < MAX_COORDINATE_CELLS).all():
         raise RecordingError("an outline of the true scene has corners that are not finite: the recording is damaged")
     return corners, np.concatenate([[0], sizes.cumsum()])

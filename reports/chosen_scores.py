@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 
 from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.common.grid import nearest_step
+from gridtrack.evaluation.runs.finished import DETAIL_HORIZON_S
 from gridtrack.evaluation.runs.summary import OutputDescription, ScoreDescription
 from gridtrack.reports.answer import lead_of
 from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.run import ReportedRun, names_matching
 from gridtrack.reports.table import (
-    DETAIL_HORIZON_S,
     HeadlineTable,
     TableColumn,
     TableRow,

@@ -5,9 +5,10 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import count
 from typing import TYPE_CHECKING
 
 from gridtrack.common.errors import ConfigurationError, printable
@@ -25,8 +26,6 @@ HISTORY_PANEL_INCHES, LEAST_INCHES, ENTRY_INCHES = 1.7, 6.0, 0.3
 """Height of a panel, width of the smallest figure, and the width of an entry."""
 DRAWN_STRATA = ("dynamic", "in-motion", "visible", "occluded")
 """Strata with a panel of F1 in the middle step band; any other score has one once it was worse."""
-FLOORS = ("persistence", "static-map", "blank")
-"""Rows in the greys of the report: a history has no roles."""
 MAX_LABELS = 24
 SHORT_COMMIT = 7
 SOFT = "#5f646b"
@@ -56,7 +55,8 @@ def history_svg(entries: Sequence[HistoryEntry]) -> str:
     except ImportError:
         raise ConfigurationError("a drawing needs matplotlib: pip install 'gridtrack[figures]'") from None
     panels = [panel for panel in (*_score_panels(entries), *_time_panels(entries)) if panel[1]]
-    colours = _colours(dict.fromkeys(name for _, lines in panels for name in lines))
+    floors = {printable(label) for entry in entries for label in entry.floors}
+    colours = _colours(dict.fromkeys(name for _, lines in panels for name in lines), floors)
     titles = _Titles()
     with matplotlib.rc_context(SETTINGS), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a name in a script that the font lacks is drawn as boxes
@@ -192,12 +192,12 @@ def _add_legend(figure: Figure, colours: Mapping[str, str]) -> None:
         text.set_parse_math(False)
 
 
-def _colours(names: Iterable[str]) -> dict[str, str]:
-    """The colours of the lines, those of the report: greys for the floor, and again from the first after the last."""
+def _colours(names: Iterable[str], floors: Collection[str]) -> dict[str, str]:
+    """The colours of the lines, as in the report: greys for the `floors`; after the last colour the first again."""
     found: dict[str, str] = {}
-    trackers = 0
+    greys, colours = count(), count()
     for name in names:
-        style = f"f{FLOORS.index(name) % FLOOR_GREYS}" if name in FLOORS else f"t{trackers % TRACKER_COLOURS}"
-        trackers += name not in FLOORS
+        grey = name in floors
+        style = f"f{next(greys) % FLOOR_GREYS}" if grey else f"t{next(colours) % TRACKER_COLOURS}"
         found[name] = look_of(style)[0]
     return found

@@ -79,6 +79,7 @@ def _recording(
                 "style": styles[row.key],
                 "group": row.group,
                 "outcome": row.outcome,
+                "remark": row.remark,
                 "strata": _strata(row, len(table.horizons_s)),
                 "figures": figures.get((table.recording, row.name), {}),
                 "latency": times_of(row.trial, period_ms),

@@ -130,6 +130,7 @@ class TrackerRegression:
         given = {
             "recordings": (str(self._beside / recording),),
             "trackers": (tracker,),
+            "no_floors": True,
             "out": Path(tempfile.mkdtemp(dir=self._scratch, prefix="run-")),
             **options,
         }

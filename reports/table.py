@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
-from gridtrack.common.grid import nearest_step
-from gridtrack.evaluation.runs.finished import HEADLINE_HORIZONS_S, HEADLINE_STRATA
+from gridtrack.evaluation.runs.finished import HEADLINE_STRATA, detail_step, headline_steps
 from gridtrack.evaluation.runs.summary import (
     NO_ESTIMATE,
     OutputDescription,
@@ -20,8 +19,6 @@ from gridtrack.evaluation.runs.summary import (
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, output_name, scores_of
 
-DETAIL_HORIZON_S = 1.0
-"""The horizon of the other scores, by which the rows are sorted too."""
 MAIN_STRATUM = HEADLINE_STRATA[0]
 """The stratum of the other scores, by which the rows are sorted too."""
 STANDING = "standing"
@@ -171,6 +168,13 @@ class TableRow:
         return outcome_words(self.trial)
 
     @property
+    def remark(self) -> str:
+        """The outcome of a row that is not ranked, or the best floor of a tracker that is worse; else empty."""
+        if self.group == "unranked":
+            return self.outcome
+        return f"below {self.trial.best_floor}" if self.trial.below_floor else ""
+
+    @property
     def frames(self) -> str:
         """Frames scored, of those expected where they differ."""
         scored, expected = self.trial.frames_scored, self.trial.frames_expected
@@ -304,11 +308,8 @@ def _columns(
     name, output_of = _headline_of(runs)
     headline = scores.get(name, _unscored(name, output_of))
     output = next(one for one in headline.outputs if one.name == output_of)
-    period_s = horizons_s[1] - horizons_s[0]
-    wanted = [nearest_step(h, period_s) for h in HEADLINE_HORIZONS_S]
-    steps = sorted({step for step in wanted if 0 < step < len(horizons_s)}) or [len(horizons_s) - 1]
-    detail = nearest_step(DETAIL_HORIZON_S, period_s)
-    detail = detail if detail in steps else steps[0]
+    steps = sorted(step for _, step in headline_steps(horizons_s)) or [len(horizons_s) - 1]
+    detail = detail_step(horizons_s)
     others = [one for one in scores.values() if one.name != name and one.lead.tested and _is_given(trials, one)]
     intervals = any(_has_interval(trial, name, output_of) for trial in trials)
     first = next((one for one in others if not one.thresholded), None)
@@ -377,7 +378,7 @@ def headline_markdown(table: HeadlineTable, text: Callable[[str], str] = cell_te
     """The table as Markdown, with names as `text` writes them; the best values are bold."""
     headings = ["tracker", *(f"{c.group} {c.heading}" for c in table.columns), "frames", "outcome"]
     rows = [
-        [text(row.name), *(_cell_markdown(cell) for cell in row.cells), row.frames, text(row.outcome)]
+        [text(row.name), *(_cell_markdown(cell) for cell in row.cells), row.frames, text(row.remark or row.outcome)]
         for row in table.rows
     ]
     return markdown_table(headings, rows, aligned_right=range(1, len(headings) - 1))

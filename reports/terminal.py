@@ -59,7 +59,7 @@ def _print_line(console: Console, text: str) -> None:
 def _columns(table: HeadlineTable, differences: DifferenceTable | None) -> Iterator[tuple[str, list[str]]]:
     """A heading and a text for each row: the decisive score, and at its horizon the headline score of other strata."""
     decisive = table.decisive
-    names = (f"{row.name} ({row.outcome})" if row.group == "unranked" else row.name for row in table.rows)
+    names = (f"{row.name} ({row.remark})" if row.remark else row.name for row in table.rows)
     yield "tracker", list(names)
     at = table.columns.index(decisive)
     scores = [f"{row.cells[at].text} {row.cells[at].interval_text}".rstrip() for row in table.rows]

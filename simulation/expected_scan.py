@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridSpec
-from gridtrack.common.raycast import FRACTION_BITS, MAX_COORDINATE_CELLS, clip, directions_of, turned
+from gridtrack.common.grid import GridSpec, snapped
+from gridtrack.common.raycast import FRACTION_BITS, MAX_COORDINATE_CELLS, clip, directions_of, first_cell, snap, turned
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
 from gridtrack.recordings.observation import reference_pose
@@ -116,8 +116,8 @@ class ExpectedScan:
             errors.ends[band],
             scan.range_min,
             scan.range_max,
-            (grid_T_sensor.x - grid.origin[0]) / grid.cell_m,
-            (grid_T_sensor.y - grid.origin[1]) / grid.cell_m,
+            snapped((grid_T_sensor.x - grid.origin[0]) / grid.cell_m),
+            snapped((grid_T_sensor.y - grid.origin[1]) / grid.cell_m),
             grid.cell_m,
             self.unseen.reshape(-1),
             self.unoccupied.reshape(-1),
@@ -160,20 +160,16 @@ def _walk(x0, y0, dx, dy, base, errors, valid, range_max, cell_m, unseen, unoccu
     if enter >= leave:
         return
     enter *= reach
-    column, row = _cell(x0 + enter * dx, across_x, size), _cell(y0 + enter * dy, across_y, size)
+    column, row = first_cell(x0 + enter * dx, across_x, size), first_cell(y0 + enter * dy, across_y, size)
     exit_x, exit_y = _exit(x0, across_x, column), _exit(y0, across_y, row)
     step_x, step_y = 1.0 / abs(across_x), 1.0 / abs(across_y)
-    beside = _beside(x0, dx, across_x) + size * _beside(y0, dy, across_y)
     before = max(valid, np.searchsorted(errors, enter * cell_m - base))
     while before < errors.size:
         after = _first_past(errors, before, base, range_max, cell_m, x0, y0, dx, dy, column, row)
-        cell = row * size + column
-        unseen[cell] *= before / errors.size
-        if beside != 0:
-            unseen[cell + beside] *= before / errors.size
+        unseen[row * size + column] *= before / errors.size
         if after > before:
             length = (base + errors[before]) / cell_m
-            end_row, end_column = math.floor(y0 + dy * length), math.floor(x0 + dx * length)
+            end_row, end_column = math.floor(snap(y0 + dy * length)), math.floor(snap(x0 + dx * length))
             if 0 <= end_row < size and 0 <= end_column < size:
                 unoccupied[end_row * size + end_column] *= 1.0 - (after - before) / errors.size
         exit_ = min(exit_x, exit_y)
@@ -191,22 +187,9 @@ def _walk(x0, y0, dx, dy, base, errors, valid, range_max, cell_m, unseen, unoccu
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _cell(at, along, size):  # type: ignore[no-untyped-def]
-    """Row or column of the cell in which a beam enters the grid; on a grid line the cell ahead."""
-    cell = math.ceil(at) - 1 if along < 0.0 else math.floor(at)
-    return min(max(cell, 0), size - 1)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _exit(start, along, cell):  # type: ignore[no-untyped-def]
     """Distance, in cells, at which a beam leaves its row or column `cell`."""
     return np.inf if along == 0.0 else (cell + (along > 0.0) - start) / along
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _beside(start, along, across):  # type: ignore[no-untyped-def]
-    """-1 for a beam along a grid line, up to rounding: both sides of it are visible, as in `cast_scan`."""
-    return -1 if across == 0.0 and along != 0.0 and start == math.floor(start) and start >= 1.0 else 0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -232,6 +215,7 @@ def _past(distance, range_max, cell_m, x0, y0, dx, dy, column, row):  # type: ig
     if distance > range_max:
         return True
     length = distance / cell_m
-    past_x = (x0 + dx * length >= column + 1) if dx >= PARALLEL else (dx <= -PARALLEL and x0 + dx * length < column)
-    past_y = (y0 + dy * length >= row + 1) if dy >= PARALLEL else (dy <= -PARALLEL and y0 + dy * length < row)
+    x, y = snap(x0 + dx * length), snap(y0 + dy * length)
+    past_x = x >= column + 1 if dx >= PARALLEL else (dx <= -PARALLEL and x < column)
+    past_y = y >= row + 1 if dy >= PARALLEL else (dy <= -PARALLEL and y < row)
     return past_x or past_y

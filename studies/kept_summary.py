@@ -7,7 +7,7 @@ training of each tracker; the spread between trainings is in `trainings`. Pairs 
 A number has an address, a row and a column. The row is a tracker, `TRACKER less REFERENCE` (a paired difference) or
 `TRACKER over OTHER` (a ratio). The column is a score, a stratum and a horizon, such as `f1 dynamic 1 s`. Scores: `f1`,
 `f1_at_visible` (at the threshold of all visible cells), `pr_auc`, `nll`, `class nll` (nats per scan), `share_of_oracle`
-(of the way from the better floor to the oracle), `lead` (F1 above the better of FLOORS) and `p` (a difference,
+(of the way from the best floor to the oracle), `lead` (F1 above the best floor) and `p` (a difference,
 corrected by Holm's method). `visible cyclist as car` is a share of the class's cells now, from confusion.json, which is
 kept beside the summary.
 """
@@ -65,7 +65,6 @@ OUTPUTS = {
 """Score and output of each score of an address."""
 LOSSES = ("nll", "class nll")
 """Scores that are better if lower."""
-FLOORS = ("persistence", "static-map")
 
 
 class RunScores:
@@ -92,7 +91,8 @@ class RunScores:
         if score == "share_of_oracle":
             return f"{100 * self._at(tracker, score, stratum, step):.0f} %"
         if score == "lead":
-            floor = max(self._at(one, "f1", stratum, step) for one in FLOORS)
+            rows = self._summary["trackers"].items()
+            floor = max(self._at(one, "f1", stratum, step) for one, row in rows if row["role"] == "floor")
             return f"{self._at(tracker, 'f1', stratum, step) - floor:.3f}"
         if " over " in row:
             values = [float(self.value(one, column)) for one in row.split(" over ")]

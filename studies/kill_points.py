@@ -60,7 +60,19 @@ def comparison(out: Path, engine: Sequence[str]) -> list[str]:
     """The command of the run in the folder `out`."""
     rows = [word for tracker in TRACKERS for word in ("--tracker", tracker)]
     recordings = [f"{HALL}@{stretch}" for stretch in STRETCHES]
-    words = ["compare", *recordings, *rows, "--horizon", "1s", "--every", "0.5s", "--resume", "--out", str(out)]
+    words = [
+        "compare",
+        "--no-floors",
+        *recordings,
+        *rows,
+        "--horizon",
+        "1s",
+        "--every",
+        "0.5s",
+        "--resume",
+        "--out",
+        str(out),
+    ]
     return [sys.executable, "-m", "gridtrack.cli", *words, *engine]
 
 

@@ -73,9 +73,9 @@ def walk(install, tmp_path, monkeypatch):
 def test_a_score_of_another_package_is_in_table_page_exports_and_gate(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     asked = ("--tracker", "persistence", "--tracker", "blank", "--horizon", "1s", "--jobs", "1")
-    gridtrack("compare", RECORDING, *asked, "--out", "without")
+    gridtrack("compare", "--no-floors", RECORDING, *asked, "--out", "without")
     assert "absolute_error" not in sys.modules, "a package that is not named runs no code"
-    gridtrack("compare", RECORDING, *asked, "--score", "absolute_error", "--out", "run")
+    gridtrack("compare", "--no-floors", RECORDING, *asked, "--score", "absolute_error", "--out", "run")
     summary = read_summary(tmp_path / "run")
     trial = summary.trackers["blank"].recordings["leg_tracker@114s-120s"]
     assert trial.at("visible", "absolute_error", "mean", 5).value > 0
@@ -89,7 +89,9 @@ def test_a_score_of_another_package_is_in_table_page_exports_and_gate(tmp_path, 
 
 
 def test_a_score_that_is_not_installed_is_one_line(tmp_path):
-    error = gridtrack("compare", RECORDING, "--score", "absolute_eror", "--out", tmp_path / "run", code=2).stderr
+    error = gridtrack(
+        "compare", "--no-floors", RECORDING, "--score", "absolute_eror", "--out", tmp_path / "run", code=2
+    ).stderr
     assert error.startswith("gridtrack: --score: no score 'absolute_eror' is installed")
 
 
@@ -102,5 +104,5 @@ def test_a_format_of_another_package_is_read_by_every_command_that_reads_recordi
     gridtrack("recording", "import", walk, *named, "--out", "walk.mcap")
     gridtrack("train", "static-map", f"{walk}@0s-5s", "--validation", f"{walk}@5s-7s", *named, "--out", "weights")
     asked = ("--weights", "weights", "--tracker", "static-map", "--tracker", "blank", "--out", "run")
-    gridtrack("compare", f"{walk}@7s-15s", *named, *asked, "--horizon", "1s", "--jobs", "1")
+    gridtrack("compare", "--no-floors", f"{walk}@7s-15s", *named, *asked, "--horizon", "1s", "--jobs", "1")
     assert read_summary(tmp_path / "run").trackers["static-map"].recordings.keys() == {"walk@7s-15s"}

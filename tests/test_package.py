@@ -83,8 +83,8 @@ def test_no_other_package_may_import_a_concrete_tracker():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     contracts = project["tool"]["importlinter"]["contracts"]
     (forbidden,) = [one["forbidden_modules"] for one in contracts if "concrete tracker" in one["name"]]
-    registered = project["project"]["entry-points"]["gridtrack.trackers"].values()
-    assert set(forbidden) == {".".join(re.split("[.:]", value)[:3]) for value in registered}
+    groups = (project["project"]["entry-points"][f"gridtrack.{name}"].values() for name in ("trackers", "floors"))
+    assert set(forbidden) == {".".join(re.split("[.:]", value)[:3]) for values in groups for value in values}
 
 
 WHEEL_BYTES = 12_000_000

@@ -34,7 +34,14 @@ def compared(tmp_path_factory):
     rows = ["persistence", "map=static-map"]
     with programs_here():
         return gridtrack.compare(
-            RECORDING, trackers=rows, out=out, every_s=0.5, horizon_s="1s", jobs=1, limits={"memory_mb": 2000}
+            RECORDING,
+            trackers=rows,
+            no_floors=True,
+            out=out,
+            every_s=0.5,
+            horizon_s="1s",
+            jobs=1,
+            limits={"memory_mb": 2000},
         )
 
 
@@ -42,7 +49,19 @@ def test_a_comparison_returns_its_run_with_the_command_that_repeats_it(compared)
     assert isinstance(compared, gridtrack.Run)
     assert list(compared.summary.trackers) == ["persistence", "map"]
     rows = ("--tracker", "persistence", "--tracker", "map=static-map")
-    given = ("--every", "0.5", "--horizon", "1s", "--jobs", "1", "--memory", "2000", "--out", str(compared.path))
+    given = (
+        "--no-floors",
+        "--every",
+        "0.5",
+        "--horizon",
+        "1s",
+        "--jobs",
+        "1",
+        "--memory",
+        "2000",
+        "--out",
+        str(compared.path),
+    )
     command = compared.record.command
     assert command[:3] == ("gridtrack", "compare", RECORDING)
     assert sorted(command[3:]) == sorted((*rows, *given))
@@ -71,7 +90,9 @@ def test_differences_are_a_row_for_each_headline_test(compared):
 def test_several_recordings_are_pooled_and_their_names_escaped(tmp_path):
     hostile = shutil.copy(RECORDING.partition("@")[0], tmp_path / "<i>hall.mcap")
     stretches = [f"{hostile}@100s-110s", RECORDING]
-    run = gridtrack.compare(*stretches, trackers="persistence", out=tmp_path / "run", horizon_s=1.0, jobs=1)
+    run = gridtrack.compare(
+        *stretches, trackers="persistence", no_floors=True, out=tmp_path / "run", horizon_s=1.0, jobs=1
+    )
     names = run.scores["recording"].unique(maintain_order=True).to_list()
     assert names == ["all recordings", "<i>hall@100s-110s", "leg_tracker@114s-124s"]
     assert "all recordings" in run._repr_html_()
@@ -97,7 +118,9 @@ def test_a_refused_comparison_raises_the_reason_in_one_line(tmp_path):
 def test_a_crash_of_a_tracker_ends_no_child_of_the_notebook_and_its_command_line_comes_back(bad_trackers, tmp_path):
     command_line = Path("/proc/self/cmdline").read_bytes()
     with subprocess.Popen(["sleep", "600"], start_new_session=True) as own:
-        run = gridtrack.compare(RECORDING, trackers="kills-itself", out=tmp_path / "run", horizon_s=1.0, jobs=1)
+        run = gridtrack.compare(
+            RECORDING, trackers="kills-itself", no_floors=True, out=tmp_path / "run", horizon_s=1.0, jobs=1
+        )
         outcomes = [trial.outcome for row in run.summary.trackers.values() for trial in row.recordings.values()]
         assert (outcomes, own.poll()) == (["crashed"], None)
         own.kill()
@@ -109,6 +132,7 @@ def notebook(tmp_path):
     """A process in a group of its own that compares as a notebook does, once one trial is scored in part."""
     demo, rows = RECORDING.partition("@")[0], ["blank", "persistence"]
     given = f"out={str(tmp_path / 'run')!r}, validation='{demo}@75s-81s', every_s=0.1, jobs=1, allow_leak=True"
+    given += ", no_floors=True"
     code = f"import gridtrack; gridtrack.compare('{demo}@0s-20s', trackers={rows}, {given})"
     with subprocess.Popen(
         [sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, start_new_session=True

@@ -37,7 +37,7 @@ def test_weights_in_a_store_are_those_of_a_run_and_the_command_is_what_was_typed
     shutil.copytree(SHIPPED, folder / "store" / "weights" / "static-map")
     url = f"file://{folder}/store/weights"
     rows = ("--tracker", f"new=static-map:weights={url}", "--tracker", "static-map:points=centres")
-    done = gridtrack("compare", RECORDING, *rows, "--weights", url, *SHORT, "--out", "run")
+    done = gridtrack("compare", "--no-floors", RECORDING, *rows, "--weights", url, *SHORT, "--out", "run")
     assert done.stderr.count("fetching") == 1
     record = json_in(folder / "run" / "run.json")
     assert f"new=static-map:weights={url}" in record["command"]
@@ -52,7 +52,7 @@ def test_weights_in_a_store_are_those_of_a_run_and_the_command_is_what_was_typed
 
 def test_a_row_may_name_its_weights_in_a_store_that_is_not_there(folder):
     row = f"static-map:points=raw,weights=file://{folder}/none"
-    failed = gridtrack("compare", RECORDING, "--tracker", row, code=2)
+    failed = gridtrack("compare", "--no-floors", RECORDING, "--tracker", row, code=2)
     assert failed.stderr == f"gridtrack: file://{folder}/none: there is no such folder, or no file in it\n"
 
 
@@ -73,7 +73,7 @@ def test_the_card_of_a_training_names_what_was_typed(folder):
 def run_url(folder):
     """A run in the store, which is nowhere else."""
     out = ("--out", "store/hall")
-    gridtrack("compare", RECORDING, "--tracker", "persistence", "--tracker", "blank", *SHORT, *out)
+    gridtrack("compare", "--no-floors", RECORDING, "--tracker", "persistence", "--tracker", "blank", *SHORT, *out)
     shutil.rmtree(folder / "store" / "hall" / "report")
     return f"file://{folder}/store/hall"
 
@@ -107,7 +107,7 @@ def kept_runs(folder):
 
 def test_a_run_is_made_in_a_store_and_continued_from_there(folder):
     url = f"file://{folder}/store/hall"
-    done = gridtrack("compare", RECORDING, *ROW, *SHORT, "--out", url)
+    done = gridtrack("compare", "--no-floors", RECORDING, *ROW, *SHORT, "--out", url)
     assert done.stdout.endswith(f"report: {url}/report/index.html\n")
     stored = folder / "store" / "hall"
     assert json_in(stored / "run.json")["status"] == "complete"
@@ -115,13 +115,13 @@ def test_a_run_is_made_in_a_store_and_continued_from_there(folder):
     assert (stored / "report" / "index.html").is_file()
     assert kept_runs(folder) == []
     assert not list(stored.rglob(".*"))
-    again = gridtrack("compare", RECORDING, *ROW, *SHORT, "--out", url, code=2)
+    again = gridtrack("compare", "--no-floors", RECORDING, *ROW, *SHORT, "--out", url, code=2)
     assert again.stderr.splitlines()[-1] == (
         f"gridtrack: {url} holds a run already: continue it with --resume, or name another folder with --out"
     )
     more = (*ROW, "--tracker", "persistence")
     outcome = (stored / "blank@leg_tracker@90s-96s" / "outcome.json").read_bytes()
-    gridtrack("compare", RECORDING, *more, *SHORT, "--out", url, "--resume")
+    gridtrack("compare", "--no-floors", RECORDING, *more, *SHORT, "--out", url, "--resume")
     assert sorted(json_in(stored / "summary.json")["trackers"]) == ["blank", "persistence"]
     assert (stored / "blank@leg_tracker@90s-96s" / "outcome.json").read_bytes() == outcome
     assert kept_runs(folder) == []
@@ -132,7 +132,7 @@ def test_what_cannot_be_uploaded_stays_here_and_is_uploaded_by_the_command_that_
     blocking.parent.mkdir(parents=True)
     blocking.write_text("a file where the folder of the report should be")
     url = f"file://{folder}/store/hall"
-    command = ("compare", RECORDING, *ROW, *SHORT, "--out", url)
+    command = ("compare", "--no-floors", RECORDING, *ROW, *SHORT, "--out", url)
     failed = gridtrack(*command, code=2)
     (kept,) = kept_runs(folder)
     told, reason = failed.stderr.splitlines()[-2:]
@@ -150,6 +150,6 @@ def test_what_cannot_be_uploaded_stays_here_and_is_uploaded_by_the_command_that_
 
 def test_a_comparison_that_does_not_begin_leaves_nothing(folder):
     url = f"file://{folder}/store/hall"
-    gridtrack("compare", RECORDING, "--tracker", "none-such", *SHORT, "--out", url, code=2)
+    gridtrack("compare", "--no-floors", RECORDING, "--tracker", "none-such", *SHORT, "--out", url, code=2)
     assert not (folder / "store").exists()
     assert not list((folder / "home").rglob("hall"))

@@ -9,7 +9,7 @@ import re
 import sys
 from collections.abc import Iterator
 from functools import cache
-from importlib.metadata import Distribution, EntryPoint
+from importlib.metadata import Distribution, EntryPoint, PackageNotFoundError
 from pathlib import Path
 from typing import Any, get_args
 
@@ -20,13 +20,39 @@ from gridtrack.common.files import sha256_of
 from gridtrack.trackers.contract import API, API_WITHOUT_FIT, ComparedPart, Role, Tracker
 
 TRACKER_GROUP = "gridtrack.trackers"
+FLOOR_GROUP = "gridtrack.floors"
+"""The entry points of the trackers that are added to every comparison; their role is "floor"."""
 INSTALLED = ("site-packages", "dist-packages")
 """Names of folders of installed libraries."""
+OPTIONAL_REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+).*\bextra\s*==\s*['\"]([^'\"]+)")
+"""A distribution, and the extra that needs it."""
 
 
 def entries() -> dict[str, Registration]:
     """Every registered tracker by name, in order, none of them imported; broken ones carry their `problem`."""
-    return registrations(TRACKER_GROUP)
+    return dict(sorted((registrations(TRACKER_GROUP) | floors()).items()))
+
+
+def floors() -> dict[str, Registration]:
+    """The registered trackers that are added to every comparison, by name, as in `entries`."""
+    return registrations(FLOOR_GROUP)
+
+
+def missing_extra(entry: Registration) -> str:
+    """The extra with the name of a tracker if its distribution has one that is not installed, as text; else ""."""
+    for requirement in Distribution.from_name(entry.distribution_name).requires or ():
+        needed = OPTIONAL_REQUIREMENT.match(requirement)
+        if needed and needed[2] == entry.name and not _is_installed(needed[1]):
+            return f"it needs pip install '{entry.distribution_name}[{entry.name}]'"
+    return ""
+
+
+def _is_installed(distribution: str) -> bool:
+    try:
+        Distribution.from_name(distribution)
+    except PackageNotFoundError:
+        return False
+    return True
 
 
 def find(name: str) -> Registration:
@@ -57,8 +83,10 @@ def load(name: str) -> type[Tracker]:
     problem = contract_breach(found)
     if problem:
         raise PluginError(f"{where}: {problem}")
-    assert isinstance(found, type)
-    return found
+    tracker: type[Tracker] = found
+    if name in floors() and tracker.role != "floor":
+        raise PluginError(f'{where}: registered in {FLOOR_GROUP}, and its role is {tracker.role!r}: set role = "floor"')
+    return tracker
 
 
 @cache
@@ -80,7 +108,7 @@ def install_hint(name: str, error: ImportError) -> str:
     distribution = find(name).distribution_name
     extras = []
     for requirement in Distribution.from_name(distribution).requires or ():
-        match = re.match(r"([A-Za-z0-9._-]+).*\bextra\s*==\s*['\"]([^'\"]+)", requirement)
+        match = OPTIONAL_REQUIREMENT.match(requirement)
         if match and match[1].lower().replace("-", "_") == module.lower():
             return f"; pip install '{distribution}[{match[2]}]'"
         if match and match[2] not in extras:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.common.grid import GridSpec, Mask, with_neighbours
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.evaluation.referee.strata import PARTS
 from gridtrack.recordings.observation import Observation
@@ -27,7 +27,7 @@ from gridtrack.trackers.contract import FrameSource
 NEAR_M = 0.5
 """Greatest distance between the centres of a cell and of a return's cell that the cell belongs to, m."""
 LOOKBACK_S = 1.0
-"""A return is in motion where its cell was visible and free this long before."""
+"""A return is in motion where its cell and the eight neighbours were visible and free this long before."""
 MIN_SPEED_MPS = 0.3
 """With truth, a return is in motion where it is on an object that is faster than this."""
 RANGE_NOISE_M = 0.15
@@ -113,7 +113,11 @@ class ObservedMotion:
 
 
 class OnceFree:
-    """Returns in cells of the world that were visible and free in an earlier observation."""
+    """Returns in cells of the world that were visible and free in an earlier observation, with their eight neighbours.
+
+    Range noise moves the returns of a standing body by a cell, so that its own cell alone was often free before. A
+    return at the border of the window is not called in motion, because a neighbour is not known.
+    """
 
     bodies = None
 
@@ -125,8 +129,12 @@ class OnceFree:
         """The returns in motion (M, M) of the observation."""
         if self._earlier is None:
             return np.zeros(grid.shape, np.bool_)
-        now, then = observation.frame, self._earlier.seen_in(observation.reference_T_grid, grid).frame
-        return now.occupied & then.visible & ~then.occupied
+        then = self._earlier.seen_in(observation.reference_T_grid, grid).frame
+        found = np.zeros(grid.shape, np.bool_)
+        inner = slice(1, -1), slice(1, -1)
+        known_free = ~with_neighbours(~then.visible | then.occupied)
+        found[inner] = (observation.frame.occupied & known_free)[inner]
+        return found
 
 
 class OnFastObjects:

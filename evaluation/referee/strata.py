@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask, rolled, shift_between, with_neighbours
 
-SCORING_RULES: Final = 1
+SCORING_RULES: Final = 2
 """Number of the rules by which forecasts are scored: kinds of cells, strata, counts. A change of them adds one: scores
 by other rules are not continued by a resumed run, and are no baseline."""
 

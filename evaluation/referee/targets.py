@@ -9,8 +9,8 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.grid import GridFrame, GridSpec, Mask
-from gridtrack.common.raycast import directions_of, end_cells, turned
+from gridtrack.common.grid import GridFrame, GridSpec, Mask, snapped
+from gridtrack.common.raycast import directions_of, turned, window_ranges
 from gridtrack.common.scene import UNLABELLED
 from gridtrack.evaluation.referee.motion import BodyMotions, body_of_returns
 from gridtrack.evaluation.referee.strata import RANGES, REGIONS, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, RegionMaps
@@ -25,23 +25,23 @@ _NO_CELLS, _NO_LABELS = np.zeros(0, np.int64), np.zeros(0, np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
-class ReturnedBeams:
-    """N beams that returned from inside the window, of all sensors, in cells from the window's lower-left corner.
+class CrossingBeams:
+    """N beams of all sensors that cross the window, in cells from the window's lower-left corner.
 
-    `starts` (N, 2) float64: x, y of the sensor; `directions` (N, 2) float64: unit vectors; `ranges` (N,) float64:
-    measured; `longest` (N,) float64: the sensor's maximum range; `cells` (N,) int64, row * M + column: where they end.
+    `starts` (N, 2) float64: x, y of the sensor; `directions` (N, 2) float64: unit vectors; `ends` (N,) float64: range
+    at which a beam leaves the window, or the sensor's maximum range if that is shorter; `ranges` (N,) float64: measured
+    range, or that end for a beam that did not return from the window.
     """
 
     starts: NDArray[np.float64]
     directions: NDArray[np.float64]
+    ends: NDArray[np.float64]
     ranges: NDArray[np.float64]
-    longest: NDArray[np.float64]
-    cells: NDArray[np.int64]
 
     @classmethod
-    def none(cls) -> ReturnedBeams:
+    def none(cls) -> CrossingBeams:
         """Those of a frame without scans."""
-        return cls(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
+        return cls(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class Target:
     `state` (M, M) uint8 of the states above; without truth no hidden cell is scored. `motion` (M, M) uint8: the part of
     each dynamic cell, an index into PARTS. `cells` (N,) int64, row * M +
     column: the occupied cells with a known class, visible and hidden; `labels` (N,) uint8: their classes, indices into
-    the recording's classes. `beams` are those that ended in the window. `flow()`: the true velocities, found when they
+    the recording's classes. `beams` are those that cross the window. `flow()`: the true velocities, found when they
     are first asked for.
     """
 
@@ -76,7 +76,7 @@ class Target:
     motion: NDArray[np.uint8]
     cells: NDArray[np.int64] = field(default_factory=lambda: _NO_CELLS)
     labels: NDArray[np.uint8] = field(default_factory=lambda: _NO_LABELS)
-    beams: ReturnedBeams = field(default_factory=ReturnedBeams.none)
+    beams: CrossingBeams = field(default_factory=CrossingBeams.none)
     flow: Callable[[], TrueFlow] = TrueFlow.none
 
     @classmethod
@@ -107,7 +107,7 @@ def target_of(
         hidden = np.flatnonzero(~frame.visible & (truth.labels != UNLABELLED))
         cells, labels = np.concatenate([cells, hidden]), np.concatenate([labels, truth.labels.ravel()[hidden]])
     check_labels(labels, classes, observation.time_s)
-    beams = returned_beams(observation, grid)
+    beams = crossing_beams(observation, grid)
     if truth is None or bodies is None:
         return Target(frame, target.state, motion, cells, labels, beams)
     flow = cache(partial(true_flow, bodies, observation, truth.bodies, target.state == HIDDEN_OCCUPIED, grid))
@@ -119,24 +119,23 @@ def _truth(observation: Observation, grid: GridSpec) -> TruthGrid | None:
     return None if scene is None else truth_grid(scene, grid, observation.reference_T_grid)
 
 
-def returned_beams(observation: Observation, grid: GridSpec) -> ReturnedBeams:
-    """The beams of an observation that end in its window; none where it has no scans."""
-    found = [ReturnedBeams.none()]
+def crossing_beams(observation: Observation, grid: GridSpec) -> CrossingBeams:
+    """The beams of an observation that cross its window before they return; none where it has no scans.
+
+    An invalid range says nothing of its beam, which is left out.
+    """
+    found = [CrossingBeams.none()]
     for scan, pose in zip(observation.scans, observation.grid_T_sensor, strict=True):
-        cells = end_cells(scan, grid, pose)
-        inside = np.flatnonzero(cells >= 0)
-        start = (np.array([pose.x, pose.y]) - grid.origin) / grid.cell_m
+        start = snapped((np.array([pose.x, pose.y]) - grid.origin) / grid.cell_m)
         directions = turned(directions_of(scan.angle_min, scan.angle_increment, scan.ranges.size), pose.theta)
-        ranges = scan.ranges[inside].astype(np.float64) / grid.cell_m
-        longest = np.full(inside.size, scan.range_max / grid.cell_m)
-        found.append(
-            ReturnedBeams(np.tile(start, (inside.size, 1)), directions[inside], ranges, longest, cells[inside])
-        )
-    return ReturnedBeams(
-        *(
-            np.concatenate([getattr(one, name) for one in found])
-            for name in ("starts", "directions", "ranges", "longest", "cells")
-        )
+        enter, leave = window_ranges(start, directions, scan.range_max / grid.cell_m, grid.size)
+        ranges = scan.ranges.astype(np.float64) / grid.cell_m
+        kept = (scan.ranges >= scan.range_min) & (leave > enter) & (ranges > enter)
+        ends = leave[kept]
+        starts = np.tile(start, (ends.size, 1))
+        found.append(CrossingBeams(starts, directions[kept], ends, np.minimum(ranges[kept], ends)))
+    return CrossingBeams(
+        *(np.concatenate([getattr(one, name) for one in found]) for name in ("starts", "directions", "ends", "ranges"))
     )
 
 

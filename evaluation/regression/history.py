@@ -76,6 +76,8 @@ class HistoryEntry(Settings):
     verdict: Literal["no worse", "worse", "not measured"]
     reasons: tuple[Text, ...] = ()
     """Why nothing was measured."""
+    floors: tuple[Text, ...] = ()
+    """Labels of the rows that every tracker must beat."""
     scores: tuple[HistoryScore, ...] = ()
     speed: tuple[HistorySpeed, ...] = ()
 
@@ -198,6 +200,7 @@ def _content(result: Verdict | Sequence[str]) -> dict[str, Any]:
         return {"verdict": "not measured", "reasons": tuple(reason[:2000] for reason in result)}
     return {
         "verdict": "worse" if result.worse else "no worse",
+        "floors": result.floors,
         "scores": tuple(_score(row, result) for row in result.rows),
         "speed": (
             *(

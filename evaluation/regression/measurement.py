@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError, bounded_line
+from gridtrack.trackers.contract import Role
 
 BASELINE_SCHEMA: Final = 4
 BANDS: dict[str, tuple[float, float]] = {"short": (0.0, 0.5), "middle": (0.5, 1.5), "long": (1.5, 3600.0)}
@@ -87,6 +88,7 @@ class TrackerSums(Settings):
     """One tracker with its options, on every recording."""
 
     tracker: str
+    role: Role = "tracker"
     options: dict[str, Any]
     points: str = "centres"
     """The returns in each frame: `centres` of occupied cells, or `raw`."""

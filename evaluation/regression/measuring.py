@@ -91,6 +91,7 @@ def measure_run(run: Path, like: Measurement | None = None, foreign: Sequence[st
         "trackers": {
             label: {
                 **_identity(configuration.trials, label),
+                "role": next(iter(own.values())).record.role,
                 "recordings": _units(own, splits, judged, block_s, scored),
             }
             for label, own in trials.items()

@@ -58,6 +58,8 @@ class Verdict:
     """Times measured in turns with a base, where requested; they have intervals of their own."""
     below_best: tuple[VerdictRow, ...] = ()
     """The scores over all units that are worse than in the best entry of the history, and not than the baseline."""
+    floors: tuple[str, ...] = ()
+    """Labels of the rows that every tracker must beat."""
 
     @property
     def collapses(self) -> tuple[VerdictRow, ...]:
@@ -111,6 +113,7 @@ def compare_with_baseline(
         len(baseline.runs),
         units >= LEAST_UNITS,
         (*_notes(baseline, run), *speed_notes),
+        floors=tuple(label for label, entry in run.trackers.items() if entry.role == "floor"),
     )
 
 

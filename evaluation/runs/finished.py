@@ -32,6 +32,8 @@ from gridtrack.trackers.contract import ComparedPart
 HEADLINE_STRATA, HEADLINE_HORIZONS_S = ("in-motion", "dynamic", "visible"), (0.5, 1.0, 2.5)
 """Strata and horizons of the headline tests: the family of Holm's correction is the headline score in these, for each
 tracker."""
+DETAIL_HORIZON_S = 1.0
+"""The horizon of the scores beside the headline, and of the order of rows."""
 POOLED_EVERY_S = 0.5
 """Spacing of the common horizons, seconds: those of the headline are multiples of it."""
 
@@ -84,6 +86,13 @@ def headline_steps(horizons_s: Sequence[float]) -> list[tuple[float, int]]:
     period_s = horizons_s[1] - horizons_s[0]
     steps = dict.fromkeys(nearest_step(h, period_s) for h in HEADLINE_HORIZONS_S)
     return [(float(horizons_s[step]), step) for step in steps if 0 < step < len(horizons_s)]
+
+
+def detail_step(horizons_s: Sequence[float]) -> int:
+    """The step of the scores beside the headline: nearest to DETAIL_HORIZON_S, else the first of the headline."""
+    steps = sorted(step for _, step in headline_steps(horizons_s)) or [len(horizons_s) - 1]
+    detail = nearest_step(DETAIL_HORIZON_S, horizons_s[1] - horizons_s[0])
+    return detail if detail in steps else steps[0]
 
 
 class RunTrials:

@@ -215,7 +215,8 @@ def resolve(
     if settings.limits.sandbox:
         check_sandbox()
     external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
-    selections = parse_selections(settings.trackers or _every_tracker(external))
+    floors, left_out = _added_floors(settings)
+    selections = parse_selections([*(settings.trackers or _every_tracker(external)), *floors])
     _refuse_oracle_label(selections)
     _refuse_unknown_reference(settings.reference, selections)
     launches = {selection.label: launch(selection.name, external) for selection in selections}
@@ -247,7 +248,7 @@ def resolve(
     )
     for trial in trials:
         _refuse_thresholds_of_another_site(trial)
-    notices = [notice for split in splits for notice in split.notices]
+    notices = [*left_out, *(notice for split in splits for notice in split.notices)]
     notices += [
         f"{trial.label}: {trial.weights.name} is of a training that was interrupted at {trial.weights.card.interrupted}"
         for trial in trials
@@ -292,8 +293,23 @@ def _large_cost(trials: Sequence[Trial]) -> Iterator[str]:
 
 
 def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
-    """Names of all trackers that can be selected; `gridtrack trackers list` reports the others."""
-    return (*(name for name in registry.entries() if VALID_NAME.fullmatch(name)), *external)
+    """Names of all trackers but the floors; `gridtrack trackers list` reports those that cannot be selected."""
+    floors = registry.floors()
+    return (*(name for name in registry.entries() if VALID_NAME.fullmatch(name) and name not in floors), *external)
+
+
+def _added_floors(settings: CompareSettings) -> tuple[list[str], list[str]]:
+    """The rows of the floors that the settings do not name, and a notice of each that cannot run.
+
+    Beside named trackers they have general weights, which learned from no frame of the comparison.
+    """
+    if settings.no_floors:
+        return [], []
+    named = {selection.name for selection in parse_selections(settings.trackers)}
+    others = {name: entry for name, entry in registry.floors().items() if name not in named}
+    why = {name: entry.problem or registry.missing_extra(entry) for name, entry in others.items()}
+    rows = [f"{name}:card=general" if settings.trackers else name for name in others if not why[name]]
+    return rows, [f"{name}, a floor, is left out: {problem}" for name, problem in why.items() if problem]
 
 
 def _check_options(selection: Selection, start: Launch, limits: Limits) -> None:

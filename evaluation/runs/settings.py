@@ -27,6 +27,8 @@ class CompareSettings(Settings):
     """For example demo.mcap@30s-90s, or s3://bucket/demo.mcap"""
     trackers: Annotated[tuple[str, ...], Option("tracker", "[LABEL=]NAME[:OPTIONS]")] = ()
     """Tracker, and its options as KEY=VALUE,...; repeat for several; default: every tracker"""
+    no_floors: bool = False
+    """Leave out the floors, which every tracker must beat, but for those that --tracker names"""
     out: Annotated[Path, Option(metavar="FOLDER")] = Path("runs/latest")
     """Folder of the run, or its URL"""
     validation: Annotated[str | None, Option(metavar="RECORDING[@RANGE]")] = None

@@ -27,7 +27,7 @@ from gridtrack.trackers.wire import Fill, Message, WireError, encode, receive
 
 STRETCHES_VERSION = 4
 """Increases with every change to the survey, the frames or the labels of the same recording."""
-KINDS_VERSION = 2
+KINDS_VERSION = 3
 """Increases with every change to the kinds of cells, or the returns in motion, of the same frames."""
 MAX_CACHE_BYTES = 10 << 30
 """Frames of about a hundred hours of simulated worlds."""

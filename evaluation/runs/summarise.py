@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from gridtrack.evaluation.runs.finished import (
     HEADLINE_STRATA,
     FinishedTrial,
     RunTrials,
+    detail_step,
     headline_steps,
     unlike_recordings,
 )
@@ -40,7 +41,7 @@ from gridtrack.evaluation.runs.summary import (
     TrialSummary,
 )
 from gridtrack.evaluation.runs.trial_record import TrialRecord
-from gridtrack.evaluation.scores.definition import CurvesByStratum, ScoreDefinition
+from gridtrack.evaluation.scores.definition import CurvesByStratum, Output, ScoreDefinition
 from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.scores.registry import built_in, find_output
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
@@ -87,7 +88,8 @@ class _Summary:
         if not run.pools and len(run.recordings) > 1:
             found.append("the recordings have no horizons in common: no scores are pooled over them")
         found += unlike_recordings(run.recordings) if run.pools else []
-        trackers = _related(rows, self._scores)
+        horizons_s = {name: run.horizons_of([name]) for name in run.recordings} | {ALL_RECORDINGS: run.horizons_s}
+        trackers = related(rows, self._scores, self._headline, horizons_s)
         found += _reversed_rankings(run, trackers, self._scores)
         score, output = self._headline
         shown = {
@@ -206,49 +208,82 @@ def _scopes(row: TrackerSummary) -> Iterator[ScopeSummary]:
         yield row.pooled
 
 
-def _related(rows: Mapping[str, TrackerSummary], scores: Sequence[ScoreDefinition]) -> dict[str, TrackerSummary]:
-    """The rows with the outputs that need the floors, the oracle or other strata."""
-    oracle, floors = rows.get(ORACLE), [row for row in rows.values() if row.floor]
-    found = {}
-    for label, row in rows.items():
-        ceiling = None if label == ORACLE else oracle
-        trials = {
-            name: trial.model_copy(update={"strata": _related_strata(trial, scores, _of(ceiling, name), others)})
-            for name, trial in row.recordings.items()
-            for others in [[floor.recordings.get(name) for floor in floors]]
-        }
-        pooled = row.pooled
-        if pooled is not None:
-            others = [floor.pooled for floor in floors]
-            strata = _related_strata(pooled, scores, ceiling.pooled if ceiling else None, others)
-            pooled = pooled.model_copy(update={"strata": strata})
-        found[label] = row.model_copy(update={"recordings": trials, "pooled": pooled})
+def related(
+    rows: Mapping[str, TrackerSummary],
+    scores: Sequence[ScoreDefinition],
+    headline: tuple[ScoreDefinition, Output],
+    horizons_s: Mapping[str, Sequence[float]],
+) -> dict[str, TrackerSummary]:
+    """The rows with the outputs of `ScoreDefinition.relate`, the best floor, and whether they are below it.
+
+    `horizons_s`: of the steps on each recording, and of ALL_RECORDINGS.
+    """
+    found = dict(rows)
+    for name in horizons_s:
+        pooled = name == ALL_RECORDINGS
+        scopes = {label: row.pooled if pooled else row.recordings.get(name) for label, row in rows.items()}
+        known = {label: scope for label, scope in scopes.items() if scope is not None}
+        for label, update in _relations(rows, known, scores, headline, horizons_s[name]):
+            scope = known[label].model_copy(update=update)
+            recordings = found[label].recordings
+            where = {"pooled": scope} if pooled else {"recordings": {**recordings, name: scope}}
+            found[label] = found[label].model_copy(update=where)
     return found
 
 
-def _of(row: TrackerSummary | None, recording: str) -> TrialSummary | None:
-    return row.recordings.get(recording) if row else None
-
-
-def _related_strata(
-    own: ScopeSummary,
+def _relations(
+    rows: Mapping[str, TrackerSummary],
+    scopes: Mapping[str, ScopeSummary],
     scores: Sequence[ScoreDefinition],
-    oracle: ScopeSummary | None,
-    floors: Sequence[ScopeSummary | None],
+    headline: tuple[ScoreDefinition, Output],
+    horizons_s: Sequence[float],
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The fields of each scope that depend on other rows; without one of the floors none is known to be the best."""
+    comparable = {label: scope for label, scope in scopes.items() if _may_bound(scope)}
+    floors = [label for label in scopes if rows[label].floor]
+    better, best, values = headline[1].direction, "", {}
+    if floors and all(label in comparable for label in floors):
+        values = _headline_values(comparable, headline, detail_step(horizons_s))
+        best = max((label for label in floors if label in values), key=lambda one: better * values[one], default="")
+    for label, scope in scopes.items():
+        row = rows[label]
+        oracle = None if row.ceiling else scopes.get(ORACLE)
+        worse = bool(best) and label in values and better * (values[label] - values[best]) < 0
+        yield (
+            label,
+            {
+                "strata": _with_relations(scope, scores, oracle, scopes.get(best)),
+                "best_floor": best,
+                "below_floor": worse and not row.floor and not row.ceiling,
+            },
+        )
+
+
+def _headline_values(
+    scopes: Mapping[str, ScopeSummary], headline: tuple[ScoreDefinition, Output], step: int
+) -> dict[str, float]:
+    """The headline score at `step` of each scope, in the first headline stratum in which any has one."""
+    score, output = headline
+    for stratum in HEADLINE_STRATA:
+        values = {label: scope.at(stratum, score.name, output.name, step).value for label, scope in scopes.items()}
+        if known := {label: value for label, value in values.items() if value is not None}:
+            return known
+    return {}
+
+
+def _with_relations(
+    own: ScopeSummary, scores: Sequence[ScoreDefinition], oracle: ScopeSummary | None, floor: ScopeSummary | None
 ) -> dict[str, Estimates]:
     """The strata of a scope with the outputs of `ScoreDefinition.relate`.
 
-    A row that was scored in part was scored on other frames than the oracle. Without one of the floors none is known to
-    be the best.
+    A row that was scored in part was scored on other frames than the oracle.
     """
     strata = {name: dict(found) for name, found in own.strata.items()}
     for score in scores:
         if score.relate is None:
             continue
-        bound = _lead_of(oracle, score) if own.outcome == "ok" else None
-        known = [floor for one in floors if (floor := _lead_of(one, score)) is not None]
-        related = score.relate(_curves(own, score), known if len(known) == len(floors) else [], bound)
-        for output, by_stratum in related.items():
+        start, bound = (_lead_of(one, score) if own.outcome == "ok" else None for one in (floor, oracle))
+        for output, by_stratum in score.relate(_curves(own, score), start, bound).items():
             for stratum, values in by_stratum.items():
                 added = {output: Estimate(value=rounded_curve(values))}
                 strata[stratum][score.name] = strata[stratum][score.name] | added
@@ -257,7 +292,12 @@ def _related_strata(
 
 def _lead_of(scope: ScopeSummary | None, score: ScoreDefinition) -> CurvesByStratum | None:
     """The leading output of a scope that may be the floor or the ceiling of others; None where it is none."""
-    return _curves(scope, score) if scope is not None and scope.outcome == "ok" and not scope.leak else None
+    return _curves(scope, score) if scope is not None and _may_bound(scope) else None
+
+
+def _may_bound(scope: ScopeSummary) -> bool:
+    """Whether a scope may be the floor or the ceiling of others."""
+    return scope.outcome == "ok" and not scope.leak
 
 
 def _curves(scope: ScopeSummary, score: ScoreDefinition) -> CurvesByStratum:

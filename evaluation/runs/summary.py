@@ -138,6 +138,10 @@ class ScopeSummary(ResultModel):
     """By stratum, score and output; empty where nothing was scored."""
     interval: Line = ""
     """Why there are no intervals; empty where there are."""
+    best_floor: Line = ""
+    """Label of the floor with the best headline score, from which shares of the oracle are; empty if not known."""
+    below_floor: bool = False
+    """Whether the headline score of a tracker is worse than that of the best floor."""
 
     @property
     def complete(self) -> bool:

@@ -1,9 +1,10 @@
 """Beam error: where a forecast expects the beams of the observed frame to end, less where they ended, in metres.
 
-A beam of frame t+n is followed from its sensor through the forecast for step n. It returns from the first cell that is
-occupied, so it reaches a cell with the product of the probabilities that the cells before it are free, and the expected
-range is the mean over the cells. Only beams that ended in the window count. After Khurana et al., "Point cloud
-forecasting as a proxy for 4D occupancy forecasting" (CVPR 2023), who evaluate forecasts by such expected ranges.
+A beam of frame t+n is followed from its sensor to the edge of the window through the forecast for step n. It returns
+from the first cell that is occupied, so it reaches a cell with the product of the probabilities that the cells before
+it are free, and the expected range is the mean over the cells. Every beam counts, also one that left the window: on
+beams that ended in a stratum alone, a forecast that calls everything occupied has a small error. After Khurana et al.,
+"Point cloud forecasting as a proxy for 4D occupancy forecasting" (CVPR 2023), who evaluate such expected ranges.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.raycast import clip
+from gridtrack.common.grid import RESOLUTION_CELLS
+from gridtrack.common.raycast import clip, first_cell
 from gridtrack.evaluation.referee.referee import ScoredForecast
-from gridtrack.evaluation.referee.strata import RANGES, REGIONS, STRATA, STRATA_WITH_TRUTH, SUMS_OF_REGIONS
-from gridtrack.evaluation.referee.targets import ReturnedBeams
+from gridtrack.evaluation.referee.targets import CrossingBeams
 from gridtrack.evaluation.scores.definition import (
     Floats,
     Measure,
@@ -38,23 +39,19 @@ LEAST_REACHED = 1e-6
 
 
 def _count(forecast: ScoredForecast, facts: TrialFacts, memory: None) -> Floats:
-    """Sums (S, K, 2 + B) over beams, in the strata of the cells in which they ended.
+    """Sums (S, 1, 2 + B) over beams.
 
     Metres by which beams are expected to end behind their returns (late), and before them (early), and the number of
     beams by the size of the error.
     """
-    occupancy, seen = forecast.forecast.occupancy, forecast.region_maps.visible.reshape(-1)
-    sums = SUMS_OF_REGIONS[[STRATA_WITH_TRUTH.index(name) for name in STRATA]]
-    found = np.zeros((len(forecast.targets), len(STRATA), 2 + BINS))
+    occupancy = forecast.forecast.occupancy
+    found = np.zeros((len(forecast.targets), 1, 2 + BINS))
     for n, target in enumerate(forecast.targets):
-        cells = target.beams.cells
-        region = seen[cells].astype(np.int64) + RANGES * target.motion.reshape(-1)[cells]
         error_m = facts.cell_m * (expected_ranges(occupancy[n], target.beams) - target.beams.ranges)
-        found[n, :, 0] = sums @ np.bincount(region, np.maximum(error_m, 0.0), REGIONS)
-        found[n, :, 1] = sums @ np.bincount(region, np.maximum(-error_m, 0.0), REGIONS)
+        found[n, 0, 0] = np.maximum(error_m, 0.0).sum()
+        found[n, 0, 1] = np.maximum(-error_m, 0.0).sum()
         bins = np.searchsorted(EDGES_M[1:-1], np.abs(error_m), side="right")
-        of_region = np.bincount(region * BINS + bins, minlength=REGIONS * BINS)
-        found[n, :, 2:] = sums @ of_region.reshape(REGIONS, BINS)
+        found[n, 0, 2:] = np.bincount(bins, minlength=BINS)
     return found
 
 
@@ -80,27 +77,27 @@ def median_size(counts: Floats) -> Floats:
     return np.where(number > 0, median, np.nan)
 
 
-def expected_ranges(occupancy: NDArray[np.float32], beams: ReturnedBeams) -> NDArray[np.float64]:
+def expected_ranges(occupancy: NDArray[np.float32], beams: CrossingBeams) -> NDArray[np.float64]:
     """Expected range (N,), in cells, of each beam in a forecast (M, M) of the frame that it is of.
 
-    A return from a cell is counted at the middle of the beam's way through it, and a beam that passes all cells where
-    it leaves the window, or at the sensor's maximum range.
+    A return from a cell is counted at the middle of the beam's way through it, and a beam that passes all cells at its
+    end: where it leaves the window, or at the sensor's maximum range.
     """
     ranges: NDArray[np.float64] = np.empty(beams.ranges.size)
-    _follow(np.ascontiguousarray(occupancy), beams.starts, beams.directions, beams.longest, ranges)
+    _follow(np.ascontiguousarray(occupancy), beams.starts, beams.directions, beams.ends, ranges)
     return ranges
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _follow(occupancy, starts, directions, longest, ranges):  # type: ignore[no-untyped-def]
+def _follow(occupancy, starts, directions, ends, ranges):  # type: ignore[no-untyped-def]
     """Follow each beam from cell to cell (Amanatides and Woo, 1987), and set its expected range."""
     size = occupancy.shape[0]
     for i in range(ranges.size):
-        x0, y0, dx, dy = starts[i, 0], starts[i, 1], directions[i, 0], directions[i, 1]
-        enter, leave = clip(x0, y0, dx * longest[i], dy * longest[i], size)
-        at, end = enter * longest[i], leave * longest[i]
-        column = min(max(int(np.floor(x0 + at * dx)), 0), size - 1)
-        row = min(max(int(np.floor(y0 + at * dy)), 0), size - 1)
+        dx, dy, end = directions[i, 0], directions[i, 1], ends[i]
+        x0, y0 = starts[i, 0], starts[i, 1]
+        enter, _ = clip(x0, y0, dx * end, dy * end, size)
+        at = enter * end
+        column, row = first_cell(x0 + at * dx, dx, size), first_cell(y0 + at * dy, dy, size)
         step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
         apart_x, apart_y = 1.0 / abs(dx), 1.0 / abs(dy)  # infinite along an axis
         next_x = (column + (dx > 0) - x0) / dx if dx != 0 else np.inf
@@ -108,7 +105,7 @@ def _follow(occupancy, starts, directions, longest, ranges):  # type: ignore[no-
         reached, expected = 1.0, 0.0
         while at < end and 0 <= column < size and 0 <= row < size and reached > LEAST_REACHED:
             after = min(next_x, next_y, end)
-            if after > at:  # not a cell that is only touched at a corner
+            if after > at + RESOLUTION_CELLS:  # not a cell that is only touched at a corner
                 returned = reached * occupancy[row, column]
                 expected += returned * 0.5 * (at + after)
                 reached -= returned
@@ -131,10 +128,11 @@ BEAM_ERROR = ScoreDefinition(
         Output("median", "Median beam error", unit="m", better="lower", scale="log"),
         Output("bias", "Beam bias", unit="m", scale="linear"),
     ),
-    about="Mean distance, metres, from the end of a beam of the observed frame to the end that the forecast expects."
-    " The bias is above 0 where an obstacle was not forecast, and below 0 where a forecast obstacle is not there. Small"
-    " probabilities add up along a beam, so calibrated cells can have a large error. Khurana et al., 2023.",
-    strata=lambda facts: STRATA,
+    about="Mean distance, metres, from the end of a beam of the observed frame to the end that the forecast expects,"
+    " over all beams, from the sensor to the edge of the window. The bias is above 0 where an obstacle was not"
+    " forecast, and below 0 where a forecast obstacle is not there. Small probabilities add up along a beam, so"
+    " calibrated cells can have a large error. Khurana et al., 2023.",
+    strata=lambda facts: ("visible",),
     parts=lambda facts: ("late", "early", *block("beams", BINS)),
     count=_count,
     value=_value,

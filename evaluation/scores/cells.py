@@ -17,14 +17,17 @@ from gridtrack.evaluation.referee.referee import ScoredForecast
 from gridtrack.evaluation.referee.strata import RANGES, REGIONS, STRATA, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, RegionMaps
 from gridtrack.evaluation.referee.targets import NOT_SCORED, SEEN_OCCUPIED, Target
 
-_LOWEST_OCTAVE, _LOWEST_OCTAVE_NEXT_TO_1 = 12, 7
-_COARSENING = 8
+_LOWEST_OCTAVE = 12
+_COARSENING, _LOWEST_OCTAVE_NEXT_TO_1 = 8, 7
+"""Of the bins for calibration."""
+MASSES = (0.0, 0.5, 1.0)
+"""Probabilities that many cells may have: a bin of their own, so that cells beside them are not mixed with them."""
 
 
-def _edges(coarsening: int = 1) -> NDArray[np.float64]:
+def _edges(coarsening: int = 1, lowest_next_to_1: int = _LOWEST_OCTAVE) -> NDArray[np.float64]:
     """Edges towards 0 by octaves of p, and towards 1 by octaves of 1 - p."""
     near_0 = np.concatenate([_octave(k, coarsening) for k in range(_LOWEST_OCTAVE, 0, -1)])
-    near_1 = np.concatenate([_octave(k, coarsening) for k in range(_LOWEST_OCTAVE_NEXT_TO_1, 0, -1)])
+    near_1 = np.concatenate([_octave(k, coarsening) for k in range(lowest_next_to_1, 0, -1)])
     return np.concatenate([[0.0], near_0, [0.5], 1.0 - near_1[::-1], [1.0]])
 
 
@@ -34,25 +37,28 @@ def _octave(k: int, coarsening: int) -> NDArray[np.float64]:
     return 2.0 ** -(k + 1) * (1.0 + np.arange(bins) / bins)
 
 
-PROBABILITY_EDGES = _edges()
-"""Edges (B+1,) of the bins of a histogram of probabilities, multiples of 2^-17; one of them is 0.5.
+PROBABILITY_EDGES = np.union1d(_edges(), np.nextafter(np.array(MASSES, np.float32), np.float32(2.0)).astype(np.float64))
+"""Edges (B+1,) of the bins of a histogram of probabilities, float32: multiples of 2^-17, and the number after each of
+MASSES.
 
-Bin b covers `PROBABILITY_EDGES[b] <= p < PROBABILITY_EDGES[b + 1]`, the last bin also p = 1. The edges are nearly
-log-spaced towards 0, down to 2^-13, and towards 1: the order of small probabilities decides the PR-AUC of rare objects.
+Bin b covers `PROBABILITY_EDGES[b] <= p < PROBABILITY_EDGES[b + 1]`. The edges are nearly log-spaced towards 0 and 1,
+down to 2^-13: the order of small probabilities decides the PR-AUC of rare objects, and of large ones that of walls.
 """
 PROBABILITY_BINS = len(PROBABILITY_EDGES) - 1
-CALIBRATION_EDGES = _edges(_COARSENING)
-"""Edges (C+1,) of the coarser bins for calibration, some of PROBABILITY_EDGES: in finer bins the share of occupied
-cells is mostly noise, which adds to every calibration error."""
+CALIBRATION_EDGES = _edges(_COARSENING, _LOWEST_OCTAVE_NEXT_TO_1)
+"""Edges (C+1,) of the coarser bins for calibration, some of PROBABILITY_EDGES; p = 1 is in the last bin. In finer bins
+the share of occupied cells is mostly noise, which adds to every calibration error."""
 CALIBRATION_BINS = len(CALIBRATION_EDGES) - 1
 HALF = int(np.searchsorted(PROBABILITY_EDGES, 0.5))
-"""The bin whose lower edge is 0.5."""
+"""The bin of 0.5, whose lower edge it is."""
 FIRST_OF_CALIBRATION_BIN = np.searchsorted(PROBABILITY_EDGES, CALIBRATION_EDGES[:-1])
 """The first bin (C,) of each bin for calibration."""
 _CALIBRATION_BIN = np.searchsorted(FIRST_OF_CALIBRATION_BIN, np.arange(PROBABILITY_BINS), side="right") - 1
 _SLOTS = 1 << 17
-"""Every edge is a multiple of 1 / _SLOTS, so that a table maps a probability to its bin."""
-_BIN_OF_SLOT = np.searchsorted(PROBABILITY_EDGES[1:-1], np.arange(_SLOTS + 1) / _SLOTS, side="right").astype(np.int16)
+"""A table maps a probability to its bin: every edge is a multiple of 1 / _SLOTS, but for the ends of the MASSES."""
+_BIN_OF_SLOT = np.searchsorted(PROBABILITY_EDGES[1:-1], (np.arange(_SLOTS + 1) + 0.5) / _SLOTS, side="right").astype(
+    np.int16
+)
 CLIP = 1e-3
 """Probabilities are clipped to [CLIP, 1 - CLIP] for the log loss."""
 
@@ -166,8 +172,8 @@ def _count_step(probability, state, motion, seen, hidden, cells, positives, p_su
         if state[i] == NOT_SCORED:
             continue
         region = seen[i] + RANGES * motion[i] if state[i] <= SEEN_OCCUPIED else hidden[i]
-        bin_ = _BIN_OF_SLOT[int(probability[i] * np.float32(_SLOTS))]
         p = float(probability[i])
+        bin_ = _BIN_OF_SLOT[int(probability[i] * np.float32(_SLOTS))] - (p in (0.0, 0.5))
         cells[region, bin_] += 1
         p_sum[region, _CALIBRATION_BIN[bin_]] += p
         clipped = min(max(p, CLIP), 1.0 - CLIP)

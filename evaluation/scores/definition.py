@@ -7,7 +7,7 @@ recordings, of resampled units and of differences follow from the same sums with
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
@@ -24,7 +24,7 @@ Scale = Literal["", "odds", "log", "linear"]
 """The scale on which an interval is symmetric: log odds of a share in [0, 1], logarithm of a positive value, the value
 itself; empty: no interval."""
 Relation = Callable[
-    ["CurvesByStratum", Sequence["CurvesByStratum"], "CurvesByStratum | None"], dict[str, "CurvesByStratum"]
+    ["CurvesByStratum", "CurvesByStratum | None", "CurvesByStratum | None"], dict[str, "CurvesByStratum"]
 ]
 CurvesByStratum = Mapping[str, Floats]
 """Values (S,) by stratum."""
@@ -138,7 +138,7 @@ class ScoreDefinition:
     forecasts. `value(sums)` gives every output that follows from sums (..., P), pooled, of units, or without one of
     them: intervals, differences and tests are made from it. The first output leads. `strata` and `parts` of a trial
     follow from its facts; a score without strata does not apply to the trial. `relate` gives outputs (S,) by stratum
-    that need those of other rows: of the floors, and of the oracle. `figure` gives the points (N,) of the score's
+    that need other rows: the floor with the best headline score, and the oracle. `figure` gives the points (N,) of its
     figure from sums (U, P) of units; those that are ratios get an interval.
     `needed` names files of the recording or parts of the forecast that not every trial has. `compared_with`: the row
     that others are compared with is the reference for occupancy, or for classes. `thresholded`: its values depend on

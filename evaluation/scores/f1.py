@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,10 +71,10 @@ def f1_of(confusion: NDArray[np.integer]) -> Floats:
 
 
 def _relate(
-    own: CurvesByStratum, floors: Sequence[CurvesByStratum], oracle: CurvesByStratum | None
+    own: CurvesByStratum, floor: CurvesByStratum | None, oracle: CurvesByStratum | None
 ) -> dict[str, CurvesByStratum]:
     """The share of the way from the best floor to the oracle, and on hidden cells the gap to visible ones."""
-    found: dict[str, CurvesByStratum] = {"oracle_share": share_of_oracle(own, floors, oracle, np.fmax, LEAST_F1_GAP)}
+    found: dict[str, CurvesByStratum] = {"oracle_share": share_of_oracle(own, floor, oracle, 1, LEAST_F1_GAP)}
     if OCCLUDED in own:
         found["truth_gap"] = {OCCLUDED: own["visible"] - own[OCCLUDED]}
     return found
@@ -96,8 +96,8 @@ F1 = ScoreDefinition(
     ),
     about="2 TP / (2 TP + FP + FN) over cells, at the threshold of the step and stratum that was chosen on the"
     " validation stretch; undefined where no cell was occupied. It depends on the threshold, and counts a cell beside"
-    " the right one as two errors. The share of the oracle is (F1 - floor) / (F1 of the oracle - floor), with the best"
-    " floor of the run. Ondruska et al., 2016.",
+    " the right one as two errors. The share of the oracle is (F1 - floor) / (F1 of the oracle - floor), with the"
+    " floor of the run that has the best headline score. Ondruska et al., 2016.",
     parts=_parts,
     count=_count,
     value=_value,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -33,9 +33,9 @@ def _value(sums: Sums) -> Mapping[str, Ratio]:
 
 
 def _relate(
-    own: CurvesByStratum, floors: Sequence[CurvesByStratum], oracle: CurvesByStratum | None
+    own: CurvesByStratum, floor: CurvesByStratum | None, oracle: CurvesByStratum | None
 ) -> dict[str, CurvesByStratum]:
-    return {"oracle_share": share_of_oracle(own, floors, oracle, np.fmin, LEAST_LOSS_GAP, relative=True)}
+    return {"oracle_share": share_of_oracle(own, floor, oracle, -1, LEAST_LOSS_GAP, relative=True)}
 
 
 LOG_LOSS = ScoreDefinition(

@@ -72,7 +72,8 @@ PR_AUC = ScoreDefinition(
     position=20,
     outputs=(Output("area", "PR-AUC", better="higher", scale="odds", tested=True),),
     about="Average precision: precision weighted by the gain in recall, over the edges of the histogram of"
-    " probabilities. It needs no threshold. Forecasts that say 0 or 1 have one point of the curve, so a low area.",
+    " probabilities, in which 0, 0.5 and 1 are bins of their own. It needs no threshold. Forecasts that say 0 or 1 have"
+    " one point of the curve, so a low area.",
     parts=lambda facts: (*block("cells", PROBABILITY_BINS), *block("occupied", PROBABILITY_BINS)),
     count=_count,
     value=_value,

@@ -25,8 +25,9 @@ SOFT_IOU = ScoreDefinition(
     name="soft_iou",
     title="Soft IoU",
     position=70,
-    outputs=(Output("iou", "Soft IoU", better="higher", scale="odds", tested=True),),
-    about="Sum of p o over the sum of p + o - p o, over cells. It favours sharp forecasts: persistence can lead it.",
+    outputs=(Output("iou", "Soft IoU", better="higher", scale="odds"),),
+    about="Sum of p o over the sum of p + o - p o, over cells. It favours sharp forecasts: persistence can lead it. So"
+    " it is shown, and no tracker is compared by it.",
     strata=lambda facts: neighbourhood_strata(facts.strata),
     parts=lambda facts: ("intersection", "union"),
     count=_count,

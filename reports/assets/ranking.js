@@ -60,7 +60,7 @@ function drawRow(row, { value, low, high }, x, place, end, decimals) {
   if (low !== null && high !== null) {
     parts.push(draw("line", { class: "whisker", x1: x(low), x2: x(high), y1: y, y2: y }));
   }
-  const words = row.group === "unranked" ? `${row.name}: ${row.outcome}, not ranked` : row.name;
+  const words = [row.name, row.remark, row.group === "unranked" ? "not ranked" : ""].filter(Boolean).join(", ");
   return draw("g", { class: `line ${row.style}${faint}` }, draw("title", {}, words), ...parts);
 }
 

@@ -19,7 +19,7 @@ function drawTable(chosen) {
   const columns = columnsOf(chosen), at = pointsIn(chosen, allSteps(chosen));
   const heading = (words, name) => make("th", { scope: "col", class: name ? "name" : null }, words);
   const lines = rowsIn(chosen).map((row) => make("tr", {},
-    make("th", { scope: "row", class: "name" }, swatch(row.style), make("span", { class: "label" }, row.group === "unranked" ? `${row.name} (${row.outcome})` : row.name)),
+    make("th", { scope: "row", class: "name" }, swatch(row.style), make("span", { class: "label" }, row.remark ? `${row.name} (${row.remark})` : row.name)),
     ...columns.map(([key]) => cell(at(row, key), outputNamed(key).decimals))));
   return make("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Every score" }, make("table", {},
     make("thead", {}, make("tr", {}, heading("tracker", true), ...columns.map(([, name]) => heading(name, false)))),

@@ -32,7 +32,7 @@ def compare(
     """
     rows = [word for tracker in trackers for word in ("--tracker", tracker)]
     chosen_on: list[str | Path] = ["--validation", validation] if validation else []
-    gridtrack("compare", *recordings, *chosen_on, *rows, "--out", out, *options)
+    gridtrack("compare", *recordings, "--no-floors", *chosen_on, *rows, "--out", out, *options)
 
 
 def train(card: Path, *words: str | Path) -> bool:

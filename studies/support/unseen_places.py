@@ -34,14 +34,14 @@ from studies.support.results_file import NONE, ResultTable, chance_marked, measu
 WEIGHTS, TRAININGS = Path("data/weights"), Path("studies/trainings")
 REFERENCE = "persistence"
 FAMILIES = {
-    "floors": ("static-map", "blank"),
+    "floors": ("static-map", "blank", "stationary", "advection"),
     "model-free pipeline": ("kalman", "factor-graph"),
     "particle grid": ("dogma",),
     "networks": ("dilated-convgru", "deep-tracking-rnn"),
     "one scan": ("one-shot",),
 }
 """The trackers beside the reference, by kind."""
-WITHOUT_WEIGHTS = (REFERENCE, "blank")
+WITHOUT_WEIGHTS = (REFERENCE, "blank", "advection")
 STRATA = {"in-motion": "in motion", "dynamic": "dynamic", "visible": "visible", "occluded": "hidden"}
 HORIZONS_S = (0.5, 1.0, 2.5)
 

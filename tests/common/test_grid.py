@@ -27,6 +27,13 @@ def test_rows_run_along_y_and_columns_along_x() -> None:
     assert cells[:3].tolist() == [[0, 0], [1, 3], [3, 0]]
 
 
+def test_a_point_on_a_grid_line_is_in_the_upper_cell_up_to_rounding() -> None:
+    grid = GridSpec(10, 0.2, (0.0, 0.0))
+    cells, _ = grid.cells_of(np.array([[0.6, 1.2], [0.6 - 1e-14, 1.2 + 1e-14]]))
+    assert 0.6 / 0.2 < 3.0, "the quotient is below the line"
+    assert cells.tolist() == [[6, 3], [6, 3]]
+
+
 def test_centres_are_in_row_major_order() -> None:
     marked = np.zeros((4, 4), bool)
     marked[0, 3] = marked[2, 1] = marked[2, 2] = True

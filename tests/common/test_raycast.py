@@ -91,6 +91,30 @@ def test_hand_drawn_beams(angle_deg: float, distance: float, start: tuple[float,
     assert drawn(beam(0.0, distance), SE2(*start, math.radians(angle_deg))) == picture
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-14, -1e-14, 1e-16, -1e-16])
+@pytest.mark.parametrize(
+    ("angle_deg", "start", "picture"),
+    [
+        (0, (0.5, 2.0), "?????\n?????\n...#?\n?????\n?????"),
+        (180, (3.5, 2.0), "?????\n?????\n#...?\n?????\n?????"),
+        (90, (2.0, 0.5), "?????\n??#??\n??.??\n??.??\n??.??"),
+        (-90, (2.0, 3.5), "?????\n??.??\n??.??\n??.??\n??#??"),
+    ],
+)
+def test_a_beam_along_a_grid_line_is_in_the_upper_cells_in_either_direction_and_up_to_rounding(
+    angle_deg: int, start: tuple[float, float], picture: str, noise: float
+) -> None:
+    turned = SE2(start[0] + noise, start[1] + noise, math.radians(angle_deg))
+    assert drawn(beam(0.0, 3.0), turned) == picture
+    assert drawn(beam(math.radians(angle_deg + noise), 3.0), SE2(start[0], start[1] - noise)) == picture
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-14, -1e-14])
+def test_a_beam_that_begins_or_ends_on_a_grid_line_up_to_rounding_is_in_the_upper_cell(noise: float) -> None:
+    assert drawn(beam(0.0, 2.0), SE2(1.0 + noise, 2.5)) == "?????\n?????\n?..#?\n?????\n?????"
+    assert drawn(beam(math.pi, 2.0), SE2(3.0 + noise, 2.5)) == "?????\n?????\n?#.??\n?????\n?????"
+
+
 def segment(x: float, y: float) -> Scan:
     return beam(math.atan2(y, x), math.hypot(x, y))
 

@@ -31,7 +31,8 @@ CURRENT = [page for page in PAGES if page not in PAST]
 FOLDERS = (
     r"(?:common|recordings|simulation|trackers|evaluation|reports|cli|tests|benchmarks|studies|examples|docs|data)"
 )
-BUILT_IN = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["gridtrack.trackers"]
+ENTRY_POINTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
+BUILT_IN = ENTRY_POINTS["gridtrack.trackers"] | ENTRY_POINTS["gridtrack.floors"]
 PACKAGES = ("common", "recordings", "simulation", "trackers", "evaluation", "reports", "cli")
 FILE = re.compile(rf"`({FOLDERS}/[\w./-]+\.(?:py|md|toml|json|tracks|mcap|xml|svg))`")
 

@@ -73,6 +73,15 @@ def test_objects_and_grid_are_placed_by_their_poses():
     assert (truth.labels == 2).sum() == (truth.cover == OUTLINE).sum()
 
 
+@pytest.mark.parametrize("quarter", range(4))
+@pytest.mark.parametrize("noise", [0.0, 1e-14, -1e-14])
+def test_an_outline_on_grid_lines_is_in_the_upper_cells_however_it_is_placed(quarter, noise):
+    """A square of 2 x 2 cells about (2, 2): its lower and left sides are in its own cells, the others are not."""
+    square = body(box(-1.0, -1.0, 2.0, 2.0), pose=SE2(2.0 + noise, 2.0 - noise, quarter * np.pi / 2))
+    expected = [".....", ".##..", ".#i#.", ".###.", "....."]
+    assert drawn(truth_grid(scene(objects=[square]), GRID, HERE).cover) == expected
+
+
 def test_an_outline_inside_another_object_counts_and_road_users_take_precedence():
     room, within = box(0.5, 0.5, 4, 4), box(2.2, 2.2, 0.5, 0.5)
     truth = truth_grid(scene(static=[room], objects=[body(within, label=1)]), GRID, HERE)

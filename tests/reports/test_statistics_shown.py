@@ -120,11 +120,11 @@ def test_the_other_scores_stand_below_f1_with_uncorrected_p_and_no_verdict(run, 
     differences = page.partition("Difference from persistence")[2].partition("</section>")[0]
     rows = differences.partition(">good<")[2].partition("unlucky")[0]
     for test in good.tests:
-        for output in ("pr_auc.area", "fss.5_cells", "beam_error.mean", "log_loss.mean"):
+        for output in ("pr_auc.area", "fss.5_cells", "log_loss.mean"):
             found = good.at(test.stratum, *output.split("."), test.step)
             assert found.low <= found.value <= found.high
     assert "</span> <small>F1</small>" in differences, "the name and the score are words of their own"
-    for name in ("Log loss, nats", "PR-AUC", "FSS, 5 cells", "Soft IoU", "Beam error, m"):
+    for name in ("Log loss, nats", "PR-AUC", "FSS, 5 cells"):
         row = rows.partition(f"<small>{name}</small>")[2].partition("</tr>")[0]
         assert row.count(", uncorrected</small>") == 9
         assert "better" not in row

@@ -115,7 +115,7 @@ def neighbourhood_sums(
 
 def beam_sums(rng: np.random.Generator, skill: float, steps: int = STEPS) -> np.ndarray:
     """Sums of one frame along beams (S, K, P): the more skill, the fewer large errors."""
-    sums = np.zeros((steps + 1, len(STRATA), 2 + BINS))
+    sums = np.zeros((steps + 1, 1, 2 + BINS))
     sums[..., :2] = rng.gamma(10.0, 2.0 - skill, sums[..., :2].shape)
     sums[..., 42:62] = rng.poisson(5.0, sums[..., 42:62].shape)
     sums[..., 72] = rng.poisson(80.0 * (1.0 - skill), sums.shape[:-1])

@@ -55,6 +55,7 @@ QUICK = {
     "studies.failing_trials": "--fault hangs --fault hogs --trials 2 --results TMP/robustness.json",
     "studies.figures": "--check",
     "studies.gate_power": "--comparisons 1 --out TMP/regression.json",
+    "studies.motion_rule": "--recordings 1 --out TMP/motion.json",
     "studies.known_present": "--results TMP/known_present.json",
     "studies.size": "",
     "studies.stage_costs": "--stretch 0s-6s --out TMP/model-free.json",
@@ -73,6 +74,7 @@ SMALLER: dict[str, dict[str, Any]] = {
     "benchmarks.scoring": {"STEPS": 5},
     "studies.coverage": {"MEMORIES": {"2 s": {2.0: 1.0}}, "LENGTHS_S": (600,), "SPREADS": (0.0,), "LEVELS": (0.0,)},
     "studies.known_present": {"worlds_called": lambda _: ["data/worlds/test/indoors-corridor-1003.tracks@0s-8s"]},
+    "studies.motion_rule": {"PLACES": {"worlds": ("data/worlds/test", "indoors-corridor-1003.tracks")}},
     "studies.two_sensors": {"VALIDATION_FRAMES": 64, "STRATA": ("dynamic", "visible", "occluded", "occluded dynamic")},
     "studies.velocity_errors": {"RECORDINGS": [f"{JUNCTION / 'test-101.tracks'}@0s-12s"]},
 }
@@ -88,6 +90,7 @@ LONG = {
     "benchmarks.junction": "needs SUMO",
     "benchmarks.recurrent": "trains on whole batches",
     "benchmarks.report_size": A_RUN,
+    "studies.card_thresholds": "rewrites the cards that ship",
     "studies.convert_results": "needs results of 0.2",
     "studies.drive_recordings": "needs SUMO",
     "studies.kept_summary": "test_results.py runs it",

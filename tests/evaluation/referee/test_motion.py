@@ -83,10 +83,22 @@ def test_a_return_is_in_motion_where_its_cell_was_seen_free_one_second_before():
     assert (PARTS[motion[0, 0]], PARTS[motion[5, 5]]) == ("standing", "in-motion")
 
 
-def test_a_cell_that_was_hidden_one_second_before_is_not_known_to_have_been_free():
-    hidden = ~cells((5, 5))
-    before = [frame(visible=hidden), *(frame(at_s=0.25 * k) for k in (1, 2, 3))]
+@pytest.mark.parametrize("neighbour", [(4, 4), (4, 5), (5, 4), (6, 6)])
+def test_a_return_beside_a_cell_that_was_occupied_one_second_before_stands(neighbour):
+    before = [frame(neighbour), *(frame(at_s=0.25 * k) for k in (1, 2, 3))]
     assert PARTS[motion_of_the_last(*before, frame((5, 5), at_s=1.0))[5, 5]] == "standing"
+
+
+@pytest.mark.parametrize("unseen", [(5, 5), (4, 4), (5, 6)])
+def test_a_cell_that_was_hidden_one_second_before_with_its_neighbours_is_not_known_to_have_been_free(unseen):
+    before = [frame(visible=~cells(unseen)), *(frame(at_s=0.25 * k) for k in (1, 2, 3))]
+    assert PARTS[motion_of_the_last(*before, frame((5, 5), at_s=1.0))[5, 5]] == "standing"
+
+
+@pytest.mark.parametrize("border", [(0, 3), (6, 3), (3, 0), (3, 6)])
+def test_a_return_at_the_border_has_a_neighbour_outside_the_window_and_is_not_called_in_motion(border):
+    before = [frame(at_s=0.25 * k) for k in range(4)]
+    assert PARTS[motion_of_the_last(*before, frame(border, at_s=1.0))[border]] == "standing"
 
 
 def test_only_the_frame_of_one_second_before_counts():

@@ -89,12 +89,12 @@ def test_cells_of_the_forecasts_window_that_have_left_the_frames_window_are_scor
 
 
 def test_a_return_is_in_motion_where_its_place_in_the_world_was_free_a_second_before():
-    earlier = Observation(drawn(["....#", ".....", ".....", ".....", "....."]))
-    now = moment(Observation(drawn(["...#.", ".....", ".....", ".....", "....#"], x=1.0)), earlier)
+    earlier = Observation(drawn([".....", "...#.", ".....", ".....", "....."]))
+    now = moment(Observation(drawn([".....", "..#..", ".....", ".....", "....."], x=1.0)), earlier)
     motion = now.target_in(SE2(), now.region_maps).motion
-    assert PARTS[motion[4, 4]] == "standing", "the cell of the world is the one that was occupied"
-    passer = moment(Observation(drawn(["..#..", ".....", ".....", ".....", "....."], x=1.0)), earlier)
-    assert PARTS[passer.target_in(SE2(), passer.region_maps).motion[4, 3]] == "in-motion"
+    assert PARTS[motion[3, 3]] == "standing", "the cell of the world is the one that was occupied"
+    passer = moment(Observation(drawn([".....", ".....", ".....", "..#..", "....."], x=1.0)), earlier)
+    assert PARTS[passer.target_in(SE2(), passer.region_maps).motion[1, 3]] == "in-motion"
 
 
 def test_the_parts_of_a_window_that_stands_follow_its_regions_which_change_with_time():

@@ -152,7 +152,9 @@ def test_an_import_under_another_name_is_of_the_same_source_and_stretches_that_o
 
 def test_every_recording_is_run_by_every_tracker(record, tmp_path):
     recordings = (str(record()), str(record("hall", wall_m=3.4)))
-    settings = CompareSettings(recordings=recordings, trackers=("blank", "b=blank"), out=tmp_path / "run")
+    settings = CompareSettings(
+        recordings=recordings, trackers=("blank", "b=blank"), no_floors=True, out=tmp_path / "run"
+    )
     names = [trial.name for trial in resolve(settings).trials]
     assert names == ["blank@room", "b@room", "blank@hall", "b@hall"]
 
@@ -223,7 +225,9 @@ def test_weights_of_a_site_choose_no_thresholds_at_another_one(record, tmp_path,
     )
     train_tracker(general, lambda text: None)
     (trial,) = resolve(
-        CompareSettings(trackers=("static-map:card=general",), weights=tmp_path / "site", **chosen_there)
+        CompareSettings(
+            trackers=("static-map:card=general",), no_floors=True, weights=tmp_path / "site", **chosen_there
+        )
     ).trials
     assert trial.weights.card.general
 

@@ -136,6 +136,7 @@ def write_trial(run: Path, label: str, recording: str, made: Made, start_s: int 
         schema=TRIAL_SCHEMA, label=label, recording=recording, outcome=made.outcome, frames_scored=made.scored,
         frames_expected=FRAMES, steps=STEPS, thresholds=ThresholdsUsed.of(half(STEPS, STRATA)),
         recoveries=made.recoveries, robustness=robustness_of(made),
+        role="floor" if label == "persistence" else "tracker",
         latency_ms=Latency(update=times, predict=times, predict_step=times) if times else None,
     ).write(folder)  # fmt: skip
 

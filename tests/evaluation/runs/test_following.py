@@ -346,7 +346,18 @@ def test_a_file_in_which_too_little_comes_is_one_line(settings, record):
 
 def test_the_command_follows_a_finished_file_to_its_end(gridtrack, record, tmp_path):
     path = record(stretches={})
-    command = ("compare", "--follow", path, "--tracker", "persistence", "--horizon", "1s", "--out", tmp_path / "out")
+    command = (
+        "compare",
+        "--no-floors",
+        "--follow",
+        path,
+        "--tracker",
+        "persistence",
+        "--horizon",
+        "1s",
+        "--out",
+        tmp_path / "out",
+    )
     done = gridtrack(*command)
     assert done.code == 0, done.err
     assert "F1 dynamic at 1 s: persistence" in done.err

@@ -13,7 +13,7 @@ def compare(gridtrack, record, tmp_path):
     # without a validation stretch the second stream is the first one after the trial
     path, starts = record("plain", seconds=10, stretches={}), tmp_path / "starts"
     trackers = ("--tracker", f"staged:crash_at=60,starts={starts}", "--tracker", "blank")
-    fixed = ("compare", path, *trackers, "--horizon", "1s", "--every", "0.5s", "--out")
+    fixed = ("compare", "--no-floors", path, *trackers, "--horizon", "1s", "--every", "0.5s", "--out")
 
     def compare(folder, *requested):
         starts.unlink(missing_ok=True)
@@ -40,7 +40,7 @@ def test_a_requested_measurement_that_failed_is_exit_3_of_compare_and_of_regress
 
 def test_a_run_without_the_measurements_of_the_baseline_does_not_pass(gridtrack, record, tmp_path):
     path, baseline = record(seconds=14), tmp_path / "baseline.json"
-    fixed = ("compare", path, "--tracker", "blank", "--horizon", "1s", "--every", "0.5s", "--out")
+    fixed = ("compare", "--no-floors", path, "--tracker", "blank", "--horizon", "1s", "--every", "0.5s", "--out")
     assert gridtrack(*fixed, tmp_path / "then", "--degrade", "range-noise=0.1").code == 0
     assert gridtrack("regress", tmp_path / "then", "--baseline", baseline, "--update").code == 0
     assert gridtrack(*fixed, tmp_path / "now").code == 0

@@ -28,7 +28,16 @@ def start(settings, tmp_path):
     def start(*trackers):
         rows = [word for tracker in trackers for word in ("--tracker", tracker)]
         options = ["--horizon", "1s", "--every", "0.5s", "--jobs", "2", "--out", str(tmp_path / "run")]
-        command = [sys.executable, "-m", "gridtrack.cli", "compare", *settings().recordings, *rows, *options]
+        command = [
+            sys.executable,
+            "-m",
+            "gridtrack.cli",
+            "compare",
+            "--no-floors",
+            *settings().recordings,
+            *rows,
+            *options,
+        ]
         return subprocess.Popen(command, stderr=subprocess.DEVNULL)
 
     return start

@@ -12,8 +12,8 @@ from scipy import stats
 from gridtrack.evaluation.referee.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.evaluation.runs import estimates, sums
 from gridtrack.evaluation.runs.finished import headline_steps
-from gridtrack.evaluation.runs.summarise import _related, _reversed_rankings, summarise
-from gridtrack.evaluation.runs.summary import Estimate, PooledSummary, TrackerSummary, TrialSummary
+from gridtrack.evaluation.runs.summarise import _reversed_rankings, related, summarise
+from gridtrack.evaluation.runs.summary import ALL_RECORDINGS, Estimate, PooledSummary, TrackerSummary, TrialSummary
 from gridtrack.evaluation.runs.sums import ScoresError, TrialSums
 from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.scores.log_loss import LOG_LOSS
@@ -91,7 +91,7 @@ def test_a_score_is_in_the_strata_in_which_it_is_defined(tmp_path):
     assert having == {
         "f1": set(STRATA_WITH_TRUTH),
         "fss": {"visible", "dynamic", "in-motion", "occluded"},
-        "beam_error": set(STRATA),
+        "beam_error": {"visible"},
     }
 
 
@@ -253,64 +253,95 @@ def row(tracker, dynamic, log_loss=None, occluded=None, outcome="ok", pooled=Non
     )
 
 
+def related_rows(trackers):
+    """The rows after comparison with floors and oracle, at steps of one second."""
+    horizons_s = {"room": (0.0, 1.0, 2.0, 3.0), ALL_RECORDINGS: (0.0, 1.0, 2.0, 3.0)}
+    return related(trackers, [F1, LOG_LOSS], (F1, F1.lead), horizons_s)
+
+
 def shares(trackers, label, score="f1"):
-    found = _related(trackers, [F1, LOG_LOSS])[label].recordings["room"].estimate("dynamic", score, "oracle_share")
-    return found.value
+    return related_rows(trackers)[label].recordings["room"].estimate("dynamic", score, "oracle_share").value
 
 
-def test_the_share_of_f1_starts_at_the_better_floor_of_each_step_and_ends_at_the_oracle():
+def test_shares_start_at_the_floor_with_the_best_headline_score_one_second_ahead_and_end_at_the_oracle():
     trackers = {
-        "good": row("kalman", [0.9, 0.5]),
-        "oracle": row("oracle", [1.0, 0.8]),
-        "persistence": row("persistence", [0.8, 0.2]),
-        "static-map": row("static-map", [0.1, 0.4]),
+        "good": row("kalman", [0.9, 0.5], [0.3, 0.3]),
+        "oracle": row("oracle", [1.0, 0.8], [0.1, 0.1]),
+        "persistence": row("persistence", [0.8, 0.2], [0.2, 0.2]),
+        "static-map": row("static-map", [0.1, 0.4], [0.5, 0.4]),
     }
-    assert shares(trackers, "good") == (0.5, 0.25)
+    assert {label: one.recordings["room"].best_floor for label, one in related_rows(trackers).items()} == dict.fromkeys(
+        trackers, "static-map"
+    )
+    assert shares(trackers, "good") == (0.888889, 0.25)
     assert shares(trackers, "oracle") == (None, None)
-    assert shares(trackers, "static-map")[1] == 0.0
+    assert shares(trackers, "static-map") == (0.0, 0.0)
+    assert shares(trackers, "persistence")[1] == -0.5, "below the floor it is negative"
+    assert shares(trackers, "good", "log_loss") == (0.5, 0.333333), "of the same floor, though persistence loses less"
 
 
-def test_the_share_of_log_loss_starts_at_the_lowest_floor():
+def test_there_is_no_share_where_the_oracle_is_hardly_better_than_the_floor():
     trackers = {
         "good": row("kalman", [0.5] * 4, [0.3, 0.5, 0.05, 0.3]),
         "oracle": row("oracle", [1.0] * 4, [0.1, 0.1, 0.1, 0.3985]),
-        "persistence": row("persistence", [0.0] * 4, [0.5, 0.4, 0.4, 0.4]),
-        "static-map": row("static-map", [0.0] * 4, [0.6, None, 0.3, 0.4]),
+        "persistence": row("persistence", [0.1] * 4, [0.5, 0.4, 0.3, 0.4]),
     }
-    found = shares(trackers, "good", "log_loss")
-    assert found == (0.5, -0.333333, 1.25, None), "below the floor it is negative, and without a gap there is none"
+    assert shares(trackers, "good", "log_loss") == (0.5, -0.333333, 1.25, None)
+
+
+def test_a_tracker_with_a_lower_headline_score_than_the_best_floor_is_marked_and_no_floor_is():
+    trackers = {
+        "good": row("kalman", [0.0, 0.5]),
+        "poor": row("kalman", [0.9, 0.3]),
+        "stopped": row("kalman", [0.9, 0.3], outcome="crashed"),
+        "oracle": row("oracle", [1.0, 0.2]),
+        "persistence": row("persistence", [0.8, 0.2]),
+        "static-map": row("static-map", [0.1, 0.4]),
+    }
+    found = related_rows(trackers)
+    assert [label for label, one in found.items() if one.recordings["room"].below_floor] == ["poor"]
+    crashed = trackers | {"persistence": row("persistence", [0.8, 0.2], outcome="crashed")}
+    assert not any(one.recordings["room"].below_floor for one in related_rows(crashed).values())
 
 
 @pytest.mark.parametrize(
     "trackers",
     [
-        {"a": row("a", [0.5]), "persistence": row("persistence", [0.4])},
-        {"a": row("a", [0.5]), "oracle": row("oracle", [0.9])},
-        {"a": row("a", [0.5]), "oracle": row("oracle", [0.909]), "p": row("persistence", [0.9])},
-        {"a": row("a", [0.5]), "oracle": row("oracle", [0.9]), "p": row("persistence", [0.4], outcome="crashed")},
+        {"a": row("a", [0.5] * 2), "persistence": row("persistence", [0.4] * 2)},
+        {"a": row("a", [0.5] * 2), "oracle": row("oracle", [0.9] * 2)},
+        {"a": row("a", [0.5] * 2), "oracle": row("oracle", [0.909] * 2), "p": row("persistence", [0.9] * 2)},
         {
-            "a": row("a", [0.8]),
-            "oracle": row("oracle", [0.9]),
-            "p": row("persistence", [0.6], outcome="crashed"),
-            "s": row("static-map", [0.1]),
+            "a": row("a", [0.5] * 2),
+            "oracle": row("oracle", [0.9] * 2),
+            "p": row("persistence", [0.4] * 2, outcome="crashed"),
         },
-        {"a": row("a", [0.5], outcome="crashed"), "oracle": row("oracle", [1.0]), "p": row("persistence", [0.0])},
+        {
+            "a": row("a", [0.8] * 2),
+            "oracle": row("oracle", [0.9] * 2),
+            "p": row("persistence", [0.6] * 2, outcome="crashed"),
+            "s": row("static-map", [0.1] * 2),
+        },
+        {
+            "a": row("a", [0.5] * 2, outcome="crashed"),
+            "oracle": row("oracle", [1.0] * 2),
+            "p": row("persistence", [0.0] * 2),
+        },
     ],
     ids=["no oracle", "no floor", "no room between", "half a floor", "one of two floors", "a row scored in part"],
 )
 def test_there_is_no_share_without_an_oracle_and_every_floor(trackers):
-    assert shares(trackers, "a") == (None,)
+    assert shares(trackers, "a") == (None, None)
 
 
 def test_recordings_pooled_have_shares_of_their_own_and_hidden_cells_a_gap():
     trackers = {
-        "a": row("a", [0.5], occluded=[0.2], pooled=[0.25]),
-        "oracle": row("oracle", [1.0], pooled=[1.0]),
-        "p": row("persistence", [0.0], pooled=[0.0]),
+        "a": row("a", [0.5] * 2, occluded=[0.2] * 2, pooled=[0.25] * 2),
+        "oracle": row("oracle", [1.0] * 2, pooled=[1.0] * 2),
+        "p": row("persistence", [0.0] * 2, pooled=[0.0] * 2),
     }
-    found = _related(trackers, [F1])["a"]
-    assert found.pooled.estimate("visible", "f1", "oracle_share").value == (0.25,)
-    assert found.recordings["room"].estimate("occluded", "f1", "truth_gap").value == (0.3,)
+    found = related_rows(trackers)["a"]
+    assert found.pooled.estimate("visible", "f1", "oracle_share").value == (0.25, 0.25)
+    assert found.recordings["room"].estimate("occluded", "f1", "truth_gap").value == (0.3, 0.3)
 
 
 def test_a_floor_without_which_no_share_is_known_is_a_notice(tmp_path):

@@ -26,7 +26,17 @@ def gridtrack(*words):
 
 def compare(recording, folder, *options):
     """The reason of static-map's trial on `recording`, empty where it is complete. General weights are not used."""
-    command = ("compare", str(recording), "--tracker", "static-map:card=site", "--horizon", "0.5s", "--jobs", "1")
+    command = (
+        "compare",
+        "--no-floors",
+        str(recording),
+        "--tracker",
+        "static-map:card=site",
+        "--horizon",
+        "0.5s",
+        "--jobs",
+        "1",
+    )
     gridtrack(*command, *options, "--out", str(folder))
     (trial,) = folder.glob("static-map@*")
     return read_trial_record(trial).reason
@@ -67,7 +77,14 @@ def test_the_hint_of_an_untrained_tracker_trains_it_for_the_same_comparison(reco
 )
 def test_the_hint_of_one_trial_keeps_out_of_the_stretches_of_the_others(record, tmp_path, stretches, compared, options):
     path = record(seconds=45 if options else 20, stretches=stretches)
-    command = ("compare", *(f"{path}{part}" for part in compared), "--tracker", "static-map:card=site", *options)
+    command = (
+        "compare",
+        "--no-floors",
+        *(f"{path}{part}" for part in compared),
+        "--tracker",
+        "static-map:card=site",
+        *options,
+    )
     command += ("--horizon", "0.5s", "--jobs", "1", "--out", str(tmp_path / "run"))
     gridtrack(*command)
     reasons = [read_trial_record(trial).reason for trial in (tmp_path / "run").glob("static-map@*")]
@@ -97,7 +114,16 @@ def test_stretches_of_its_own_that_another_trial_tests_are_not_named(record, tmp
     """All of the recording is compared: what is left after a training is the end of it."""
     path = record(stretches={"train": (0.0, 4.0), "validation": (4.0, 9.0)})
     gridtrack(
-        *("compare", f"{path}@0s-10s", f"{path}@10s-20s", "--tracker", "static-map:card=site", "--horizon", "0.5s"),
+        *(
+            "compare",
+            "--no-floors",
+            f"{path}@0s-10s",
+            f"{path}@10s-20s",
+            "--tracker",
+            "static-map:card=site",
+            "--horizon",
+            "0.5s",
+        ),
         *("--jobs", "1", "--out", str(tmp_path / "run")),
     )
     (reason,) = {read_trial_record(trial).reason for trial in (tmp_path / "run").glob("static-map@*")}
@@ -148,7 +174,17 @@ def test_a_range_in_a_message_is_one_of_the_recording(record, tmp_path, stretch)
 
 def test_no_stretch_is_suggested_where_the_sensor_always_moves(record, tmp_path, staged):
     moving = record("moving", seconds=20, speed=0.5)
-    gridtrack("compare", str(moving), "--tracker", "staged", "--out", str(tmp_path / "moving"), "--horizon", "0.5s")
+    gridtrack(
+        "compare",
+        "--no-floors",
+        str(moving),
+        "--tracker",
+        "staged",
+        "--out",
+        str(tmp_path / "moving"),
+        "--horizon",
+        "0.5s",
+    )
     reason = read_trial_record(tmp_path / "moving" / "staged@moving").reason
     assert "at rest nowhere for 10 s" in reason
     assert "@" not in reason.partition("the sensor moves")[2]

@@ -6,8 +6,8 @@ import pytest
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.referee.strata import CELL_KINDS, PARTS, STRATA
-from gridtrack.evaluation.referee.targets import SEEN_OCCUPIED, Target, returned_beams, target_of
+from gridtrack.evaluation.referee.strata import CELL_KINDS
+from gridtrack.evaluation.referee.targets import SEEN_OCCUPIED, Target, crossing_beams, target_of
 from gridtrack.evaluation.scores.beam_error import BEAM_ERROR, EDGES_M, expected_ranges, median_size
 from gridtrack.recordings.observation import Observation
 
@@ -15,7 +15,6 @@ from scenes.scored_cells import counted, frame, region_maps, scored
 
 SIZE = 40
 GRID = GridSpec(SIZE, 0.5, (-5.0, -10.0))
-DYNAMIC, STATIC = (CELL_KINDS.index(name) for name in ("dynamic", "static"))
 EMPTY = frame(np.ones(GRID.shape), np.zeros(GRID.shape))
 
 
@@ -40,8 +39,8 @@ ALONG_X = observed((scan_of([4.25]), SE2(0.25, 0.25)))
 
 
 def test_a_hand_computed_beam():
-    beams = returned_beams(ALONG_X, GRID)
-    assert (beams.starts, beams.ranges, beams.longest) == (pytest.approx(np.array([[10.5, 20.5]])), 8.5, 60)
+    beams = crossing_beams(ALONG_X, GRID)
+    assert (beams.starts, beams.ranges, beams.ends) == (pytest.approx(np.array([[10.5, 20.5]])), 8.5, 29.5)
     found = {
         "a certain return, at the middle of its cell": row_of(1.0, 16),
         "half the beams go on": row_of([0.5, 1.0], [12, 22]),
@@ -54,19 +53,22 @@ def test_a_hand_computed_beam():
 
 
 def test_the_sensors_own_cell_is_the_first():
-    beams = returned_beams(ALONG_X, GRID)
+    beams = crossing_beams(ALONG_X, GRID)
     assert expected_ranges(row_of(1.0, 10), beams)[0] == pytest.approx(0.25), "half of the way out of it"
 
 
 def test_a_beam_that_would_go_on_ends_at_the_sensors_maximum_range():
-    beams = returned_beams(observed((scan_of([4.25], range_max=8.0), SE2(0.25, 0.25))), GRID)
+    beams = crossing_beams(observed((scan_of([4.25], range_max=8.0), SE2(0.25, 0.25))), GRID)
     assert expected_ranges(row_of(0.0, 0), beams)[0] == pytest.approx(16.0)
 
 
-def test_beams_without_a_return_in_the_window_are_left_out():
-    scan = scan_of([np.inf, np.nan, 0.05, 29.0, 40.0, 4.0])
-    assert len(returned_beams(observed((scan, SE2(0.25, 0.25))), GRID).ranges) == 1
-    assert len(returned_beams(Observation(EMPTY), GRID).ranges) == 0, "a frame without scans has none"
+def test_every_valid_beam_that_crosses_the_window_counts_up_to_its_edge():
+    scan = scan_of([np.inf, np.nan, -np.inf, 0.05, 29.0, 40.0, 4.0])
+    beams = crossing_beams(observed((scan, SE2(0.25, 0.25))), GRID)
+    assert beams.ranges == pytest.approx([29.5, 29.5, 29.5, 8.0]), "no return, and two beyond the window; one inside"
+    outside = crossing_beams(observed((scan_of([3.0, 8.0, 40.0]), SE2(-10.0, 0.25)), (scan, SE2(0.25, 11.0))), GRID)
+    assert outside.ranges == pytest.approx([16.0, 50.0]), "one ends before the window, and seven miss it"
+    assert len(crossing_beams(Observation(EMPTY), GRID).ranges) == 0, "a frame without scans has none"
 
 
 def by_crossings(p, start, direction, longest):
@@ -90,34 +92,39 @@ def test_beams_in_all_directions_agree_with_the_crossings_of_grid_lines(seed, po
     p = rng.beta(0.1, 4.0, GRID.shape).astype(np.float32)
     p[rng.random(GRID.shape) < 0.02] = 1.0
     scan = scan_of(rng.uniform(1.0, 25.0, 360), -np.pi, 2 * np.pi / 360)
-    beams = returned_beams(observed((scan, pose)), GRID)
+    beams = crossing_beams(observed((scan, pose)), GRID)
     assert len(beams.ranges) > 5
-    expected = [by_crossings(p, *one) for one in zip(beams.starts, beams.directions, beams.longest, strict=True)]
+    expected = [by_crossings(p, *one) for one in zip(beams.starts, beams.directions, beams.ends, strict=True)]
     assert expected_ranges(p, beams) == pytest.approx(expected, abs=1e-3)
 
 
 def test_beams_along_the_lines_of_the_grid_and_through_its_corners_stay_in_the_window():
     scan = scan_of([3.0] * 8, 0.0, np.pi / 4)
-    beams = returned_beams(observed((scan, SE2(0.0, 0.0)), (scan, SE2(0.25, 0.25))), GRID)
+    beams = crossing_beams(observed((scan, SE2(0.0, 0.0)), (scan, SE2(0.25, 0.25))), GRID)
     ones = expected_ranges(np.ones(GRID.shape, np.float32), beams)
     assert ((ones > 0) & (ones <= 1)).all(), "the first cell that a beam has length in"
 
 
-def test_errors_are_summed_by_the_stratum_of_the_cell_that_a_beam_ended_in():
-    scans = observed((scan_of([4.25]), SE2(0.25, 0.25)), (scan_of([2.0]), SE2(0.25, 2.25)))
-    cell_kinds = np.full(GRID.shape, DYNAMIC, np.uint8)
-    cell_kinds[24] = STATIC
-    target = target_of(scans, GRID, (), np.where(cell_kinds == DYNAMIC, PARTS.index("in-motion"), 0).astype(np.uint8))
-    forecast = row_of(1.0, 16) + np.roll(row_of(1.0, 20), 4, axis=0)
-    strata, errors = counted(BEAM_ERROR, scored(forecast[None], [target], region_maps(cell_kinds)), cell_m=GRID.cell_m)
-    assert strata == STRATA
-    early = {"visible": 1.25, "dynamic": 1.25, "in-motion": 1.25}
-    late = {"visible": 3.0, "static": 3.0}
-    assert errors["early"][0] == pytest.approx([early.get(name, 0.0) for name in STRATA])
-    assert errors["late"][0] == pytest.approx([late.get(name, 0.0) for name in STRATA])
-    assert errors.block("beams")[0].sum(axis=-1).tolist() == [2, 1, 1, 1, 0]
+def test_errors_are_summed_over_all_beams_of_the_visible_cells():
+    """A beam that ends early, one that ends late, and one that leaves the window where a return was forecast."""
+    poses = SE2(0.25, 0.25), SE2(0.25, 2.25), SE2(0.25, 4.25)
+    scans = observed(*((scan_of([range_m]), pose) for range_m, pose in zip([4.25, 2.0, np.inf], poses, strict=True)))
+    target = target_of(scans, GRID, (), np.zeros(GRID.shape, np.uint8))
+    forecast = sum(np.roll(row_of(1.0, column), rows, axis=0) for column, rows in ((16, 0), (20, 4), (26, 8)))
+    maps = region_maps(np.full(GRID.shape, CELL_KINDS.index("dynamic")))
+    strata, errors = counted(BEAM_ERROR, scored(forecast[None], [target], maps), cell_m=GRID.cell_m)
+    assert strata == ("visible",)
+    assert errors["early"][0] == pytest.approx([1.25 + 14.75 - 8.0])
+    assert errors["late"][0] == pytest.approx([3.0])
+    assert errors.block("beams")[0].sum(axis=-1).tolist() == [3]
     low, high = (EDGES_M[np.nonzero(errors.block("beams")[0, 0])[0] + end] for end in (0, 1))
-    assert ((low <= [1.25, 3.0]) & (high > [1.25, 3.0])).all()
+    assert ((low <= [1.25, 3.0, 6.75]) & (high > [1.25, 3.0, 6.75])).all()
+
+
+def test_a_forecast_of_walls_everywhere_is_far_from_beams_that_leave_the_window():
+    everywhere = np.ones(GRID.shape, np.float32)
+    beams = crossing_beams(observed((scan_of([2.0, np.inf]), SE2(0.25, 0.25))), GRID)
+    assert expected_ranges(everywhere, beams) - beams.ranges == pytest.approx([0.25 - 4.0, 0.25 - 29.5])
 
 
 def test_a_target_without_scans_has_no_beams():

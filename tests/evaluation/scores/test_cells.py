@@ -28,7 +28,7 @@ RING_CELL, STATIC_CELL, DYNAMIC_CELL = (CELL_KINDS.index(name) for name in ("rin
 
 
 def binned_by(edges, p):
-    """The bin of each probability, the last one with p = 1 too."""
+    """The bin of each probability; the last one has all from its lower edge on."""
     return (np.digitize(p, edges) - 1).clip(0, len(edges) - 2)
 
 
@@ -139,6 +139,34 @@ def test_pr_auc_is_within_a_few_thousandths_of_that_of_the_probabilities_themsel
     assert found["pr_auc"]["area"][0, VISIBLE] == pytest.approx(exact, abs=0.002)
 
 
+@pytest.mark.parametrize("mass", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("rate", [0.05, 0.99])
+def test_a_mass_at_one_probability_is_not_mixed_with_the_probabilities_beside_it(mass, rate):
+    """Cells with a mass are occupied at another rate than those with nearly the same probability, which are a bin."""
+    rng = np.random.default_rng(3)
+    size, beside = 100, np.float32(0.99999 if mass == 1.0 else mass + 1e-5)
+    is_mass = rng.random((size, size)) < 0.3
+    p = np.where(is_mass, np.float32(mass), beside * rng.uniform(0.999999, 1.000001, (size, size)))[None]
+    occupied = rng.random((size, size)) < np.where(is_mass, rate, 0.3)
+    found = scores_of(p.astype(np.float32), [frame(np.ones((size, size)), occupied)], np.full((size, size), 2))
+    exact = average_precision_score(occupied.ravel(), np.where(is_mass, mass, beside).ravel())
+    assert found["pr_auc"]["area"][0, VISIBLE] == pytest.approx(exact)
+
+
+@pytest.mark.parametrize("masses", [(0.0, 1.0), (0.5,), (0.0, 0.5, 1.0)], ids=str)
+def test_pr_auc_of_a_calibrated_forecast_with_masses_is_within_a_few_thousandths_of_the_exact_one(masses):
+    rng = np.random.default_rng(4)
+    size = 300
+    p = rng.beta(0.2, 0.4, (1, size, size)).astype(np.float32)
+    placed = rng.random((size, size)) < 0.3
+    p[0, placed] = rng.choice(np.array(masses, np.float32), np.count_nonzero(placed))
+    rate = np.where(placed, 0.2 + 0.6 * p[0] ** 2, p[0])
+    observed = frame(np.ones((size, size)), rng.random((size, size)) < rate)
+    found = scores_of(p, [observed], np.full((size, size), DYNAMIC_CELL))
+    exact = average_precision_score(observed.occupied.ravel(), p.ravel())
+    assert found["pr_auc"]["area"][0, VISIBLE] == pytest.approx(exact, abs=0.002)
+
+
 @pytest.mark.parametrize("levels", [2, 5, 30])
 def test_pr_auc_of_a_forecast_with_few_levels_is_exact(levels):
     rng = np.random.default_rng(levels)
@@ -193,22 +221,23 @@ def test_the_log_loss_of_many_certain_mistakes_does_not_underflow():
 
 
 def test_a_probability_on_a_bins_edge_belongs_to_the_bin_above():
-    size = 27
-    more = size**2 - len(PROBABILITY_EDGES)
-    edges = np.append(PROBABILITY_EDGES, np.zeros(more)).astype(np.float32).reshape(1, size, size)
+    size = 30
+    more = size**2 - PROBABILITY_BINS
+    edges = np.append(PROBABILITY_EDGES[:-1], np.zeros(more)).astype(np.float32).reshape(1, size, size)
     free, dynamic = frame(np.ones((size, size)), np.zeros((size, size))), np.full((size, size), DYNAMIC_CELL)
     tally = count(edges, [free], dynamic)
-    assert tally.cells[0, VISIBLE].tolist() == [1 + more] + [1] * (PROBABILITY_BINS - 2) + [2]
+    assert tally.cells[0, VISIBLE].tolist() == [1 + more] + [1] * (PROBABILITY_BINS - 1)
     below = np.nextafter(edges, np.float32(-1)).clip(0, 1)
     tally = count(below, [free], dynamic)
-    assert tally.cells[0, VISIBLE].tolist() == [2 + more] + [1] * (PROBABILITY_BINS - 1)
+    # below 0 there is nothing, and below the end of a mass is the mass
+    assert tally.cells[0, VISIBLE].tolist() == [2 + more] + [1] * (PROBABILITY_BINS - 2) + [0]
 
 
 def test_edges_are_exact_and_the_bins_for_calibration_are_made_of_whole_bins():
     assert np.array_equal(PROBABILITY_EDGES.astype(np.float32), PROBABILITY_EDGES)
     assert (np.diff(PROBABILITY_EDGES) > 0).all()
     for edges in (PROBABILITY_EDGES, CALIBRATION_EDGES):
-        assert (edges[0], edges[-1], 0.5 in edges) == (0.0, 1.0, True)
+        assert (edges[0], 0.5 in edges, 1.0 in edges) == (0.0, True, True)
     assert set(CALIBRATION_EDGES) <= set(PROBABILITY_EDGES)
     assert POSSIBLY_OCCUPIED in CALIBRATION_EDGES
 
