@@ -243,10 +243,11 @@ def _of_test_stretches(streams: Sequence[GridStream]) -> Iterator[str]:
     """A line for each stretch that has frames of its recording's test stretch and is not named so."""
     for stream in streams:
         test = stream.recording.info.stretches.get(TEST)
-        if test and stream.stretch_s != test and _overlap(stream.stretch_s, test):
+        named = f"{stream.recording.name}@{TEST}"
+        if test and stream.name != named and _overlap(stream.stretch_s, test):
             yield (
                 f"{stream.name} has frames of the recording's stretch '{TEST}' ({stretch_text(test)}): these weights"
-                f" cannot be compared there; name {stream.recording.name}@{TEST} if that is meant"
+                f" cannot be compared there; name {named} if that is meant"
             )
 
 
