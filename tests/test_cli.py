@@ -72,7 +72,6 @@ NOT_OF_A_COMPARISON = "points= and weights= are for rows of a comparison"
         (("compare", DEMO, "--seed", "x"), "Invalid value for '--seed': Input should be a valid integer"),
         (("regres", "run"), "No such command 'regres'. Did you mean 'regress'? (see `gridtrack --help`)"),
         (("train", DEMO), "name the tracker before the recordings: gridtrack train NAME "),
-        (("train", "static-map", f"{DEMO}@80s-100s"), "has frames of the recording's stretch 'test' (90s-"),
         (("trackers", "check", "kalman", "--weights", PACKAGE), f"{PACKAGE}: has no weights of kalman"),
         (("train", "persistence", DEMO), "tracker 'persistence' has nothing to learn"),
         (("train", "static-map", f"{DEMO}@0s-80s"), "shares frames with"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -70,6 +70,8 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         can_start = process.load(recipe.options, general=recipe.general)
         with ProgressLines(report) as lines:
             train_on, validate_on = _stretches(recipe, named, cache, lines.progress)
+        for line in _of_test_stretches([*train_on, *validate_on]):
+            report(line)
         start = general_start(local, validate_on, Path(folder), report, can_start=can_start)
         if can_start and start is None and not recipe.general:
             recipe = recipe.model_copy(update={"from_scratch": True})
@@ -235,13 +237,19 @@ def _stretch(
             f"{path}: it names no stretch '{use}'; name one of its own ({', '.join(f'{path}@{name}' for name in own)}),"
             f" or seconds ({path}@{stretch_text((0.0, recording.survey.whole_s))})"
         )
-    stream = GridStream(recording, use if stretch is None and own else stretch, grid=grid, rate_hz=rate_hz)
-    if TEST in own and stretch != TEST and _overlap(stream.stretch_s, own[TEST]):
-        test = f"the recording's stretch '{TEST}' ({stretch_text(own[TEST])})"
-        raise ConfigurationError(
-            f"{stream.name} has frames of {test}: leave them out, or ask for them by name, {path}@{TEST}"
-        )
-    return stream
+    return GridStream(recording, use if stretch is None and own else stretch, grid=grid, rate_hz=rate_hz)
+
+
+def _of_test_stretches(streams: Sequence[GridStream]) -> Iterator[str]:
+    """A line for each stretch that has frames of its recording's test stretch and is not named so."""
+    for stream in streams:
+        test = stream.recording.info.stretches.get(TEST)
+        named = f"{stream.recording.name}@{TEST}"
+        if test and stream.name != named and _overlap(stream.stretch_s, test):
+            yield (
+                f"{stream.name} has frames of the recording's stretch '{TEST}' ({stretch_text(test)}): these weights"
+                f" cannot be compared there; name {named} if that is meant"
+            )
 
 
 def _overlap(one: Stretch, other: Stretch) -> bool:

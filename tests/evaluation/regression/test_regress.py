@@ -420,7 +420,7 @@ def test_a_baseline_that_is_not_there_names_the_option_that_makes_it(write_run, 
         (["--tolerance", "kalmann=0.1"], "the baseline has no tracker 'kalmann'; did you mean 'kalman'?"),
         (["--speed-reference", "blank"], "the baseline has no tracker 'blank'"),
         (["--speed-margin", "0.1"], "speed is judged only with --speed-reference LABEL or --speed-base"),
-        (["--margin", "nan"], "'margin' = nan"),
+        (["--margin", "nan"], "--margin nan: it should be a finite number"),
     ],
 )
 def test_wrong_use_is_one_clear_line(short_baseline, write_run, regress, arguments, says):

@@ -38,7 +38,7 @@ def test_a_run_with_learned_weights_names_them_without_the_folders_of_the_machin
     kept = json.loads((tmp_path / "run" / "run.json").read_text())["weights"]
     assert kept["static-map@room"]["name"] == "static-map/room.toml"
     assert set(kept["static-map@room"]) == {"name", "sha256", "labelled_scans"}
-    other = compare("static-map", weights=weights, grid="20x0.4@-1,-4", out=tmp_path / "other")
+    other = compare("static-map=static-map:card=site", weights=weights, grid="20x0.4@-1,-4", out=tmp_path / "other")
     refused = trial_of(other, "static-map")
     assert refused.outcome == "not-applicable"
     message = f"{card}: made for grid 40x0.2@-1,-4, but this is 20x0.4@-1,-4"
