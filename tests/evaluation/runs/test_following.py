@@ -126,7 +126,7 @@ def settings(record, tmp_path, home):
             "every_s": 0.5,
             "follow": True,
         }
-        return CompareSettings(trackers=trackers, **(defaults | more))
+        return CompareSettings(trackers=trackers, no_floors=True, **(defaults | more))
 
     return settings
 

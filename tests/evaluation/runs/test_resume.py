@@ -90,7 +90,7 @@ def test_a_trial_with_missing_sums_runs_again_and_is_not_kept_from_other_version
 def test_a_run_that_was_scored_by_other_rules_is_not_continued(compare, monkeypatch):
     compare("blank")
     monkeypatch.setattr(plan, "SCORING_RULES", plan.SCORING_RULES + 1)
-    with pytest.raises(RunError, match=r"another configuration \(scoring_rules: then 1, now 2\): name another folder"):
+    with pytest.raises(RunError, match=r"another configuration \(scoring_rules: then 2, now 3\): name another folder"):
         compare("blank", "persistence", resume=True)
 
 
