@@ -114,7 +114,7 @@ def test_the_marks_on_the_canvas_are_the_counts_beside_it(opened):
     page.get_by_label("tracker 2").select_option("good")
     page.get_by_role("slider", name="time").fill("5")
     shows(page, 5, 1)
-    for at, expected in ((2, [0, 4, 4]), (3, [4, 0, 0])):
+    for at, expected in ((2, [0, 3, 4]), (3, [4, 0, 0])):
         panel = player.locator(".moment-panel").nth(at)
         words = re.search(r"(\d+) hit, (\d+) false, (\d+) missed", panel.locator("small").inner_text())
         assert [int(count) for count in words.groups()] == expected

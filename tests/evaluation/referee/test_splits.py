@@ -310,6 +310,7 @@ def test_weights_of_a_site_that_do_not_fit_grid_or_rate_give_way_to_general_ones
         "validation": f"{demo}@75s-85s",
         "horizon_s": 1.0,
         "out": out,
+        "no_floors": True,
         **how,
     }
     plan = resolve(CompareSettings(trackers=("kalman", "site=kalman:card=site"), **chosen))
@@ -322,7 +323,8 @@ def test_weights_of_a_site_that_do_not_fit_grid_or_rate_give_way_to_general_ones
 
 def test_a_large_cost_is_estimated_before_anything_runs(tmp_path):
     demo = str(packaged_recording("leg_tracker"))
-    chosen = {"recordings": (f"{demo}@114s-124s",), "trackers": ("blank",), "out": tmp_path / "run"}
+    chosen = {"recordings": (f"{demo}@114s-124s",), "trackers": ("blank",), "no_floors": True}
+    chosen["out"] = tmp_path / "run"
     (said,) = [line for line in resolve(CompareSettings(grid="2000x0.01", **chosen)).notices if "scoring" in line]
     assert "forecasts, the largest of 26 steps on 2000 x 2000 cells, takes about 14 minutes" in said
     assert not any("scoring" in line for line in resolve(CompareSettings(**chosen)).notices)
