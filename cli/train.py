@@ -69,7 +69,7 @@ def _tracker_and_recordings(arguments: list[str], *, named_elsewhere: bool) -> d
     """
     given: dict[str, Any] = {}
     if arguments and not (named_elsewhere and arguments[0].partition(":")[0] not in registry.entries()):
-        if "/" in arguments[0] or Path(arguments[0].partition("@")[0]).exists():
+        if "/" in arguments[0].partition(":")[0] or Path(arguments[0].partition("@")[0]).exists():
             raise ConfigurationError(f"name the tracker before the recordings: gridtrack train NAME {arguments[0]}")
         chosen = tracker_alone(arguments[0])
         given = {"tracker": chosen.name, "options": chosen.options}

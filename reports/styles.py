@@ -12,7 +12,7 @@ from gridtrack.reports.table import row_key
 
 TEMPLATES = Path(__file__).parent / "templates"
 TRACKER_COLOURS = 8
-ROUNDS = ("", " again", " again2", " again3")
+REPEATS = ("", " again", " again2", " again3")
 """Further trackers repeat the colours, with other dashes and dots in each round."""
 FLOOR_GREYS = 5
 """Floors beyond this many repeat the greys."""
@@ -81,6 +81,6 @@ def _colours_of(runs: Sequence[ReportedRun]) -> dict[str, str]:
             floors += 1
         else:
             again, colour = divmod(trackers, TRACKER_COLOURS)
-            colours[label] = f"t{colour}{ROUNDS[again % len(ROUNDS)]}"
+            colours[label] = f"t{colour}{REPEATS[again % len(REPEATS)]}"
             trackers += 1
     return colours

@@ -33,8 +33,8 @@ def test_a_drive_is_compared_without_an_option_about_poses(
     ros = made.Ros(version)
     ros.write(tmp_path / "drive.bag", made.two_scanner_drive(ros, 8_000))
     # A ROS 1 bag with every tracker that there is, with general weights where it needs any.
-    trackers = () if version == 1 else ("--tracker", "persistence", "--tracker", "blank")
-    shown = gridtrack("compare", "--no-floors", "drive.bag", *trackers, "--every", "1s", "--horizon", "1s").stderr
+    trackers = () if version == 1 else ("--no-floors", "--tracker", "persistence", "--tracker", "blank")
+    shown = gridtrack("compare", "drive.bag", *trackers, "--every", "1s", "--horizon", "1s").stderr
     assert f"drive.bag: {CHAINS}\n" in shown
     (path,) = tmp_path.glob("runs/*/summary.json")
     summary = json.loads(path.read_text())

@@ -77,8 +77,11 @@ def test_a_road_user_on_the_laser_is_a_fault_with_exit_code_3(annotations: Path)
         ((*JUNCTION, "--odometry-noise", "nan", "--sensor", "drive"), "--odometry-noise nan: expected 0 to 10"),
         (("simulate", "check", "nowhere.tracks"), "nowhere.tracks"),
         (("simulate", "tracks", "a.txt", "--format", "kitti", "--scale", "1", "--out", "a.mcap"), "known is sdd"),
-        (("simulate", "tracks", "a.txt", "--scale", "0", "--out", "a.mcap"), "'scale' = 0.0"),
-        (("simulate", "tracks", "a.txt", "--scale", "1", "--laser-at", "here", "--out", "a.mcap"), "'laser_at"),
+        (
+            ("simulate", "tracks", "a.txt", "--scale", "0", "--out", "a.mcap"),
+            "--scale 0.0: it should be greater than 0",
+        ),
+        (("simulate", "tracks", "a.txt", "--scale", "1", "--laser-at", "here", "--out", "a.mcap"), "--laser-at"),
     ],
 )
 def test_a_users_mistake_is_one_line_and_exit_code_2(arguments: tuple[str, ...], says: str) -> None:

@@ -16,7 +16,7 @@ import scipy  # loads scipy.special at its first use
 from gridtrack.evaluation.scores.definition import Floats
 from gridtrack.evaluation.statistics.jackknife import ALPHA, WITHIN_ROUNDING, Replicates, degrees_of_freedom
 
-DRAWS = 1000
+BOOTSTRAP_RUNS = 1000
 
 
 def false_difference_rate(families: Sequence[Mapping[str, Replicates]]) -> float:
@@ -28,8 +28,8 @@ def false_difference_rate(families: Sequence[Mapping[str, Replicates]]) -> float
     Statistics 16, 1988).
     """
     units = next(iter(families[0].values())).units
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (DRAWS, units))
-    shown = np.zeros(DRAWS, np.bool_)
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (BOOTSTRAP_RUNS, units))
+    shown = np.zeros(BOOTSTRAP_RUNS, np.bool_)
     for rows in families:
         shown |= _any_significant(rows, signs)
     return float(shown.mean())

@@ -102,7 +102,7 @@ def test_a_tracker_is_compared_in_an_environment_with_another_numpy(tmp_path: Pa
     run_python(python, "-m", "pip", "install", "--quiet", str(tmp_path / "package"), cwd=tmp_path)
     (tmp_path / "trackers.toml").write_text('[elsewhere]\npython = "env/bin/python"\ntracker = "my-own-2"\n')
     arguments = ("-m", "gridtrack.cli", "compare", f"{DEMO}@114s-118s", "--trackers-toml", "trackers.toml")
-    out = run_python(Path(sys.executable), *arguments, "--tracker", "elsewhere", *QUICK, cwd=tmp_path)
+    out = run_python(Path(sys.executable), *arguments, "--no-floors", "--tracker", "elsewhere", *QUICK, cwd=tmp_path)
     assert outcomes(out) == {"elsewhere": "ok"}
 
 
@@ -183,7 +183,7 @@ def test_the_program_in_cpp_is_compared(program: Launch, tmp_path: Path, gridtra
     toml = tmp_path / "trackers.toml"
     toml.write_text(f"[fading-cpp]\ncommand = {json.dumps(str(program.cwd / program.argv[0]))}\n")
     trackers = ("--trackers-toml", str(toml), "--tracker", "fading-cpp")
-    done = gridtrack("compare", f"{DEMO}@114s-118s", *trackers, *QUICK, "--out", tmp_path / "run")
+    done = gridtrack("compare", "--no-floors", f"{DEMO}@114s-118s", *trackers, *QUICK, "--out", tmp_path / "run")
     assert outcomes(done.out) == {"fading-cpp": "ok"}
 
 

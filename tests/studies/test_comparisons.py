@@ -126,7 +126,7 @@ def test_the_aim_is_judged_if_it_was_measured_and_named_if_it_was_not(
     }
     assert (
         sections["scores"].values["not measured"]
-        == "`static-map`, `blank`, `factor-graph`, `deep-tracking-rnn`, `one-shot`"
+        == "`static-map`, `blank`, `stationary`, `advection`, `factor-graph`, `deep-tracking-rnn`, `one-shot`"
     )
     floor = scores_of(tmp_path, ["indoors-1", "indoors-2"], {"persistence": 0.5})
     assert {row[-1] for row in aim_table(floor).rows} == {"not measured"}
@@ -226,7 +226,7 @@ def test_rows_are_those_without_weights_and_those_with_general_ones(tmp_path: Pa
         (tmp_path / card).parent.mkdir(parents=True)
         (tmp_path / card).touch()
     rows = general_rows(tmp_path / "weights", tmp_path / "trainings")
-    assert list(rows) == ["persistence", "blank", "kalman", "kalman 2"]
+    assert list(rows) == ["persistence", "blank", "advection", "kalman", "kalman 2"]
     assert rows["kalman"] == f"kalman=kalman:weights={tmp_path / 'weights'},card=general"
     assert rows["kalman 2"].startswith(f"kalman 2=kalman:weights={tmp_path / 'trainings' / 'seed-2'},")
     assert "`dogma`" in not_measured(rows)

@@ -63,7 +63,7 @@ def left_behind(seconds: str) -> list[psutil.Process]:
 
 @pytest.mark.usefixtures("burglar")
 def test_the_host_ends_a_process_whose_tracker_killed_its_own_supervisor_and_continues(record, tmp_path):
-    rows = ["--tracker", f'burglar:attacks=[["outlives","{ENDED}"]]', "--tracker", "persistence"]
+    rows = ["--no-floors", "--tracker", f'burglar:attacks=[["outlives","{ENDED}"]]', "--tracker", "persistence"]
     command = [sys.executable, "-m", "gridtrack.cli", "compare", str(record()), *rows, "--out", str(tmp_path / "run")]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 3, ended.stderr

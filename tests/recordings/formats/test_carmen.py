@@ -15,6 +15,8 @@ from gridtrack.common.geometry import SE2
 from gridtrack.recordings import open_recording
 from gridtrack.recordings.stream import open_stream
 
+WALL = [f"{1 + 0.01 * beam:.2f}" for beam in range(180)]
+
 
 def flaser(k: int, ranges: list[str], seconds: str | None = None) -> str:
     stamp = seconds or f"{100 + k}.250000"
@@ -68,7 +70,7 @@ def test_the_angles_follow_from_the_number_of_beams(
 
 
 def test_an_unknown_number_of_beams_is_a_warning(tmp_path: Path) -> None:
-    recording = open_recording(log(tmp_path / "a.clf", *(flaser(k, ["1.0"] * 91) for k in range(3))), strict=True)
+    recording = open_recording(log(tmp_path / "a.clf", *(flaser(k, WALL[:91]) for k in range(3))), strict=True)
     scan = next(iter(recording.scans()))
     assert math.degrees(scan.angle_min) == pytest.approx(-90)
     assert math.degrees(scan.angle_increment) == pytest.approx(2.0)
@@ -164,7 +166,7 @@ def test_the_error_for_a_wrong_topic_suggests_another(tmp_path: Path) -> None:
 
 
 def test_many_equal_stamps_name_the_way_on(tmp_path: Path) -> None:
-    path = log(tmp_path / "a.clf", *(flaser(k, ["1"] * 180, "1.13486e+09") for k in range(20)))
+    path = log(tmp_path / "a.clf", *(flaser(k, WALL, "1.13486e+09") for k in range(20)))
     (warning,) = open_recording(path).overview().warnings
     assert (
         "95% of the stamps are alike or in disorder: give the rate of the laser, as in `gridtrack recording" in warning
@@ -172,7 +174,7 @@ def test_many_equal_stamps_name_the_way_on(tmp_path: Path) -> None:
     assert "--out a-stamped.mcap --stamps 10hz`, or take the logger's times with --stamps received" in warning
     with pytest.raises(RecordingError, match="a single scan has no rate: scans of sensor 'scan' not stamped after"):
         open_stream(path)
-    alike = (flaser(k, ["1"] * 180, "1.13486e+09").rpartition(" ")[0] + " 1.13486e+09" for k in range(20))
+    alike = (flaser(k, WALL, "1.13486e+09").rpartition(" ")[0] + " 1.13486e+09" for k in range(20))
     (warning,) = open_recording(log(tmp_path / "b.clf", *alike)).overview().warnings
     assert warning.endswith("--stamps 10hz`")
     assert [s.stamp_ns for s in open_recording(path, stamps="10hz").scans()] == [k * 10**8 for k in range(20)]

@@ -22,6 +22,7 @@ from scenes import drive_bag as made
 
 Bag = Callable[..., Path]
 ROS = made.Ros(1)
+WALL = np.linspace(2.0, 2.5, 181, dtype=np.float32)
 FRONT = list(made.scans_of(ROS, made.DURATION_MS, made.FRONT))
 STATIC = ROS.transforms(0, *made.mounts(made.FRONT), topic="/tf_static")
 MOVING = made.moving(ROS, "odom", "base_link")
@@ -55,7 +56,7 @@ def the_warning(recording: Recording) -> str:
             id="a static transform that changes",
         ),
         pytest.param(
-            [ROS.laser(1250, np.full(181, 2.0, np.float32), made.FRONT, frame="elsewhere")],
+            [ROS.laser(1250, WALL, made.FRONT, frame="elsewhere")],
             "scans on /front_scan in another frame than the first scan are left out: 1 of them",
             id="a scan in another frame",
         ),
@@ -154,7 +155,7 @@ def test_the_waiting_scans_of_a_cut_file_are_read(bag: Bag) -> None:
 
 
 def test_a_gap_in_the_poses_is_a_warning_and_delays_no_scans(bag: Bag) -> None:
-    scans = [ROS.laser(k * 100, np.full(181, 2.0, np.float32), made.FRONT) for k in range(100)]
+    scans = [ROS.laser(k * 100, WALL, made.FRONT) for k in range(100)]
     path = bag(*scans, ROS.odometry(0, SE2()), ROS.odometry(9000, SE2(9.0)))
     recording = open_recording(path, mounts=[parse_mount("front_scan=0,0,0")])
     found = [scan.world_T_sensor.x for scan in recording.scans()]
@@ -178,7 +179,7 @@ def test_scans_before_the_first_pose_get_the_first_one(bag: Bag) -> None:
 
 def panned(bag: Bag, heading_deg: Mapping[int, float], topic: str = "/tf") -> Recording:
     """Scans of a robot at rest, one a second for 80 s, and the heading of its laser at some times, ms."""
-    scans = [ROS.laser(at, np.full(181, 2.0, np.float32), made.FRONT) for at in range(0, 80_000, 1000)]
+    scans = [ROS.laser(at, WALL, made.FRONT) for at in range(0, 80_000, 1000)]
     rest = [ROS.transforms(at, ("odom", "base_link", SE3())) for at in range(0, 80_000, 1000)]
     joint = [
         ROS.transforms(at, ("base_link", "front_laser", SE3.in_plane(SE2(0.3, 0.0, math.radians(deg)))), topic=topic)
