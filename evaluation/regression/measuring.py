@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from gridtrack.common.errors import GridtrackError
+from gridtrack.common.files import refuse_links
 from gridtrack.evaluation.regression.measurement import BANDS, Measurement, Speed, SplitKey, UnitSums, Unmeasured
 from gridtrack.evaluation.runs.finished import FinishedTrial, RunTrials
 from gridtrack.evaluation.runs.result_files import RunError
@@ -284,6 +285,7 @@ def _split_key(run: Path, name: str, identity: RecordingIdentity) -> SplitKey:
 def _read_run_record(run: Path) -> RunRecord:
     if not run.is_dir():
         raise RunError(f"{run}: there is no such run's folder; `gridtrack compare ... --out RUN` makes one")
+    refuse_links(run, RunError)
     try:
         return read_run_record(run)
     except FileNotFoundError:
