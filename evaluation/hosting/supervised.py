@@ -69,11 +69,12 @@ class SupervisedProgram:
         log: Path | None = None,
         memory_mb: int | None = None,
         cwd: Path | None = None,
+        inherited: tuple[int, ...] = (),
     ) -> None:
         """Start the program. Its stderr goes to `log`, in bounded size, or to the stderr of this process.
 
-        With `memory_mb` it ends when the resident memory of all its processes exceeds it. Raises OSError where the log
-        cannot be opened.
+        With `memory_mb` it ends when the resident memory of all its processes exceeds it. It has the descriptors
+        `inherited`, too. Raises OSError where the log cannot be opened.
         """
         self._folder = mkdtemp(prefix="gridtrack-")
         control, supervisors_end = socket.socketpair()
@@ -87,7 +88,7 @@ class SupervisedProgram:
                     stdout=subprocess.PIPE,
                     stderr=stderr,
                     bufsize=0,
-                    pass_fds=(supervisors_end.fileno(),),
+                    pass_fds=(supervisors_end.fileno(), *inherited),
                     env=dict(env) | {"TMPDIR": self._folder},
                     cwd=cwd,
                     start_new_session=True,

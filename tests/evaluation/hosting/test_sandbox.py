@@ -18,7 +18,7 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting import sandbox
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
-from gridtrack.evaluation.hosting.sandbox import check_sandbox, code_folders
+from gridtrack.evaluation.hosting.sandbox import check_sandbox, code_folders, confine
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch, launch
@@ -26,6 +26,7 @@ from gridtrack.trackers.selection import Launch, launch
 from scenes.room import trial_of
 
 MEMORY_MB = 400
+SESSION_KEYRING, USER_KEYRING = -3, -4
 STREAM = StreamSpec(GridSpec(20, 0.2), 0.125)
 Attack = Callable[..., Any]
 
@@ -114,6 +115,33 @@ def test_the_forecasts_of_the_other_trials_of_its_run_are_hidden(attack, tmp_pat
     log = run / place / "stderr.log"
     assert attack(("reads", samples), confined=False, log=log) == [b"recorded".hex()]
     assert attack(("reads", samples), log=log) == [""]
+
+
+def test_a_copy_of_the_recording_in_its_own_folder_is_hidden(attack, tmp_path):
+    """Under whatever name: a tracker could ship the recordings that it is likely to meet."""
+    scans, copy, other = tmp_path / "scans.mcap", tmp_path / "site" / "weights.bin", tmp_path / "site" / "notes"
+    copy.parent.mkdir(exist_ok=True)
+    for path, content in ((scans, b"recorded"), (copy, b"recorded"), (other, b"of equal")):
+        path.write_bytes(content)
+    found = attack(("reads", copy), ("reads", other), recordings=(scans,))
+    assert found == ["", b"of equal".hex()]
+
+
+def test_recordings_that_come_with_gridtrack_are_hidden_in_an_ordinary_installation(tmp_path):
+    data = tmp_path / "env" / "lib" / "python3.11" / "site-packages" / "gridtrack" / "data"
+    data.mkdir(parents=True)
+    environment = tmp_path / "env"
+    argv = Launch("program", (str(environment / "bin" / "python"),), None)
+    (environment / "pyvenv.cfg").write_text("")
+    command, _ = confine(argv, {}, MEMORY_MB, (), (), (), 9)
+    assert command[command.index(str(data)) - 1] == "--tmpfs"
+
+
+@pytest.mark.parametrize("confined", [False, True], ids=["open", "sandbox"])
+def test_no_key_of_the_kernel_outlives_its_process(attack, confined):
+    attack(("leaves_a_key", SESSION_KEYRING), ("leaves_a_key", USER_KEYRING), confined=confined)
+    found = attack(("finds_a_key", SESSION_KEYRING), ("finds_a_key", USER_KEYRING), confined=confined)
+    assert found == [False, not confined]
 
 
 def test_it_writes_to_its_own_memory_only_and_ends_only_itself(attack):
