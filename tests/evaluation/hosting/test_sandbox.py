@@ -97,12 +97,12 @@ def test_recordings_and_runs_in_its_own_folder_are_hidden(attack, tmp_path):
     own = tmp_path / "site"  # PYTHONPATH names it
     bag, scans = own / "bag", own / "scans.mcap"
     bag.mkdir(exist_ok=True)
-    files = scans, bag / "metadata.yaml", own / "notes.txt"
-    for path in files:
-        path.write_bytes(b"recorded")
+    files = {scans: b"recorded", bag / "metadata.yaml": b"recorded", own / "notes.txt": b"my notes"}
+    for path, content in files.items():
+        path.write_bytes(content)
     reads = [("reads", path) for path in files]
-    assert attack(*reads) == [b"recorded".hex()] * 3
-    assert attack(*reads, recordings=(scans, bag)) == ["", "", b"recorded".hex()]
+    assert attack(*reads) == [content.hex() for content in files.values()]
+    assert attack(*reads, recordings=(scans, bag)) == ["", "", b"my notes".hex()]
 
 
 @pytest.mark.parametrize("place", ["burglar@room", ".engine/tmp1/3.1/files"], ids=["local", "cluster"])
