@@ -10,6 +10,7 @@ import hashlib
 import os
 import secrets
 import stat
+import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Any, BinaryIO
 
 import platformdirs
 
-from gridtrack.common.errors import GridtrackError
+from gridtrack.common.errors import GridtrackError, printable
 from gridtrack.common.untrusted import parse_json
 
 APPLICATION = "gridtrack"
@@ -154,6 +155,13 @@ def check_utf8(path: Path | str, error: type[GridtrackError]) -> None:
     except UnicodeEncodeError:
         shown = text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
         raise error(f"{shown}: this path is not UTF-8, and results could not name it: rename it") from None
+
+
+def check_path(path: Path | str, error: type[GridtrackError]) -> None:
+    """Raise `error` for a path that results and messages cannot name: not UTF-8, or with control characters."""
+    check_utf8(path, error)
+    if any(unicodedata.category(sign) == "Cc" for sign in str(path)):
+        raise error(f"{printable(str(path))}: this path has control characters: rename it")
 
 
 def is_name(text: str) -> bool:

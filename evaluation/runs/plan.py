@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, did_you_mean
-from gridtrack.common.files import check_utf8
+from gridtrack.common.files import check_path
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.sandbox import check_sandbox
@@ -35,7 +35,7 @@ from gridtrack.evaluation.scores.registry import scores
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.selection import Launch, Selection, launch, parse_selections, read_trackers_toml
+from gridtrack.trackers.selection import Launch, Selection, is_plugin, launch, parse_selections, read_trackers_toml
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +187,7 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
 
     Raises a GridtrackError for a recording, stretch, tracker, option or weights file that cannot be used.
     """
-    check_utf8(settings.out, ConfigurationError)
+    check_path(settings.out, ConfigurationError)
     check_together(settings)
     scores(settings.scores)  # an unknown one is an error before anything runs
     if settings.limits.sandbox:
@@ -225,6 +225,8 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
     for trial in trials:
         _refuse_thresholds_of_another_site(trial)
     notices = [notice for split in splits for notice in split.notices]
+    if settings.limits.sandbox:
+        notices += [_beside_gridtrack(label) for label, start in launches.items() if is_plugin(start)]
     notices += [
         f"{trial.label}: {trial.weights.name} is of a training that was interrupted at {trial.weights.card.interrupted}"
         for trial in trials
@@ -236,6 +238,14 @@ def resolve(settings: CompareSettings, splits: tuple[EvaluationSplit, ...] | Non
     else:
         refuse_leaks(trial.leaks for trial in trials)
     return ComparisonPlan(settings, splits, trials, tuple(dict.fromkeys(notices)))
+
+
+def _beside_gridtrack(label: str) -> str:
+    return (
+        f"{label}: --sandbox confines its process, but its package is installed beside gridtrack, where a package can"
+        " run code in gridtrack's own process: install it in an environment of its own, named by `python` in"
+        " trackers.toml"
+    )
 
 
 def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:

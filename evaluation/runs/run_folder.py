@@ -38,7 +38,7 @@ from gridtrack.evaluation.runs.summary import RunSummary, read_summary
 from gridtrack.evaluation.runs.sums import SUMS_FILE
 from gridtrack.evaluation.runs.trial_record import TrialRecord, code_differs, read_trial_record
 from gridtrack.evaluation.scores.registry import scores
-from gridtrack.trackers import registry
+from gridtrack.trackers.selection import is_plugin
 
 LOCK = ".lock"
 UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
@@ -247,7 +247,7 @@ def without_edited(
 
 
 def _is_users(trial: Trial) -> bool:
-    return trial.launch.external or not registry.find(trial.launch.name).value.startswith("gridtrack.")
+    return trial.launch.external or is_plugin(trial.launch)
 
 
 def _current_code(trial: Trial, note: Callable[[str], None]) -> str:

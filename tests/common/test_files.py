@@ -14,6 +14,7 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import (
     MAX_NAME_BYTES,
     atomic_write,
+    check_path,
     is_label,
     is_name,
     name_from,
@@ -187,3 +188,11 @@ def test_a_pipe_is_no_file_to_read(tmp_path):
         open_regular(tmp_path / "pipe")
     with pytest.raises(FileError, match=r"pipe: cannot be read \(a pipe, a socket or a device\)"):
         read_bounded(tmp_path / "pipe", 100, FileError)
+
+
+@pytest.mark.parametrize("name", ["a\nb", "\x1b[2Jrun", "run\x7f"])
+def test_a_path_with_control_characters_is_refused(name):
+    with pytest.raises(FileError, match="this path has control characters: rename it") as refused:
+        check_path(Path("runs", name), FileError)
+    assert str(refused.value).isprintable()
+    check_path(Path("runs", "Überwachung 東京"), FileError)

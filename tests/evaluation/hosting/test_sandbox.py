@@ -20,6 +20,7 @@ from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.sandbox import check_sandbox, code_folders, confine
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
+from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch, launch
 
@@ -204,3 +205,10 @@ def test_without_bubblewrap_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setattr(sandbox, "_problem", sandbox._problem.__wrapped__)  # which remembers its answer
     with pytest.raises(ConfigurationError, match="--sandbox: bubblewrap is not installed: install"):
         check_sandbox()
+
+
+def test_a_plugin_beside_gridtrack_is_named_by_a_notice(settings, burglar, monkeypatch):
+    """Its package is imported by no process of gridtrack, but `.pth` files run in every interpreter."""
+    confined = settings("burglar", "persistence", limits=Limits(sandbox=True))
+    (notice,) = (one for one in resolve(confined).notices if "--sandbox" in one)
+    assert notice.startswith("burglar: --sandbox confines its process, but its package is installed beside gridtrack")
