@@ -1,9 +1,17 @@
-"""Files: atomic writes, bounded reads, hashes, valid names; the user's folders for data and cache."""
+"""Files: atomic writes, bounded reads of regular files, hashes, valid names; the user's folders for data and cache.
+
+A folder that was received from somebody may hold links and pipes with any name. Files are therefore written under a
+name that nobody can foresee, and only regular files are read.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import os
 import re
+import secrets
+import stat
+import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,11 +19,12 @@ from typing import Any, BinaryIO
 
 import platformdirs
 
-from gridtrack.common.errors import GridtrackError
+from gridtrack.common.errors import GridtrackError, printable
 from gridtrack.common.untrusted import parse_json
 
 APPLICATION = "gridtrack"
 PACKED_SUFFIXES = (".gz", ".bz2", ".zst", ".zstd")
+PARTIAL_SUFFIX = ".partial"
 MAX_NAME_BYTES = 160
 CONFLICT_MARK = re.compile(rb"^(?:<{7}|>{7}) ", re.MULTILINE)
 NO_JSON = {
@@ -25,6 +34,7 @@ NO_JSON = {
     b"version https://git-lfs": "it is a Git LFS pointer: run `git lfs pull` in its repository",
 }
 """Files that are no JSON, by their first bytes, and what to do."""
+NOT_A_FILE = "a pipe, a socket or a device"
 NAME_RULE = (
     f"expected 1 to {MAX_NAME_BYTES} bytes of printable UTF-8 without / and \\, and no '.' or space at the beginning"
 )
@@ -33,21 +43,55 @@ LABEL_RULE = f"expected 1 to {MAX_NAME_BYTES} bytes of printable UTF-8"
 
 @contextmanager
 def atomic_write(path: Path, *, keep_on_error: bool = False) -> Iterator[BinaryIO]:
-    """Open a file beside `path` that replaces `path` when the block ends.
+    """Open a new file beside `path` that replaces `path` when the block ends; a link at `path` is not followed.
 
     A reader sees either the old or the new content, never a part. If the block raises, `path` is not changed, or with
     `keep_on_error` has the content written so far. Raises OSError.
     """
-    partial = path.with_name(path.name + ".partial")
+    with replacing(path, keep_on_error=keep_on_error) as partial, partial.open("xb") as file:
+        yield file
+
+
+@contextmanager
+def replacing(path: Path, *, keep_on_error: bool = False) -> Iterator[Path]:
+    """The name of a new file beside `path`, for the block to write, that replaces `path` as in `atomic_write`."""
+    partial = path.with_name(f"{path.name}.{secrets.token_hex(8)}{PARTIAL_SUFFIX}")
     try:
-        with partial.open("wb") as file:
-            yield file
+        yield partial
     except BaseException:
         if keep_on_error and partial.exists():
             partial.replace(path)
         partial.unlink(missing_ok=True)
         raise
     partial.replace(path)
+
+
+def remove_partial_files(folder: Path) -> None:
+    """Remove the files that an earlier process, killed while it wrote, left beside those of `folder`."""
+    for partial in folder.glob(f"*{PARTIAL_SUFFIX}"):
+        partial.unlink(missing_ok=True)
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file to read; a pipe or a device, which could block for ever, raises OSError at once."""
+    file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
+    if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        return file
+    file.close()
+    raise OSError(0, NOT_A_FILE, str(path))
+
+
+def refuse_links(folder: Path, error: type[GridtrackError]) -> None:
+    """Raise `error` for the first link, pipe or device in `folder` or below.
+
+    Whoever made the folder could direct what is written in it to any file of the user.
+    """
+    for entry in os.scandir(folder):
+        if entry.is_dir(follow_symlinks=False):
+            refuse_links(Path(entry.path), error)
+        elif not entry.is_file(follow_symlinks=False):
+            what = "a link" if entry.is_symlink() else NOT_A_FILE
+            raise error(f"{entry.path}: {what}; gridtrack uses a folder of files and folders alone: remove it")
 
 
 def write_text(path: Path, text: str) -> None:
@@ -63,7 +107,7 @@ def read_bounded(path: Path, max_bytes: int, error: type[GridtrackError]) -> byt
     larger than `max_bytes`.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             content = file.read(max_bytes + 1)
     except FileNotFoundError:
         raise
@@ -104,7 +148,7 @@ def sha256_of(path: Path, limit: int | None = None) -> str:
     """
     digest = hashlib.sha256()
     for part in sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]:
-        with part.open("rb") as file:
+        with open_regular(part) as file:
             while block := file.read(1 << 20 if limit is None else min(1 << 20, limit - file.tell())):
                 digest.update(block)
     return digest.hexdigest()
@@ -128,6 +172,13 @@ def check_utf8(path: Path | str, error: type[GridtrackError]) -> None:
     except UnicodeEncodeError:
         shown = text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
         raise error(f"{shown}: this path is not UTF-8, and results could not name it: rename it") from None
+
+
+def check_path(path: Path | str, error: type[GridtrackError]) -> None:
+    """Raise `error` for a path that results and messages cannot name: not UTF-8, or with control characters."""
+    check_utf8(path, error)
+    if any(unicodedata.category(sign) == "Cc" for sign in str(path)):
+        raise error(f"{printable(str(path))}: this path has control characters: rename it")
 
 
 def is_name(text: str) -> bool:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError, did_you_mean
-from gridtrack.common.files import atomic_write, check_utf8, name_from, user_cache_folder
+from gridtrack.common.files import atomic_write, check_path, name_from, user_cache_folder
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import UNLABELLED
 from gridtrack.recordings.formats.native import write_native
@@ -58,7 +58,7 @@ def import_recording(
     Raises RecordingError and ConfigurationError; `out` is then not changed.
     """
     out = Path(out)
-    check_utf8(out, RecordingError)
+    check_path(out, RecordingError)
     recording = _opened(source, options, ego_motion)
     _check_destination(out, recording, overwrite)
     stretches = dict(stretches or {})

@@ -8,7 +8,7 @@ from typing import Any
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import GridtrackError, RecordingError, did_you_mean
-from gridtrack.common.files import check_utf8
+from gridtrack.common.files import check_path, open_regular
 from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.read_options import ReadOptions
 from gridtrack.recordings.recording import Recording
@@ -35,7 +35,7 @@ def open_recording(path: Path | str, *, growth: Growth | None = None, **options:
     ('leg_tracker', 10.0, (512,))
     """
     path = Path(path)
-    check_utf8(path, RecordingError)
+    check_path(path, RecordingError)
     given = validated(ReadOptions, options, str(path))
     registry = FormatRegistry(given.format)
     recording_format = registry.recognising(path, _head(path, registry))
@@ -79,7 +79,7 @@ def _head(path: Path, registry: FormatRegistry) -> bytes:
     if path.is_dir():
         return b""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return file.read(HEAD_BYTES)
     except FileNotFoundError:
         candidates = _recordings_in(path.parent, registry) if path.parent.is_dir() else []

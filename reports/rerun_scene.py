@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import ConfigurationError, printable
+from gridtrack.common.files import replacing
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.common.scene import UNLABELLED
@@ -49,22 +50,20 @@ def rerun_scene(path: Path, name: str, identity: str) -> Iterator[RerunScene]:
     stream = rerun.RecordingStream("gridtrack", recording_id=identity)
     if not rerun.is_enabled(recording=stream):
         raise ConfigurationError("the environment variable RERUN switches Rerun off: unset it")
-    partial, strict = path.with_name(path.name + ".partial"), rerun.strict_mode()
-    partial.touch()  # raises OSError where no file can be written
-    try:
-        rerun.set_strict_mode(True)  # an error is raised, not printed
-        stream.save(partial)
-        stream.set_log_time_enabled(False)
-        stream.set_log_tick_enabled(False)
-        stream.send_recording_name(printable(name))
-        yield RerunScene(stream, rerun)
-        stream.flush()
-        stream.disconnect()
-        partial.replace(path)
-    finally:
-        rerun.set_strict_mode(strict)
-        stream.disconnect()
-        partial.unlink(missing_ok=True)
+    strict = rerun.strict_mode()
+    with replacing(path) as partial:
+        partial.touch(exist_ok=False)  # raises OSError where no file can be written
+        try:
+            rerun.set_strict_mode(True)  # an error is raised, not printed
+            stream.save(partial)
+            stream.set_log_time_enabled(False)
+            stream.set_log_tick_enabled(False)
+            stream.send_recording_name(printable(name))
+            yield RerunScene(stream, rerun)
+            stream.flush()
+        finally:
+            rerun.set_strict_mode(strict)
+            stream.disconnect()
 
 
 def _library() -> Any:

@@ -138,11 +138,11 @@ def notebook(tmp_path):
         [sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
         assert process.stderr is not None
-        scores = tmp_path / "run" / "persistence@leg_tracker@0s-20s" / "sums.parquet.partial"
+        trial = tmp_path / "run" / "persistence@leg_tracker@0s-20s"
         until_s = math.inf
         while (used_s := psutil.Process(process.pid).cpu_times().user) < until_s:
             assert process.poll() is None, process.stderr.read()
-            until_s = min(until_s, used_s + 0.5 if scores.exists() else math.inf)
+            until_s = min(until_s, used_s + 0.5 if list(trial.glob("sums.parquet.*")) else math.inf)
             time.sleep(0.02)
         yield process
 

@@ -139,6 +139,11 @@ class ExternalTracker(Settings):
         return self
 
 
+def is_plugin(start: Launch) -> bool:
+    """Whether a tracker is of another package that is installed in gridtrack's own environment."""
+    return not start.external and not registry.find(start.name).value.startswith("gridtrack.")
+
+
 def read_trackers_toml(path: Path) -> dict[str, Launch]:
     """The trackers in `path`, each a table `[NAME]`; the path of a program is relative to the folder of the file.
 

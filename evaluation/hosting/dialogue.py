@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from gridtrack.common.errors import one_line
 from gridtrack.evaluation.hosting.outcome import OUTCOMES, TrialEnded
-from gridtrack.evaluation.hosting.supervised import SupervisedProgram
+from gridtrack.evaluation.hosting.supervised import SupervisedProgram, TimeLimit
 from gridtrack.trackers.messages import Arrays
 from gridtrack.trackers.wire import Message, WireError
 
@@ -60,13 +60,12 @@ class Dialogue:
         self._number += 1
         self.what = request.what or request.kind
         message = Message(request.kind, self._number, request.fields, request.arrays)
-        began = time.monotonic()
-        deadline = began + limit_s
+        began, limit = time.monotonic(), TimeLimit(limit_s)
         try:
             if self.process.has_unread():
                 raise WireError("unrequested bytes before the answer")
-            self.process.send(message, deadline)
-            answer = self.process.receive(request.limit, deadline)
+            self.process.send(message, limit)
+            answer = self.process.receive(request.limit, limit)
         except TimeoutError:
             raise TrialEnded("timeout", f"{self.what}: no answer within {limit_s:g} s") from None
         except (EOFError, BrokenPipeError):

@@ -1,23 +1,27 @@
 """The sandbox of an untrusted tracker: bubblewrap shows its program only its own code and its weights.
 
 Linux namespaces without privileges, set up by `bwrap`: no network, no other processes, and no writable files outside
-`/tmp` and `/dev/shm`, which are its own memory. docs/wire.md describes its guarantees and its limits.
+`/tmp` and `/dev/shm`, which are its own memory. A filter of system calls refuses the keys of the kernel, which outlive
+a process. docs/wire.md describes its guarantees and its limits.
 """
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from gridtrack.common.errors import ConfigurationError, one_line
-from gridtrack.common.files import read_bounded
+from gridtrack.common.files import read_bounded, sha256_of
 from gridtrack.common.untrusted import parse_json
 from gridtrack.evaluation.hosting.supervisor import IN_MEMORY
 from gridtrack.trackers.selection import Launch
@@ -35,8 +39,12 @@ SYSTEM = (
 PROCESSORS = "/sys/devices/system/cpu"
 """Numerical libraries look here for the number of cores."""
 GRIDTRACK = Path(__file__).parents[2]
+GRIDTRACK_DATA = "data"
+"""Recordings and weights of the package, which an ordinary installation has beside its code."""
 GRIDTRACK_CODE = ("__init__.py", "common", "trackers")
 """The parts of gridtrack that a tracker imports. In an editable installation recordings and runs lie beside them."""
+KEY_CALLS = ("add_key", "request_key", "keyctl")
+"""System calls of the kernel's keyrings, in which a program could leave what it saw for its next start."""
 CACHES, CACHE_ROOM = "/run/caches", 1 << 20
 COPY = f'n=0; while [ "$1" != -- ]; do cp {CACHES}/$n/* "$1"/; n=$((n+1)); shift; done; shift; exec "$@"'
 
@@ -86,9 +94,12 @@ def _problem() -> str:
         return "it works on Linux only: run trackers in a container, without --sandbox"
     if shutil.which(BUBBLEWRAP) is None:
         return "bubblewrap is not installed: install the package `bubblewrap` of the system (`apt install bubblewrap`)"
-    command = confined(("true",), SandboxView(()), 16, None)
     try:
-        tried = subprocess.run(command, capture_output=True, timeout=PROBE_S, check=False)
+        with system_call_filter() as number:
+            command = confined(("true",), SandboxView(()), 16, None, number)
+            tried = subprocess.run(command, capture_output=True, timeout=PROBE_S, check=False, pass_fds=(number,))
+    except ImportError as error:
+        return f"{error}: install `pyseccomp` and the library `libseccomp2` of the system"
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"bubblewrap cannot be started ({error})"
     if tried.returncode == 0:
@@ -100,27 +111,96 @@ def _problem() -> str:
     )
 
 
+@contextmanager
+def system_call_filter() -> Iterator[int]:
+    """The descriptor of a filter for bwrap's option `--seccomp`: KEY_CALLS fail.
+
+    Raises ImportError without libseccomp.
+    """
+    with tempfile.TemporaryFile() as file:
+        file.write(_filter_program())
+        file.seek(0)
+        yield file.fileno()
+
+
+@cache
+def _filter_program() -> bytes:
+    try:
+        import pyseccomp
+    except RuntimeError as error:  # raised where the library of the system is missing
+        raise ImportError(str(error)) from None
+    rules = pyseccomp.SyscallFilter(pyseccomp.ALLOW)
+    for name in KEY_CALLS:
+        rules.add_rule(pyseccomp.ERRNO(errno.EPERM), name)
+    with tempfile.TemporaryFile() as file:
+        rules.export_bpf(file)
+        file.seek(0)
+        return file.read()
+
+
 def confine(
-    launch: Launch, environment: Mapping[str, str], memory_mb: int, hidden: Iterable[Path], files: Iterable[Path]
+    launch: Launch,
+    environment: Mapping[str, str],
+    memory_mb: int,
+    recordings: Iterable[Path],
+    hidden: Iterable[Path],
+    files: Iterable[Path],
+    filter_number: int,
 ) -> tuple[tuple[str, ...], dict[str, str]]:
     """The command that starts a program in the sandbox, and its environment.
 
-    It sees its own code and the `files`, but nothing `hidden`. Raises ConfigurationError where this machine cannot
-    confine it.
+    It sees its own code and the `files`, but neither the `recordings`, their copies, nothing `hidden` and no data of
+    gridtrack. `filter_number` is that of `system_call_filter`.
     """
-    check_sandbox()
     program = launch.argv[0]
     folders = code_folders(program, launch.cwd, environment)
-    view = SandboxView(folders, tuple(hidden), tuple(files), compiled_folders(program))
+    packaged = (folder / GRIDTRACK_DATA for folder in _packages(folders))
+    out_of_sight = (*recordings, *copies_of(tuple(recordings), folders), *hidden, *packaged)
+    view = SandboxView(folders, out_of_sight, tuple(files), compiled_folders(program))
     variables = {name: environment[name] for name in KEPT_VARIABLES if name in environment}
-    return confined(launch.argv, view, memory_mb, launch.cwd), variables
+    return confined(launch.argv, view, memory_mb, launch.cwd, filter_number), variables
 
 
-def confined(argv: Iterable[str], view: SandboxView, memory_mb: int, cwd: Path | None) -> tuple[str, ...]:
-    """The command that runs `argv` with `view` in the folder `cwd`; /tmp and /dev/shm have `memory_mb` MiB each."""
+def _packages(folders: Iterable[Path]) -> set[Path]:
+    """The folders of gridtrack in an environment that is shown whole, and that of this process."""
+    installed = (path for folder in folders for path in folder.glob("lib*/python*/site-packages/gridtrack"))
+    return {GRIDTRACK.resolve(), *installed}
+
+
+@cache
+def copies_of(recordings: tuple[Path, ...], folders: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The files in `folders` with the content of a file of the `recordings`, by size and SHA-256."""
+    wanted: dict[int, set[str]] = {}
+    for path in (file for recording in recordings for file in _files_of(recording)):
+        if size := path.stat().st_size:
+            wanted.setdefault(size, set()).add(sha256_of(path))
+    found = []
+    for path in (file for folder in folders for file in _files_of(folder)):
+        with suppress(OSError):  # another process may remove it
+            if (size := path.stat().st_size) in wanted and sha256_of(path) in wanted[size]:
+                found.append(path)
+    return tuple(found)
+
+
+def _files_of(path: Path) -> Iterator[Path]:
+    """The regular files at `path` or below."""
+    if path.is_file():
+        yield path
+    for folder, _, names in os.walk(path):
+        yield from (file for name in names if (file := Path(folder, name)).is_file())
+
+
+def confined(
+    argv: Iterable[str], view: SandboxView, memory_mb: int, cwd: Path | None, filter_number: int
+) -> tuple[str, ...]:
+    """The command that runs `argv` with `view` in the folder `cwd`; /tmp and /dev/shm have `memory_mb` MiB each.
+
+    The process inherits the descriptor `filter_number`, as of `system_call_filter`.
+    """
     size = str(memory_mb << 20)
     options = [f"--unshare-{name}" for name in NAMESPACES]
     options += ["--disable-userns", "--cap-drop", "ALL", "--die-with-parent", "--new-session"]
+    options += ["--seccomp", str(filter_number)]
     for path in SYSTEM:
         options += ["--ro-bind-try", path, path]
     options += ["--ro-bind-try", PROCESSORS, PROCESSORS, "--proc", "/proc", "--dev", "/dev"]

@@ -23,7 +23,8 @@ from gridtrack.trackers.wire import Message, encode, receive, widen, without
 
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 OF_A_SIGNAL = 128
-NO_DEADLINE = math.inf
+SLICE_S = 1.0
+"""Longest single wait. A wait that lasts longer by another SLICE_S shows that this process did not run meanwhile."""
 INTERRUPT = b"i"
 ORDERLY_END_S = 2.0
 KILL_S = 10.0
@@ -53,6 +54,30 @@ class ProcessExit:
         return f"exited with code {code}"
 
 
+class TimeLimit:
+    """The time left of a limit: time in which this process did not run, because it was stopped, does not count."""
+
+    def __init__(self, seconds: float = math.inf) -> None:
+        self.left_s = seconds
+        self._at_s = time.monotonic()
+
+    def spend(self) -> None:
+        """Count the time since the last call."""
+        now_s = time.monotonic()
+        self.left_s -= min(now_s - self._at_s, 2 * SLICE_S)
+        self._at_s = now_s
+
+    def wait(self, fd: int, event: int) -> None:
+        """Wait until `fd` is ready for `event` of poll. Raises TimeoutError when no time is left."""
+        poll, ready = select.poll(), False
+        poll.register(fd, event)
+        while not ready:
+            self.spend()
+            if self.left_s <= 0.0:
+                raise TimeoutError
+            ready = bool(poll.poll(1000 * min(self.left_s, SLICE_S)))
+
+
 class SupervisedProgram:
     """A program started as a child of a supervisor process, in its own session, so that Ctrl-C does not reach it.
 
@@ -69,11 +94,12 @@ class SupervisedProgram:
         log: Path | None = None,
         memory_mb: int | None = None,
         cwd: Path | None = None,
+        inherited: tuple[int, ...] = (),
     ) -> None:
         """Start the program. Its stderr goes to `log`, in bounded size, or to the stderr of this process.
 
-        With `memory_mb` it ends when the resident memory of all its processes exceeds it. Raises OSError where the log
-        cannot be opened.
+        With `memory_mb` it ends when the resident memory of all its processes exceeds it. It has the descriptors
+        `inherited`, too. Raises OSError where the log cannot be opened.
         """
         self._folder = mkdtemp(prefix="gridtrack-")
         control, supervisors_end = socket.socketpair()
@@ -87,7 +113,7 @@ class SupervisedProgram:
                     stdout=subprocess.PIPE,
                     stderr=stderr,
                     bufsize=0,
-                    pass_fds=(supervisors_end.fileno(),),
+                    pass_fds=(supervisors_end.fileno(), *inherited),
                     env=dict(env) | {"TMPDIR": self._folder},
                     cwd=cwd,
                     start_new_session=True,
@@ -104,29 +130,31 @@ class SupervisedProgram:
         self.killed = False
         """Whether `kill` was called."""
 
-    def send(self, message: Message, deadline: float = NO_DEADLINE) -> None:
-        """Send `message` by `deadline` (time.monotonic). Raises TimeoutError, BrokenPipeError."""
+    def send(self, message: Message, limit: TimeLimit | None = None) -> None:
+        """Send `message` within `limit`. Raises TimeoutError, BrokenPipeError."""
+        limit = limit or TimeLimit()
         left = encode(message)
         while left:
             try:
                 left = without(left, os.writev(self._stdin.fileno(), left))
             except BlockingIOError:
-                _wait(self._stdin.fileno(), select.POLLOUT, deadline)
+                limit.wait(self._stdin.fileno(), select.POLLOUT)
 
-    def receive(self, max_body: int = 0, deadline: float = NO_DEADLINE) -> Message:
-        """Receive a message with at most `max_body` bytes of arrays by `deadline` (time.monotonic).
+    def receive(self, max_body: int = 0, limit: TimeLimit | None = None) -> Message:
+        """Receive a message with at most `max_body` bytes of arrays within `limit`.
 
         Raises TimeoutError, EOFError, WireError.
         """
-        return receive(lambda buffers: self._fill(buffers, deadline), max_body)
+        limit = limit or TimeLimit()
+        return receive(lambda buffers: self._fill(buffers, limit), max_body)
 
-    def _fill(self, buffers: list[memoryview], deadline: float) -> None:
+    def _fill(self, buffers: list[memoryview], limit: TimeLimit) -> None:
         left = [b for b in buffers if b.nbytes]
         while left:
             try:
                 count = os.readv(self._stdout.fileno(), left)
             except BlockingIOError:
-                _wait(self._stdout.fileno(), select.POLLIN, deadline)
+                limit.wait(self._stdout.fileno(), select.POLLIN)
                 continue
             if count == 0:
                 raise EOFError
@@ -181,11 +209,3 @@ class SupervisedProgram:
             self._supervisor.wait()
         forget_leader(self._supervisor, orderly=bool(line))
         return ProcessExit(**json.loads(line)) if line else ProcessExit()
-
-
-def _wait(fd: int, event: int, deadline: float) -> None:
-    left_s = deadline - time.monotonic()
-    poll = select.poll()
-    poll.register(fd, event)
-    if left_s <= 0 or not poll.poll(None if deadline == NO_DEADLINE else left_s * 1000):
-        raise TimeoutError

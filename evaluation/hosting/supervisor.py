@@ -36,6 +36,8 @@ LOG_BYTES = 1 << 20
 SHARED_MEMORY, MEMFD = "/dev/shm/", "/memfd:"
 IN_MEMORY = ("/tmp", "/dev/shm")
 PR_SET_PDEATHSIG, PR_SET_DUMPABLE, PR_SET_CHILD_SUBREAPER = 1, 4, 36
+KEYCTL = {"x86_64": 250, "aarch64": 219}
+KEYCTL_JOIN_SESSION_KEYRING = 1
 
 
 def main() -> None:
@@ -270,6 +272,7 @@ def exec_program(command: list[str], stderr: int, fail: int) -> None:
         if os.getppid() != supervisor:
             os._exit(127)
         os.setsid()
+        join_new_keyring()
         os.dup2(stderr, 2)
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -284,6 +287,12 @@ def prctl(option: int, value: int) -> None:
     """Set a process attribute on Linux; on other systems only the program itself is supervised."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(option, value, 0, 0, 0)
+
+
+def join_new_keyring() -> None:
+    """Give this process a session keyring of its own: that of the user would keep keys beyond its end."""
+    if (number := KEYCTL.get(os.uname().machine)) and sys.platform == "linux":
+        ctypes.CDLL(None).syscall(number, KEYCTL_JOIN_SESSION_KEYRING, None)
 
 
 def make_unreadable() -> None:

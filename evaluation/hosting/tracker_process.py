@@ -21,7 +21,7 @@ from gridtrack.evaluation.hosting.dialogue import Dialogue, Request
 from gridtrack.evaluation.hosting.host import shielded_environment
 from gridtrack.evaluation.hosting.limits import SCRATCH, Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
-from gridtrack.evaluation.hosting.sandbox import confine
+from gridtrack.evaluation.hosting.sandbox import check_sandbox, confine, system_call_filter
 from gridtrack.evaluation.hosting.supervised import SupervisedProgram
 from gridtrack.evaluation.hosting.timing import Call, Timings, clock_that_counts
 from gridtrack.trackers import messages
@@ -273,10 +273,14 @@ def _dialogue(
     """Start the program. In the sandbox it sees the `files`, but neither `recordings` nor the run with the `log`."""
     argv, env = launch.argv, shielded_environment(recordings)
     threads = dict.fromkeys(THREAD_VARIABLES, str(limits.threads))
-    if limits.sandbox:
-        hidden = (*recordings, *_folders_of_run(log.absolute()))
-        argv, env = confine(launch, env, limits.memory_mb, hidden, files)
-    program = SupervisedProgram(argv, env | threads, log=log, memory_mb=limits.memory_mb, cwd=launch.cwd)
+    how: dict[str, Any] = {"log": log, "memory_mb": limits.memory_mb, "cwd": launch.cwd}
+    if not limits.sandbox:
+        return Dialogue(SupervisedProgram(argv, env | threads, **how), log, limits.memory_mb)
+    check_sandbox()
+    with system_call_filter() as number:
+        run = _folders_of_run(log.absolute())
+        argv, env = confine(launch, env, limits.memory_mb, recordings, run, files, number)
+        program = SupervisedProgram(argv, env | threads, inherited=(number,), **how)
     return Dialogue(program, log, limits.memory_mb)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from gridtrack.common.errors import GridtrackError
+from gridtrack.common.files import refuse_links
 from gridtrack.evaluation.regression.measurement import (
     BANDS,
     MeasuredTrial,
@@ -305,6 +306,7 @@ def _split_key(run: Path, name: str, identity: RecordingIdentity) -> SplitKey:
 def _read_run_record(run: Path) -> RunRecord:
     if not run.is_dir():
         raise RunError(f"{run}: there is no such run's folder; `gridtrack compare ... --out RUN` makes one")
+    refuse_links(run, RunError)
     try:
         return read_run_record(run)
     except FileNotFoundError:

@@ -209,7 +209,7 @@ class _MeasurementJob(_RunJob):
 
     def __init__(self, trial: Trial, record: TrialRecord, folder: Path, shared: SharedInputs) -> None:
         super().__init__(trial.name, trial, folder, shared)
-        self.trial, self.record = trial, record
+        self.trial, self.split, self.record = trial, trial.split, record
 
     def on_error(self, error: Exception) -> str:
         """The notice for the user."""

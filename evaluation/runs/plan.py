@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, WeightsError, did_you_mean
-from gridtrack.common.files import check_utf8
+from gridtrack.common.files import check_path
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.sandbox import check_sandbox
@@ -45,7 +45,15 @@ from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import stream_of
-from gridtrack.trackers.selection import CardKind, Launch, Selection, launch, parse_selections, read_trackers_toml
+from gridtrack.trackers.selection import (
+    CardKind,
+    Launch,
+    Selection,
+    is_plugin,
+    launch,
+    parse_selections,
+    read_trackers_toml,
+)
 from gridtrack.trackers.training.weights import fitted_card
 
 SCORED_CELLS_PER_S, LONG_MINUTES = 2e7, 10
@@ -209,7 +217,7 @@ def resolve(
 
     Raises a GridtrackError for a recording, stretch, tracker, option or weights file that cannot be used.
     """
-    check_utf8(settings.out, ConfigurationError)
+    check_path(settings.out, ConfigurationError)
     check_together(settings)
     scores(settings.scores)  # an unknown one is an error before anything runs
     if settings.limits.sandbox:
@@ -249,6 +257,8 @@ def resolve(
     for trial in trials:
         _refuse_thresholds_of_another_site(trial)
     notices = [*left_out, *(notice for split in splits for notice in split.notices)]
+    if settings.limits.sandbox:
+        notices += [_beside_gridtrack(label) for label, start in launches.items() if is_plugin(start)]
     notices += [
         f"{trial.label}: {trial.weights.name} is of a training that was interrupted at {trial.weights.card.interrupted}"
         for trial in trials
@@ -290,6 +300,14 @@ def _large_cost(trials: Sequence[Trial]) -> Iterator[str]:
             f" takes about {minutes:.0f} minutes of processor time, besides the trackers' own: fewer cells (--grid), a"
             " shorter --horizon or a longer --every take less"
         )
+
+
+def _beside_gridtrack(label: str) -> str:
+    return (
+        f"{label}: --sandbox confines its process, but its package is installed beside gridtrack, where a package can"
+        " run code in gridtrack's own process: install it in an environment of its own, named by `python` in"
+        " trackers.toml"
+    )
 
 
 def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:

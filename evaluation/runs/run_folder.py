@@ -18,6 +18,7 @@ from typing import Any, TextIO
 
 import psutil
 
+from gridtrack.common.files import refuse_links
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.finished import FinishedTrial
@@ -37,7 +38,7 @@ from gridtrack.evaluation.runs.summary import RunSummary, read_summary
 from gridtrack.evaluation.runs.sums import SUMS_FILE
 from gridtrack.evaluation.runs.trial_record import TrialRecord, code_differs, read_trial_record
 from gridtrack.evaluation.scores.registry import scores
-from gridtrack.trackers import registry
+from gridtrack.trackers.selection import is_plugin
 
 LOCK = ".lock"
 UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
@@ -64,6 +65,7 @@ def run_lock(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RunError(f"{folder}: cannot be created ({error.strerror}): name another folder with --out") from None
+    refuse_links(folder, RunError)
     with (folder / LOCK).open("a+", encoding="utf-8") as file:
         _lock(file, folder)
         file.truncate(0)
@@ -133,8 +135,12 @@ class RunFolder:
         return done
 
     def finish(self, records: Mapping[str, TrialRecord], notices: Sequence[str], interrupted: bool) -> RunSummary:
-        """Write and return the summary of these records, by trial name, with `notices`, and close the run."""
+        """Write and return the summary of these records, by trial name, with `notices`, and close the run.
+
+        The records are the host's own. A trial with a file that another process has changed since counts as failed.
+        """
         plan = self.plan
+        records = {name: self._with_own_files(name, record) for name, record in records.items()}
         trials = [
             FinishedTrial(
                 records[t.name], self.path / t.name, t.selection.name, t.selection.options, t.selection.points
@@ -152,6 +158,18 @@ class RunFolder:
         status = "interrupted" if interrupted else "complete"
         self.record.model_copy(update={"status": status, "finished": _now()}).write(self.path)
         return summary
+
+    def _with_own_files(self, name: str, record: TrialRecord) -> TrialRecord:
+        changed = record.changed_file(self.path / name)
+        if changed is None:
+            return record
+        reason = (
+            f"another process changed {changed.name} after the trial wrote it: run it again with --resume, and with"
+            " --sandbox where a tracker may have done it"
+        )
+        failed = record.model_copy(update={"outcome": "failed", "reason": reason, "frames_scored": 0})
+        failed.write(self.path / name)
+        return failed
 
     def _notices_of_versions(self, records: Mapping[str, TrialRecord]) -> list[str]:
         """Notices of kept trials that ran with other versions than the current ones, in this run or an earlier one."""
@@ -229,7 +247,7 @@ def without_edited(
 
 
 def _is_users(trial: Trial) -> bool:
-    return trial.launch.external or not registry.find(trial.launch.name).value.startswith("gridtrack.")
+    return trial.launch.external or is_plugin(trial.launch)
 
 
 def _current_code(trial: Trial, note: Callable[[str], None]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager, suppress
-from itertools import groupby
+from itertools import groupby, zip_longest
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -108,6 +108,19 @@ def engine_of(settings: CompareSettings, progress: JobObserver) -> Engine:
     return LocalEngine(settings.jobs or max(1, usable_cores() // cores), settings.out, progress)
 
 
+def one_of_each_recording(jobs: Sequence[RunJob]) -> Iterator[Sequence[RunJob]]:
+    """The jobs in rounds with one job of each recording.
+
+    Trackers that run at the same time can talk even in a sandbox, by locks on a file that both can read: one that is
+    ahead on a recording could tell its future.
+    """
+    by_recording: dict[Path, list[RunJob]] = {}
+    for job in jobs:
+        by_recording.setdefault(job.split.path, []).append(job)
+    for at_once in zip_longest(*by_recording.values()):
+        yield [job for job in at_once if job is not None]
+
+
 class Stages:
     """The stages of one run, in the order of its methods, and the records so far."""
 
@@ -187,6 +200,13 @@ class Stages:
         return [trial for trial in self._plan.trials if self._records[trial.name].outcome == "ok"]
 
     def _execute(self, jobs: Sequence[RunJob]) -> None:
+        """Execute `jobs`: all at once as far as the engine can, in a sandbox one of each recording at a time."""
+        settings = self._plan.settings
+        apart = settings.limits.sandbox and settings.jobs is None
+        for together in one_of_each_recording(jobs) if apart else [jobs]:
+            self._execute_together(together)
+
+    def _execute_together(self, jobs: Sequence[RunJob]) -> None:
         """Let the engine execute `jobs`; on an error or an interrupt, end all of them before it is re-raised."""
         waiting: dict[Future[TrialRecord], RunJob] = {}
         try:

@@ -29,6 +29,8 @@ SUMS_FILE = "sums.parquet"
 SUMS_VERSION: Final = 1
 ROW_GROUP = 64
 """Scored frames that are kept in memory before they are written."""
+MAX_VALUES = 1 << 26
+"""Limit of the values of a row group, which are read together: 512 MiB."""
 READ_ROWS_BYTES = 256 << 20
 """Rows of all trials of a run that are kept once they are read; the others are read again."""
 _NAME = pa.dictionary(pa.int16(), pa.string())
@@ -220,8 +222,19 @@ class TrialSums:
             name = found.min if found is not None and found.has_min_max and found.min == found.max else None
             if name not in self.layouts:
                 raise ScoresError(f"{self.path}: a part of the table that is not of one known score; run it again")
+            self._refuse_large(group, self.layouts[name])
             groups.setdefault(name, []).append(group)
         return groups
+
+    def _refuse_large(self, group: int, layout: Layout) -> None:
+        """Raise ScoresError for a row group that is larger than the writer's: a small file can unpack to gigabytes."""
+        found = self._metadata.row_group(group)
+        rows = ROW_GROUP * (self.steps + 1) * len(layout.strata)
+        values = max(found.column(column).num_values for column in range(found.num_columns))
+        if found.num_rows > rows or values > min(MAX_VALUES, rows * max(1, len(layout.parts))):
+            raise ScoresError(
+                f"{self.path}: {found.num_rows} rows and {values} values together, more than a trial writes: refused"
+            )
 
     def _frames_of(self, score: str) -> ScoredFrames:
         if score not in self._frames:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gridtrack.common.errors import RecordingError, bounded_line
+from gridtrack.common.files import remove_partial_files
 from gridtrack.evaluation.engines.engine import Interrupted
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.tracker_process import TrackerDescription
@@ -51,6 +52,7 @@ class TrialRun:
         `shared` holds the thresholds that earlier trials of the same run have chosen.
         """
         folder.mkdir(parents=True, exist_ok=True)
+        remove_partial_files(folder)
         for stale in REPLACED:
             (folder / stale).unlink(missing_ok=True)
         self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame

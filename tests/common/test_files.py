@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 
 import pytest
@@ -13,11 +14,14 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import (
     MAX_NAME_BYTES,
     atomic_write,
+    check_path,
     is_label,
     is_name,
     name_from,
+    open_regular,
     read_bounded,
     read_json,
+    refuse_links,
     sha256_of,
     user_cache_folder,
     user_data_folder,
@@ -134,3 +138,61 @@ def test_a_name_never_leaves_its_folder(name: str) -> None:
     assert is_name(name_from(Path(name)))
     assert is_label("a")
     assert not is_label("a" * (MAX_NAME_BYTES + 1))
+
+
+def test_a_file_is_written_beside_a_link_that_waits_for_it(tmp_path):
+    """A stranger's folder may have links at the name itself, and at every name that can be foreseen."""
+    mine = tmp_path / "mine"
+    mine.write_text("precious")
+    for name in ("a.json", "a.json.partial"):
+        (tmp_path / name).symlink_to(mine)
+    write_text(tmp_path / "a.json", "{}")
+    assert mine.read_text() == "precious"
+    assert (tmp_path / "a.json").read_text() == "{}"
+    assert not (tmp_path / "a.json").is_symlink()
+
+
+@pytest.fixture(params=["link", "pipe", "folder"])
+def foreign(request, tmp_path):
+    """A folder with a link to a file, a pipe, or a link to a folder, in a folder in it; and the name of that."""
+    folder, target = tmp_path / "run", tmp_path / "mine"
+    entry = folder / "trial" / "outcome.json"
+    entry.parent.mkdir(parents=True)
+    if request.param == "pipe":
+        os.mkfifo(entry)
+    elif request.param == "link":
+        target.write_text("{}")
+        entry.symlink_to(target)
+    else:
+        target.mkdir()
+        entry.symlink_to(target)
+    return folder, entry
+
+
+def test_a_folder_with_a_link_or_a_pipe_is_refused(foreign):
+    folder, entry = foreign
+    with pytest.raises(FileError, match=f"^{entry}: (a link|a pipe, a socket or a device); .*: remove it$"):
+        refuse_links(folder, FileError)
+
+
+def test_a_folder_of_files_and_folders_is_not_refused(tmp_path):
+    (tmp_path / "run" / "trial").mkdir(parents=True)
+    (tmp_path / "run" / "trial" / "outcome.json").write_text("{}")
+    refuse_links(tmp_path, FileError)
+
+
+def test_a_pipe_is_no_file_to_read(tmp_path):
+    """Without a writer it would block for ever."""
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="a pipe, a socket or a device"):
+        open_regular(tmp_path / "pipe")
+    with pytest.raises(FileError, match=r"pipe: cannot be read \(a pipe, a socket or a device\)"):
+        read_bounded(tmp_path / "pipe", 100, FileError)
+
+
+@pytest.mark.parametrize("name", ["a\nb", "\x1b[2Jrun", "run\x7f"])
+def test_a_path_with_control_characters_is_refused(name):
+    with pytest.raises(FileError, match="this path has control characters: rename it") as refused:
+        check_path(Path("runs", name), FileError)
+    assert str(refused.value).isprintable()
+    check_path(Path("runs", "Überwachung 東京"), FileError)

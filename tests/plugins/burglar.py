@@ -21,6 +21,8 @@ from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
 
 CLONE_NEWUSER = 0x10000000
+ADD_KEY, KEYCTL = {"x86_64": (248, 250), "aarch64": (217, 219)}[os.uname().machine]
+KEYCTL_UNLINK, KEYCTL_SEARCH = 9, 10
 BLOCK = 1 << 20
 
 
@@ -141,6 +143,18 @@ def makes_a_namespace(_: str) -> bool:
     return ctypes.CDLL(None).unshare(CLONE_NEWUSER) == 0
 
 
+def leaves_a_key(keyring: str) -> bool:
+    """Whether it could leave a key in a keyring of the kernel, by its number: -3 of the session, -4 of the user."""
+    return ctypes.CDLL(None).syscall(ADD_KEY, b"user", b"burglar", b"seen", 4, int(keyring)) > 0
+
+
+def finds_a_key(keyring: str) -> bool:
+    """Whether a key that it left before is there; it is removed."""
+    key = ctypes.CDLL(None).syscall(KEYCTL, KEYCTL_SEARCH, int(keyring), b"user", b"burglar", 0)
+    ctypes.CDLL(None).syscall(KEYCTL, KEYCTL_UNLINK, key, int(keyring))
+    return key > 0
+
+
 def variables(_: str) -> dict[str, str]:
     """Its environment."""
     return dict(os.environ)
@@ -160,6 +174,8 @@ ATTACKS = {
         writes,
         fills,
         makes_a_namespace,
+        leaves_a_key,
+        finds_a_key,
         variables,
     )
 }

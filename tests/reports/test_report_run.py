@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 
+from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.runs.summary import MAX_SUMMARY_BYTES
 from gridtrack.reports.run import ReportError, read_runs
@@ -104,3 +105,16 @@ def test_a_label_cannot_lead_out_of_the_run(run_folder, label):
     (run,) = read_runs([run_folder])
     with pytest.raises(ReportError, match="not the name of a folder"):
         run.trial_folder(label + "/x", "crossing")
+
+
+@pytest.mark.parametrize("name", ["report", "good@crossing/forecasts.mcap", "summary.json"])
+def test_a_folder_with_a_link_is_refused(copied, tmp_path, name):
+    """A report would be written to, or read from, wherever it leads."""
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    if (copied / name).exists():
+        (copied / name).replace(mine / "moved")
+    (copied / name).symlink_to(mine)
+    assert f"{name}: a link" in refusal(copied)
+    with pytest.raises(RunError, match="a link"):
+        measure_run(copied)

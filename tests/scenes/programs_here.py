@@ -11,7 +11,6 @@ import os
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any, Protocol
 
 import pytest
 
-from gridtrack.evaluation.hosting.supervised import NO_DEADLINE, ProcessExit, SupervisedProgram
+from gridtrack.evaluation.hosting.supervised import ProcessExit, SupervisedProgram, TimeLimit
 from gridtrack.evaluation.runs import fit_process
 from gridtrack.trackers.serve import Server
 from gridtrack.trackers.wire import Message, encode, fill_from, receive, write_to
@@ -67,17 +66,18 @@ class ProgramHere:
         self._answer = b""
         self.killed = False
 
-    def send(self, message: Message, deadline: float) -> None:
+    def send(self, message: Message, limit: TimeLimit) -> None:
         if self.killed:
             raise BrokenPipeError
         request = received(b"".join(encode(message)), self._server.max_body)
         with importing() if request.kind in {"describe", "start"} else nullcontext():
             self._answer = b"".join(self._server.answer(request))
 
-    def receive(self, max_body: int, deadline: float) -> Message:
+    def receive(self, max_body: int, limit: TimeLimit) -> Message:
         if self.killed:
             raise EOFError
-        if time.monotonic() > deadline:
+        limit.spend()
+        if limit.left_s <= 0.0:
             raise TimeoutError
         return received(self._answer, max_body)
 
@@ -111,10 +111,10 @@ class TrainingHere:
         self._thread = threading.Thread(target=run)
         self._thread.start()
 
-    def send(self, message: Message, deadline: float = NO_DEADLINE) -> None:
+    def send(self, message: Message, limit: TimeLimit | None = None) -> None:
         write_to(self._write_fd, encode(message))
 
-    def receive(self, max_body: int = 0, deadline: float = NO_DEADLINE) -> Message:
+    def receive(self, max_body: int = 0, limit: TimeLimit | None = None) -> Message:
         return receive(fill_from(self._read_fd), max_body)
 
     def kill(self) -> None:

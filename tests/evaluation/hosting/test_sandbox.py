@@ -18,14 +18,16 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting import sandbox
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
-from gridtrack.evaluation.hosting.sandbox import check_sandbox, code_folders
+from gridtrack.evaluation.hosting.sandbox import check_sandbox, code_folders, confine
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
+from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch, launch
 
 from scenes.room import trial_of
 
 MEMORY_MB = 400
+SESSION_KEYRING, USER_KEYRING = -3, -4
 STREAM = StreamSpec(GridSpec(20, 0.2), 0.125)
 Attack = Callable[..., Any]
 
@@ -96,12 +98,12 @@ def test_recordings_and_runs_in_its_own_folder_are_hidden(attack, tmp_path):
     own = tmp_path / "site"  # PYTHONPATH names it
     bag, scans = own / "bag", own / "scans.mcap"
     bag.mkdir(exist_ok=True)
-    files = scans, bag / "metadata.yaml", own / "notes.txt"
-    for path in files:
-        path.write_bytes(b"recorded")
+    files = {scans: b"recorded", bag / "metadata.yaml": b"recorded", own / "notes.txt": b"my notes"}
+    for path, content in files.items():
+        path.write_bytes(content)
     reads = [("reads", path) for path in files]
-    assert attack(*reads) == [b"recorded".hex()] * 3
-    assert attack(*reads, recordings=(scans, bag)) == ["", "", b"recorded".hex()]
+    assert attack(*reads) == [content.hex() for content in files.values()]
+    assert attack(*reads, recordings=(scans, bag)) == ["", "", b"my notes".hex()]
 
 
 @pytest.mark.parametrize("place", ["burglar@room", ".engine/tmp1/3.1/files"], ids=["local", "cluster"])
@@ -114,6 +116,33 @@ def test_the_forecasts_of_the_other_trials_of_its_run_are_hidden(attack, tmp_pat
     log = run / place / "stderr.log"
     assert attack(("reads", samples), confined=False, log=log) == [b"recorded".hex()]
     assert attack(("reads", samples), log=log) == [""]
+
+
+def test_a_copy_of_the_recording_in_its_own_folder_is_hidden(attack, tmp_path):
+    """Under whatever name: a tracker could ship the recordings that it is likely to meet."""
+    scans, copy, other = tmp_path / "scans.mcap", tmp_path / "site" / "weights.bin", tmp_path / "site" / "notes"
+    copy.parent.mkdir(exist_ok=True)
+    for path, content in ((scans, b"recorded"), (copy, b"recorded"), (other, b"of equal")):
+        path.write_bytes(content)
+    found = attack(("reads", copy), ("reads", other), recordings=(scans,))
+    assert found == ["", b"of equal".hex()]
+
+
+def test_recordings_that_come_with_gridtrack_are_hidden_in_an_ordinary_installation(tmp_path):
+    data = tmp_path / "env" / "lib" / "python3.11" / "site-packages" / "gridtrack" / "data"
+    data.mkdir(parents=True)
+    environment = tmp_path / "env"
+    argv = Launch("program", (str(environment / "bin" / "python"),), None)
+    (environment / "pyvenv.cfg").write_text("")
+    command, _ = confine(argv, {}, MEMORY_MB, (), (), (), 9)
+    assert command[command.index(str(data)) - 1] == "--tmpfs"
+
+
+@pytest.mark.parametrize("confined", [False, True], ids=["open", "sandbox"])
+def test_no_key_of_the_kernel_outlives_its_process(attack, confined):
+    attack(("leaves_a_key", SESSION_KEYRING), ("leaves_a_key", USER_KEYRING), confined=confined)
+    found = attack(("finds_a_key", SESSION_KEYRING), ("finds_a_key", USER_KEYRING), confined=confined)
+    assert found == [False, not confined]
 
 
 def test_it_writes_to_its_own_memory_only_and_ends_only_itself(attack):
@@ -176,3 +205,10 @@ def test_without_bubblewrap_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setattr(sandbox, "_problem", sandbox._problem.__wrapped__)  # which remembers its answer
     with pytest.raises(ConfigurationError, match="--sandbox: bubblewrap is not installed: install"):
         check_sandbox()
+
+
+def test_a_plugin_beside_gridtrack_is_named_by_a_notice(settings, burglar, monkeypatch):
+    """Its package is imported by no process of gridtrack, but `.pth` files run in every interpreter."""
+    confined = settings("burglar", "persistence", limits=Limits(sandbox=True))
+    (notice,) = (one for one in resolve(confined).notices if "--sandbox" in one)
+    assert notice.startswith("burglar: --sandbox confines its process, but its package is installed beside gridtrack")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import select
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,10 +13,11 @@ import psutil
 import pytest
 
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.hosting import tracker_process
+from gridtrack.evaluation.hosting import supervised, tracker_process
 from gridtrack.evaluation.hosting.contract_scene import empty_stream
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
+from gridtrack.evaluation.hosting.supervised import TimeLimit
 from gridtrack.evaluation.hosting.tracker_process import TrackerDescription, TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch
@@ -151,6 +153,22 @@ def test_a_message_cut_short_is_a_crash(tmp_path: Path) -> None:
 
 def test_a_slow_answer_must_meet_its_deadline(tmp_path: Path) -> None:
     assert end("drips", tmp_path) == ("timeout", "update with frame 1: no answer within 0.5 s")
+
+
+def test_time_in_which_the_host_is_stopped_does_not_count(monkeypatch) -> None:
+    """A laptop that is closed, or Ctrl-Z: the tracker's answer lies in the pipe when the host continues."""
+    clock_s = [0.0]
+    monkeypatch.setattr(supervised.time, "monotonic", lambda: clock_s[0])
+    limit = TimeLimit(5.0)
+    clock_s[0] = 3600.0
+    limit.spend()
+    assert limit.left_s == 3.0
+    for _ in range(4):
+        clock_s[0] += 1.0
+        limit.spend()
+    assert limit.left_s == -1.0
+    with pytest.raises(TimeoutError):
+        limit.wait(0, select.POLLIN)
 
 
 def test_a_program_that_stops_reading_cannot_block_the_referee(tmp_path: Path) -> None:

@@ -162,3 +162,33 @@ def test_a_changed_file_of_scores_is_refused_by_readers_and_scored_again_with_re
     compare("blank", resume=True)
     assert pl.read_parquet(path).equals(pl.read_parquet(original))
     assert read_runs([tmp_path / "run"])[0].summary.trackers
+
+
+def test_a_run_with_a_link_in_it_is_not_continued(compare, tmp_path):
+    """The files of the trial would be written into the folder of the user."""
+    compare("blank")
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (tmp_path / "run" / "persistence@room").symlink_to(mine)
+    with pytest.raises(RunError, match=r"run/persistence@room: a link; .*: remove it$"):
+        compare("blank", "persistence", resume=True)
+    assert not list(mine.iterdir())
+
+
+def test_a_file_that_another_process_changes_during_the_run_fails_its_trial(compare, monkeypatch, tmp_path):
+    """Without a sandbox a tracker can write into the folder of the run."""
+    summarised = run_folder.RunFolder.finish
+
+    def tampered(self, *args, **options):
+        sums = tmp_path / "run" / "blank@room" / SUMS_FILE
+        sums.write_bytes((tmp_path / "run" / "persistence@room" / SUMS_FILE).read_bytes())
+        return summarised(self, *args, **options)
+
+    monkeypatch.setattr(run_folder.RunFolder, "finish", tampered)
+    summary = compare("blank", "persistence")
+    blank = trial_of(summary, "blank")
+    assert (blank.outcome, blank.strata) == ("failed", {})
+    assert blank.reason.startswith("another process changed sums.parquet after the trial wrote it")
+    assert trial_of(summary, "persistence").outcome == "ok"
+    monkeypatch.undo()
+    assert trial_of(compare("blank", "persistence", resume=True), "blank").outcome == "ok"

@@ -46,7 +46,7 @@ def start(settings, tmp_path):
 @pytest.fixture
 def begun(tmp_path):
     """`begun(trial)` waits until a trial has its first scores."""
-    return lambda trial: wait_until((tmp_path / "run" / trial / "sums.parquet.partial").exists)
+    return lambda trial: wait_until(lambda: list((tmp_path / "run" / trial).glob("sums.parquet.*.partial")))
 
 
 def children(process):

@@ -5,18 +5,22 @@ from __future__ import annotations
 import json
 import os
 import signal
+from types import SimpleNamespace
 
 import polars as pl
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
+from gridtrack.evaluation.hosting.limits import Limits
+from gridtrack.evaluation.hosting.outcome import TrialEnded
+from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.evaluation.referee.referee import Delivery
 from gridtrack.evaluation.referee.samples import read_samples
 from gridtrack.evaluation.referee.splits import EvaluationSplit
-from gridtrack.evaluation.runs import run_folder, trial
+from gridtrack.evaluation.runs import plan, run_folder, trial
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.result_files import RunError, json_of
-from gridtrack.evaluation.runs.runner import run
+from gridtrack.evaluation.runs.runner import Stages, one_of_each_recording, run
 from gridtrack.evaluation.runs.summary import read_summary
 from gridtrack.evaluation.runs.sums import SUMS_FILE
 from gridtrack.evaluation.runs.trial_record import read_trial_record
@@ -246,3 +250,28 @@ def test_trials_that_share_a_validation_stretch_choose_their_thresholds_on_it_on
         "persistence", "blank", recordings=tests[1:2], validation=validation, out=tmp_path / "run" / "alone"
     )
     assert trial_of(alone, "persistence", "two").strata == trial_of(summary, "persistence", "two").strata
+
+
+def test_in_a_sandbox_two_trials_of_a_recording_never_run_together():
+    """They could talk: one that is ahead knows the future of the other."""
+    jobs = [SimpleNamespace(split=SimpleNamespace(path=path), name=f"{path}{i}") for path in "ab" for i in range(3)]
+    rounds = [[job.name for job in together] for together in one_of_each_recording([*jobs[:5]])]
+    assert rounds == [["a0", "b0"], ["a1", "b1"], ["a2"]]
+
+
+def test_a_run_in_a_sandbox_goes_in_rounds_unless_the_user_sets_jobs(compare, monkeypatch):
+    together, execute = [], Stages._execute_together
+    monkeypatch.setattr(
+        Stages, "_execute_together", lambda self, jobs: (together.append(len(jobs)), execute(self, jobs))
+    )
+    monkeypatch.setattr(plan, "check_sandbox", lambda: None)
+    monkeypatch.setattr(TrackerProcess, "__enter__", refused)
+    compare("persistence", "blank", limits=Limits(sandbox=True), jobs=None)
+    assert [count for count in together if count] == [1, 1]
+    together.clear()
+    compare("persistence", "blank", limits=Limits(sandbox=True), jobs=2, resume=True)
+    assert [count for count in together if count] == [2]
+
+
+def refused(process):
+    raise TrialEnded("crashed", "not in this test")

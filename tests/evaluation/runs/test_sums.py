@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute
 import pytest
 from pyarrow import parquet
 
@@ -144,3 +145,14 @@ def test_a_file_that_is_no_table_of_sums_or_of_another_version_is_refused_in_one
     for folder in (tmp_path, tmp_path / "nowhere"):
         with pytest.raises(ScoresError, match=r"sums\.parquet: cannot be read as sums"):
             TrialSums(folder)
+
+
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_is_read(tmp_path):
+    """Equal rows take no room: a hundred million of them are a file of some kilobytes."""
+    write(tmp_path, 1)
+    table = parquet.read_table(tmp_path / SUMS_FILE)
+    hits = table.filter(pa.compute.equal(table["score"].cast("string"), "hits")).slice(0, 1)
+    many = pa.concat_tables([hits] * 100_000).combine_chunks()
+    parquet.write_table(many, tmp_path / SUMS_FILE, compression="zstd")
+    with pytest.raises(ScoresError, match=r"100000 rows and \d+ values together, more than a trial writes: refused"):
+        _ = TrialSums(tmp_path).scores
