@@ -6,7 +6,7 @@ import json
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -105,6 +105,8 @@ def regress_command(
     if len(runs) > 1 and not update:
         raise ConfigurationError(f"{len(runs)} runs: one is judged at a time; --update makes a baseline of several")
     settings = validated(GateSettings, values, "gridtrack regress")
+    if trackers_toml and not (speed_base or confirm):
+        raise ConfigurationError("--trackers-toml: it is for the programs that --speed-base or --confirm starts")
     bases = _bases(speed_base or (), trackers_toml)
     past = Past(history, read_history(history)) if history else None
     try:
@@ -112,7 +114,7 @@ def regress_command(
             _update_baseline(runs, baseline, settings, past)
             return
         stored = read_baseline(baseline)
-        verdict = _judge(runs[0], stored, settings, confirm, bases, past)
+        verdict = _judge(runs[0], stored, settings, Starting(confirm, bases, trackers_toml), past)
         _report_verdict(verdict, junit, markdown, as_json)
     except Exception as error:
         reasons = _reasons_unmeasured(error)
@@ -185,38 +187,41 @@ def _replaced(baseline: Path) -> Baseline | str | None:
 def _against_replaced(run: Path, stored: Baseline, settings: GateSettings) -> Verdict | str:
     """The verdict on the run by the baseline that is replaced, or why there is none."""
     try:
-        return _judge(run, stored, GateSettings(scores=settings.scores), confirm=False, bases={}, past=None)
+        return _judge(run, stored, GateSettings(scores=settings.scores), Starting(), past=None)
     except Unmeasured as reason:
         return str(reason)
 
 
-def _judge(
-    run: Path,
-    stored: Baseline,
-    settings: GateSettings,
-    confirm: bool,
-    bases: Mapping[str, Launch],
-    past: Past | None,
-) -> Verdict:
-    """The verdict on the run in the folder `run`, by a baseline and the best entry of a history.
+@dataclass(frozen=True)
+class Starting:
+    """The trackers that a check starts, with programs of the user's `trackers_toml` alone.
 
-    `confirm` repeats what looks worse; `bases`, by label, are trackers whose times are measured in turns with it.
+    `confirm` repeats what looks worse; `bases`, by label, are trackers with times that are measured in turns with it.
     """
+
+    confirm: bool = False
+    bases: Mapping[str, Launch] = field(default_factory=dict)
+    trackers_toml: Path | None = None
+
+
+def _judge(run: Path, stored: Baseline, settings: GateSettings, starting: Starting, past: Past | None) -> Verdict:
+    """The verdict on the run in the folder `run`, by a baseline and the best entry of a history."""
     if past:
         require_newest(past.folder, past.entries, stored)
     measured = measure_run(run, stored.first, settings.scores)
     verdict = compare_with_baseline(stored, measured, settings)
-    if confirm:
-        verdict = _confirmed(verdict, stored, measured, settings, run)
+    if starting.confirm:
+        verdict = _confirmed(verdict, stored, measured, settings, run, starting.trackers_toml)
     if past:
         verdict = judged_by_history(verdict, past.entries, digest_of_frames(stored))
-    return replace(verdict, turns=timed_in_turns(run, bases, settings.turns_margin)) if bases else verdict
+    if not starting.bases:
+        return verdict
+    turns = timed_in_turns(run, starting.bases, settings.turns_margin, starting.trackers_toml)
+    return replace(verdict, turns=turns)
 
 
 def _bases(texts: Sequence[str], trackers_toml: Path | None) -> dict[str, Launch]:
     """The base of each label in `LABEL=NAME`. Raises ConfigurationError and PluginError."""
-    if trackers_toml and not texts:
-        raise ConfigurationError("--trackers-toml: it names the bases of --speed-base LABEL=NAME, and there is none")
     external = read_trackers_toml(trackers_toml) if trackers_toml else None
     bases: dict[str, Launch] = {}
     for text in texts:
@@ -228,13 +233,18 @@ def _bases(texts: Sequence[str], trackers_toml: Path | None) -> dict[str, Launch
 
 
 def _confirmed(
-    verdict: Verdict, baseline: Baseline, measured: Measurement, settings: GateSettings, run: Path
+    verdict: Verdict,
+    baseline: Baseline,
+    measured: Measurement,
+    settings: GateSettings,
+    run: Path,
+    trackers_toml: Path | None,
 ) -> Verdict:
     """The verdict after a second run of what looks worse."""
 
     def again(trials: Trials, timed: bool) -> list[Measurement]:
         with RunProgress() as progress:
-            return run_again(run, trials, baseline.first, timed, progress, settings.scores)
+            return run_again(run, trials, baseline.first, timed, progress, settings.scores, trackers_toml)
 
     return confirmed(verdict, baseline, measured, settings, again)
 

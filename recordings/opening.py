@@ -8,7 +8,7 @@ from typing import Any
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import GridtrackError, RecordingError, did_you_mean
-from gridtrack.common.files import check_path, open_regular
+from gridtrack.common.files import check_utf8, open_regular
 from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.read_options import ReadOptions
 from gridtrack.recordings.recording import Recording
@@ -35,7 +35,7 @@ def open_recording(path: Path | str, *, growth: Growth | None = None, **options:
     ('leg_tracker', 10.0, (512,))
     """
     path = Path(path)
-    check_path(path, RecordingError)
+    check_utf8(path, RecordingError)
     given = validated(ReadOptions, options, str(path))
     registry = FormatRegistry(given.format)
     recording_format = registry.recognising(path, _head(path, registry))

@@ -1,7 +1,12 @@
-"""A second run of chosen trials, as a run's record describes them: same inputs, settings and seed, new processes."""
+"""A second run of chosen trials, as a run's record describes them: same inputs, settings and seed, new processes.
+
+The record may be a stranger's, so that it starts no program: those of a `trackers.toml` come from the file that the
+user names now, and each tracker is printed before it starts.
+"""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +15,7 @@ from tempfile import TemporaryDirectory
 from gridtrack.common.config import validated
 from gridtrack.evaluation.regression.measurement import Measurement, Unmeasured
 from gridtrack.evaluation.regression.measuring import measure_run
-from gridtrack.evaluation.runs.plan import ComparisonPlan, resolve
+from gridtrack.evaluation.runs.plan import ComparisonPlan, Trial, resolve
 from gridtrack.evaluation.runs.run_folder import versions
 from gridtrack.evaluation.runs.run_record import RunRecord, read_run_record
 from gridtrack.evaluation.runs.runner import RunObserver, run
@@ -22,21 +27,29 @@ Trials = Mapping[str, frozenset[str]]
 
 
 def run_again(
-    folder: Path, trials: Trials, like: Measurement, latency: bool, progress: RunObserver, foreign: Sequence[str]
+    folder: Path,
+    trials: Trials,
+    like: Measurement,
+    latency: bool,
+    progress: RunObserver,
+    foreign: Sequence[str],
+    trackers_toml: Path | None,
 ) -> list[Measurement]:
     """Run `trials` of the run in `folder` again, with their times where `latency`; one measurement for each set of
     recordings, in the units of `like`, with the `foreign` scores of other packages. What is written is removed.
 
-    Raises Unmeasured where a trial cannot be run as it was, or fails.
+    Programs are those of `trackers_toml`. Raises Unmeasured where a trial cannot be run as it was, or fails.
     """
     record = read_run_record(folder)
     with TemporaryDirectory(prefix="gridtrack-again-") as scratch:
-        plan = _plan(folder, record, Path(scratch), latency, foreign)
+        plan = _plan(folder, record, Path(scratch), latency, foreign, trackers_toml)
         measured = []
         for number, recordings in enumerate(dict.fromkeys(trials.values())):
             labels = [label for label, own in trials.items() if own == recordings]
             part = _part(plan, labels, recordings, Path(scratch) / str(number))
             _require_unchanged(record, part)
+            for line in dict.fromkeys(map(_start_line, part.trials)):
+                progress.note(line)
             if run(part, record.command, progress).interrupted:
                 raise Unmeasured(["the second run was interrupted"])
             measured.append(measure_run(part.settings.out, like, foreign))
@@ -45,10 +58,13 @@ def run_again(
     return measured
 
 
-def plan_again(folder: Path, scratch: Path) -> ComparisonPlan:
-    """The plan of the run in `folder`, whose files go to `scratch`. Raises Unmeasured where something changed."""
+def plan_again(folder: Path, scratch: Path, trackers_toml: Path | None) -> ComparisonPlan:
+    """The plan of the run in `folder`, whose files go to `scratch`, with the programs of `trackers_toml`.
+
+    Raises Unmeasured where something changed.
+    """
     record = read_run_record(folder)
-    plan = _plan(folder, record, scratch, latency=False, foreign=())
+    plan = _plan(folder, record, scratch, latency=False, foreign=(), trackers_toml=trackers_toml)
     _require_unchanged(record, plan)
     return plan
 
@@ -58,14 +74,33 @@ def why_edited(label: str, *sha256s: str) -> str:
     return f"{label}: the tracker's code was edited since the run: compare again" if code_differs(*sha256s) else ""
 
 
-def _plan(folder: Path, record: RunRecord, scratch: Path, latency: bool, foreign: Sequence[str]) -> ComparisonPlan:
+def _start_line(trial: Trial) -> str:
+    options = "".join(f" {name}={value}" for name, value in sorted(trial.selection.options.items()))
+    return f"{trial.label}: starts again: {trial.selection.name}{options} ({shlex.join(trial.launch.argv)})"
+
+
+def _plan(
+    folder: Path,
+    record: RunRecord,
+    scratch: Path,
+    latency: bool,
+    foreign: Sequence[str],
+    trackers_toml: Path | None,
+) -> ComparisonPlan:
     """The plan of the whole run, with the scores and nothing beside them but times.
 
-    Of scores of other packages it has those that the user names now: the record may be a stranger's.
+    Of scores of other packages and programs it has those that the user names now: the record may be a stranger's.
     """
     given = record.settings.model_dump(mode="json")
     if "recordings" not in given:
         raise Unmeasured([f"{folder}: its record has no settings, so it cannot be run again: compare again"])
+    if given["trackers_toml"] and trackers_toml is None:
+        raise Unmeasured(
+            [
+                f"{folder}: it ran programs of {given['trackers_toml']}, and a run's record starts none: name your own"
+                " file with --trackers-toml"
+            ]
+        )
     only_scores = {
         "deadline": False,
         "degrade": None,
@@ -74,6 +109,7 @@ def _plan(folder: Path, record: RunRecord, scratch: Path, latency: bool, foreign
         "engine": "local",
         "address": None,
         "scores": tuple(foreign),
+        "trackers_toml": trackers_toml,
     }
     settings = {**given, **only_scores, "out": scratch, "latency": latency}
     return resolve(validated(CompareSettings, settings, f"{folder}: its settings"))

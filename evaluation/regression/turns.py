@@ -37,14 +37,16 @@ PairedTimes = dict[CallKind, list[tuple[float, float]]]
 """Of each call its times, ms: of the run's tracker and of the base."""
 
 
-def timed_in_turns(folder: Path, bases: Mapping[str, Launch], margin: float) -> tuple[TurnsRow, ...]:
+def timed_in_turns(
+    folder: Path, bases: Mapping[str, Launch], margin: float, trackers_toml: Path | None
+) -> tuple[TurnsRow, ...]:
     """The trackers of the run in `folder` by label, each timed in turns with its base on the run's first recording.
 
-    Options, weights and seed are those of the run. Raises ConfigurationError for an unknown label, and Unmeasured where
-    a process fails, or the run's tracker is no longer what ran.
+    Options, weights and seed are those of the run, programs those of `trackers_toml`. Raises ConfigurationError for an
+    unknown label, and Unmeasured where a process fails, or the run's tracker is no longer what ran.
     """
     with TemporaryDirectory(prefix="gridtrack-turns-") as scratch:
-        plan = plan_again(folder, Path(scratch))
+        plan = plan_again(folder, Path(scratch), trackers_toml)
         first = {trial.label: trial for trial in reversed(plan.trials)}
         rows: list[TurnsRow] = []
         for label, base in bases.items():

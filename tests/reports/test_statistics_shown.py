@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
 import re
+import shutil
 from itertools import combinations
 
 import pytest
@@ -39,8 +41,7 @@ def changed(run, tmp_path):
     """`changed(change)` reads the run with another summary, which `change(summary)` changed."""
 
     def changed(change):
-        for path in run.iterdir():
-            (tmp_path / path.name).symlink_to(path)
+        shutil.copytree(run, tmp_path, copy_function=os.link, dirs_exist_ok=True)
         (tmp_path / "summary.json").unlink()
         (tmp_path / "summary.json").write_text((run / "summary.json").read_text())
         return read_runs([edit(tmp_path, change)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from xml.etree import ElementTree
 
 import pytest
@@ -68,7 +69,9 @@ def runs(folder, record, progress, regress, tmp_path):
 
     def compare(name):
         out = tmp_path / name
-        settings = CompareSettings(recordings=recordings, trackers=trackers, out=out, horizon_s=1.0, jobs=1)
+        settings = CompareSettings(
+            recordings=recordings, trackers=trackers, out=out, horizon_s=1.0, jobs=1, no_floors=True
+        )
         run(resolve(settings), ("gridtrack", "compare"), progress)
         return out
 
@@ -152,3 +155,33 @@ def test_nothing_runs_again_where_nothing_looks_worse(runs, folder, regress, tmp
     assert (done.code, (folder / "starts").read_text()) == (0, "")
     done = regress(tmp_path / "then", "--baseline", baseline, "--confirm", "--update")
     assert (done.code, "--confirm: --update judges nothing" in done.err) == (2, True)
+
+
+def test_the_record_of_a_run_starts_no_program(folder, record, progress, regress, tmp_path):
+    """The run may be a stranger's: its trackers.toml names an interpreter, which would run as the user."""
+    recording, programs = record("one", seconds=8, stretches={}, wall_m=3.0), tmp_path / "trackers.toml"
+    programs.write_text(f'[mine]\npython = "{sys.executable}"\ntracker = "moody"\n')
+    settings = CompareSettings(
+        recordings=(str(recording),),
+        trackers=(f"mine:folder={folder}", "blank"),
+        trackers_toml=programs,
+        horizon_s=1.0,
+        jobs=1,
+        no_floors=True,
+        out=tmp_path / "then",
+    )
+    run(resolve(settings), ("gridtrack", "compare"), progress)
+    baseline = tmp_path / "baseline.json"
+    assert regress(tmp_path / "then", "--baseline", baseline, "--update").code == 0
+    (folder / "bad").touch()
+    now = tmp_path / "now"
+    run(resolve(settings.model_copy(update={"out": now})), ("gridtrack", "compare"), progress)
+    (folder / "starts").write_text("")
+    done = regress(now, "--baseline", baseline, "--confirm")
+    assert done.code == 3
+    assert f"it ran programs of {programs}, and a run's record starts none: name your own file with" in done.err
+    assert (folder / "starts").read_text() == ""
+    done = regress(now, "--baseline", baseline, "--confirm", "--trackers-toml", programs)
+    assert done.code == 1
+    assert f"mine: starts again: mine folder={folder} ({sys.executable}" in done.err
+    assert (folder / "starts").read_text() == "."

@@ -24,7 +24,7 @@ def compared(staged, record, progress, regress, tmp_path, monkeypatch, trackers_
     recording = record("one", seconds=8, stretches={}, wall_m=3.0)
     out = tmp_path / "now"
     settings = CompareSettings(
-        recordings=(str(recording),), trackers=("staged", "blank"), out=out, horizon_s=1.0, jobs=1
+        recordings=(str(recording),), trackers=("staged", "blank"), out=out, horizon_s=1.0, jobs=1, no_floors=True
     )
     run(resolve(settings), ("gridtrack", "compare"), progress)
     baseline = tmp_path / "baseline.json"
