@@ -40,10 +40,7 @@ demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minut
 test: $(VENV)/.installed-dev ## run lint, types and all tests
 	$(MAKE) --jobs 2 lint pytest
 
-# once before the tests, because each worker would compile the same functions at the same time
 pytest: $(VENV)/.installed-dev
-	out=$$(mktemp -d) && $(COMPARE) $(DEMO)@0s-8s $(call chosen,$(addsuffix :card=general,kalman factor-graph dogma)) \
-		--horizon 0.5s --out $$out/run >/dev/null && rm -r $$out
 	$(PYTEST)
 
 check: $(VENV)/.installed-dev | .link/gridtrack ## lint and test what changed since the last commit, for a minute (SINCE=main: since that revision)
