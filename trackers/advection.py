@@ -18,13 +18,14 @@ from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
 
 
 class AdvectionOptions(Settings):
-    """Options of advection."""
+    """Options of advection. The defaults have the highest PR-AUC of cells in motion one second ahead, of 18 settings on
+    the validation recording of the junction."""
 
-    lookback_s: float = Field(0.25, gt=0.0, le=10.0)
+    lookback_s: float = Field(0.5, gt=0.0, le=10.0)
     """Time between the two frames whose flow is found; a longer one finds slower motion."""
-    smoothing_m: float = Field(0.3, ge=0.0, le=10.0)
+    smoothing_m: float = Field(0.2, ge=0.0, le=10.0)
     """Standard deviation of the blur of both frames: occupied cells alone have no gradient to follow."""
-    attachment: float = Field(5.0, gt=0.0, le=1000.0)
+    attachment: float = Field(15.0, gt=0.0, le=1000.0)
     """Weight of the difference of the frames against the smoothness of the flow: a smaller one gives a smoother flow"""
 
 
