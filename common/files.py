@@ -81,14 +81,15 @@ def open_regular(path: Path) -> BinaryIO:
     raise OSError(0, NOT_A_FILE, str(path))
 
 
-def refuse_links(folder: Path, error: type[GridtrackError]) -> None:
-    """Raise `error` for the first link, pipe or device in `folder` or below.
+def refuse_links(folder: Path, error: type[GridtrackError], unread: str = "") -> None:
+    """Raise `error` for the first link, pipe or device in `folder` or below, but for a folder `unread` in it.
 
     Whoever made the folder could direct what is written in it to any file of the user.
     """
     for entry in os.scandir(folder):
         if entry.is_dir(follow_symlinks=False):
-            refuse_links(Path(entry.path), error)
+            if entry.name != unread:
+                refuse_links(Path(entry.path), error)
         elif not entry.is_file(follow_symlinks=False):
             what = "a link" if entry.is_symlink() else NOT_A_FILE
             raise error(f"{entry.path}: {what}; gridtrack uses a folder of files and folders alone: remove it")

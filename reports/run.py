@@ -10,6 +10,7 @@ from typing import Any
 
 from gridtrack.common.errors import ConfigurationError, GridtrackError, did_you_mean
 from gridtrack.common.files import refuse_links
+from gridtrack.evaluation.hosting.limits import SCRATCH
 from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.result_files import Curve, RunError
 from gridtrack.evaluation.runs.run_record import RUN_FILE, RunRecord, read_run_record
@@ -124,7 +125,7 @@ def read_results(path: Path) -> tuple[RunRecord, RunSummary]:
     """The record and the summary in the folder of a run that has ended, its trials' files checked. Raises RunError."""
     if not path.is_dir():
         raise RunError(f"{path}: there is no such run's folder; `gridtrack compare ... --out RUN` makes one")
-    refuse_links(path, RunError)
+    refuse_links(path, RunError, unread=SCRATCH)
     try:
         record = read_run_record(path)
     except FileNotFoundError:

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import refuse_links
+from gridtrack.evaluation.hosting.limits import SCRATCH
 from gridtrack.evaluation.regression.measurement import (
     BANDS,
     MeasuredTrial,
@@ -306,7 +307,7 @@ def _split_key(run: Path, name: str, identity: RecordingIdentity) -> SplitKey:
 def _read_run_record(run: Path) -> RunRecord:
     if not run.is_dir():
         raise RunError(f"{run}: there is no such run's folder; `gridtrack compare ... --out RUN` makes one")
-    refuse_links(run, RunError)
+    refuse_links(run, RunError, unread=SCRATCH)
     try:
         return read_run_record(run)
     except FileNotFoundError:

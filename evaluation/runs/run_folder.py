@@ -19,6 +19,7 @@ from typing import Any, TextIO
 import psutil
 
 from gridtrack.common.files import refuse_links
+from gridtrack.evaluation.engines.engine import remove_scratch
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.finished import FinishedTrial
@@ -65,13 +66,22 @@ def run_lock(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RunError(f"{folder}: cannot be created ({error.strerror}): name another folder with --out") from None
-    refuse_links(folder, RunError)
-    with (folder / LOCK).open("a+", encoding="utf-8") as file:
+    with _lock_file(folder / LOCK) as file:
         _lock(file, folder)
+        remove_scratch(folder)  # of a killed run: an engine makes links in it
+        refuse_links(folder, RunError)
         file.truncate(0)
         file.write(f"{os.getpid()}\n")
         file.flush()
         yield
+
+
+def _lock_file(path: Path) -> TextIO:
+    """The file of the lock, open. Raises RunError for a link."""
+    try:
+        return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666), "r+")
+    except OSError as error:
+        raise RunError(f"{path}: cannot be opened ({error.strerror}): remove it, or name another folder") from None
 
 
 def _lock(file: TextIO, folder: Path) -> None:

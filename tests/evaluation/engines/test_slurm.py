@@ -134,7 +134,7 @@ def test_an_interrupt_leaves_no_job_and_keeps_the_scores(settings, tmp_path):
     wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
     tasks = (tmp_path / "run" / ".engine").glob
     wait_until(lambda: any(TaskFolder(path.parent).progress().delivered > 90 for path in tasks("*/*/progress.json")))
-    assert len(jobs()) >= 2
+    assert jobs()
     host.send_signal(signal.SIGINT)
     assert host.wait(300) == 130
     wait_until(lambda: not jobs(), 10)

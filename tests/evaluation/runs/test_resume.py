@@ -192,3 +192,23 @@ def test_a_file_that_another_process_changes_during_the_run_fails_its_trial(comp
     assert trial_of(summary, "persistence").outcome == "ok"
     monkeypatch.undo()
     assert trial_of(compare("blank", "persistence", resume=True), "blank").outcome == "ok"
+
+
+def test_links_that_an_engine_left_in_a_killed_run_stop_nothing(compare, tmp_path):
+    """The claims of jobs of Slurm are links."""
+    compare("blank")
+    scratch = tmp_path / "run" / ".engine" / "x"
+    scratch.mkdir(parents=True)
+    (scratch / "claim").symlink_to("17 0")
+    assert read_runs([tmp_path / "run"])[0].recordings == ("room",)
+    assert trial_of(compare("blank", "persistence", resume=True), "persistence").outcome == "ok"
+
+
+def test_a_lock_that_is_a_link_is_not_written_to(compare, tmp_path):
+    mine = tmp_path / "mine"
+    mine.write_text("precious")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / ".lock").symlink_to(mine)
+    with pytest.raises(RunError, match=r"run/\.lock: cannot be opened"):
+        compare("blank")
+    assert mine.read_text() == "precious"
