@@ -88,12 +88,16 @@ def _is_packed_in(folder: Path, file: Path) -> bool:
     """Whether a file is the only one of a bag with packed messages: its metadata says so. Raises DamageError."""
     from ruamel.yaml import YAML
 
-    bag = YAML(typ="safe").load((folder / METADATA_FILE).read_text("utf-8"))["rosbag2_bagfile_information"]
-    if not bag.get("compression_format"):
-        return False
-    if [Path(name).name for name in bag["relative_file_paths"]] != [file.name]:
+    _check_metadata(folder / METADATA_FILE)
+    try:
+        bag = YAML(typ="safe").load(folder / METADATA_FILE)["rosbag2_bagfile_information"]
+        has_packed = bool(bag.get("compression_format"))
+        names = [Path(name).name for name in bag["relative_file_paths"]]
+    except Exception as error:  # noqa: BLE001  the file may be any YAML
+        raise DamageError(f"{METADATA_FILE} is not that of a bag ({type(error).__name__}: {error})") from None
+    if has_packed and names != [file.name]:
         raise DamageError(f"one file of a bag with packed messages: name the folder {folder}")
-    return True
+    return has_packed
 
 
 def _side_file(file: Path) -> Path:
@@ -116,17 +120,17 @@ def _checked_size(path: Path) -> int:
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     for file in files:
         if file.name == METADATA_FILE:
-            _check_metadata(read_bounded(file, MAX_METADATA_BYTES, DamageError))
+            _check_metadata(file)
     return sum(file.stat().st_size for file in files)
 
 
-def _check_metadata(text: bytes) -> None:
-    """Raise DamageError for deeply nested YAML, or YAML with aliases, which repeat their content without limit."""
+def _check_metadata(path: Path) -> None:
+    """Raise DamageError for large or deeply nested YAML, or with aliases, which repeat their content without limit."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
     from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent
 
-    depth = 0
+    text, depth = read_bounded(path, MAX_METADATA_BYTES, DamageError), 0
     try:
         for event in YAML(typ="safe").parse(text.decode()):
             depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)

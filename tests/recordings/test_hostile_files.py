@@ -228,6 +228,8 @@ def test_a_compressed_ros_2_bag_is_not_unpacked_without_limit(ros2_folder: Path,
 def test_hostile_metadata_of_a_ros_2_bag_are_refused(yaml: str, reason: str, ros2_folder: Path) -> None:
     (ros2_folder / "metadata.yaml").write_text(yaml)
     assert reason in refusal(ros2_folder)
+    (database,) = ros2_folder.glob("*.db3")
+    assert reason in refusal(database), "its one file is named, and the metadata lie beside it"
 
 
 def test_a_still_scene_is_no_bomb(write, free_mib) -> None:
