@@ -109,7 +109,7 @@ def _plan(
         "engine": "local",
         "address": None,
         "scores": tuple(foreign),
-        "trackers_toml": trackers_toml,
+        "trackers_toml": trackers_toml if given["trackers_toml"] else None,
     }
     settings = {**given, **only_scores, "out": scratch, "latency": latency}
     return resolve(validated(CompareSettings, settings, f"{folder}: its settings"))
