@@ -8,6 +8,7 @@ a process. docs/wire.md describes its guarantees and its limits.
 from __future__ import annotations
 
 import errno
+import filecmp
 import os
 import shutil
 import subprocess
@@ -21,7 +22,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from gridtrack.common.errors import ConfigurationError, one_line
-from gridtrack.common.files import read_bounded, sha256_of
+from gridtrack.common.files import read_bounded
 from gridtrack.common.untrusted import parse_json
 from gridtrack.evaluation.hosting.supervisor import IN_MEMORY
 from gridtrack.trackers.selection import Launch
@@ -169,15 +170,15 @@ def _packages(folders: Iterable[Path]) -> set[Path]:
 
 @cache
 def copies_of(recordings: tuple[Path, ...], folders: tuple[Path, ...]) -> tuple[Path, ...]:
-    """The files in `folders` with the content of a file of the `recordings`, by size and SHA-256."""
-    wanted: dict[int, set[str]] = {}
+    """The files in `folders` with the content of a file of the `recordings`; only files of equal size are read."""
+    by_size: dict[int, list[Path]] = {}
     for path in (file for recording in recordings for file in _files_of(recording)):
-        if size := path.stat().st_size:
-            wanted.setdefault(size, set()).add(sha256_of(path))
+        by_size.setdefault(path.stat().st_size, []).append(path)
+    by_size.pop(0, None)
     found = []
     for path in (file for folder in folders for file in _files_of(folder)):
         with suppress(OSError):  # another process may remove it
-            if (size := path.stat().st_size) in wanted and sha256_of(path) in wanted[size]:
+            if any(filecmp.cmp(path, one, shallow=False) for one in by_size.get(path.stat().st_size, ())):
                 found.append(path)
     return tuple(found)
 
