@@ -256,22 +256,26 @@ def resolve(
     )
     for trial in trials:
         _refuse_thresholds_of_another_site(trial)
-    notices = [*left_out, *(notice for split in splits for notice in split.notices)]
-    if settings.limits.sandbox:
-        notices += [_beside_gridtrack(label) for label, start in launches.items() if is_plugin(start)]
-    notices += [
-        f"{trial.label}: {trial.weights.name} is of a training that was interrupted at {trial.weights.card.interrupted}"
-        for trial in trials
-        if trial.weights and trial.weights.card.interrupted
-    ]
-    notices += [notice for _, notice in weights.values() if notice]
-    notices += _large_cost(trials)
-    notices += [trial.beyond_training for trial in trials if trial.beyond_training]
+    of_weights = (notice for _, notice in weights.values() if notice)
+    notices = [*left_out, *(notice for split in splits for notice in split.notices), *of_weights, *_notices(trials)]
     if settings.allow_leak:
         notices += [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
     else:
         refuse_leaks(trial.leaks for trial in trials)
     return ComparisonPlan(settings, splits, trials, tuple(dict.fromkeys(notices)))
+
+
+def _notices(trials: Sequence[Trial]) -> Iterator[str]:
+    """Lines about the trials before they run."""
+    for trial in trials:
+        if trial.limits.sandbox and is_plugin(trial.launch):
+            yield _beside_gridtrack(trial.label)
+        if trial.weights and trial.weights.card.interrupted:
+            name, at = trial.weights.name, trial.weights.card.interrupted
+            yield f"{trial.label}: {name} is of a training that was interrupted at {at}"
+        if trial.beyond_training:
+            yield trial.beyond_training
+    yield from _large_cost(trials)
 
 
 def _wholes(settings: CompareSettings, note: Callable[[str], None]) -> tuple[EvaluationSplit, ...]:
