@@ -16,7 +16,8 @@ MAX_ORIGIN_M = 1e6
 Mask = NDArray[np.bool_]
 Points = Literal["centres", "raw"]
 """The points of a frame: the centres of the occupied cells, or the returns of the laser."""
-RESOLUTION_CELLS = 2.0**-40
+FRACTION_BITS = 40
+RESOLUTION_CELLS = 2.0**-FRACTION_BITS
 """Coordinates in cells are rounded to this before the cell is found: a point that a rounding error puts beside a grid
 line is on it, and belongs to the upper cell."""
 TIE_DIGITS = 3

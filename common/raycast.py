@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import RESOLUTION_CELLS, GridSpec, Mask, snapped
+from gridtrack.common.grid import FRACTION_BITS, GridSpec, Mask, snapped
 from gridtrack.common.scan import Scan
 
-FRACTION_BITS = 40
-assert RESOLUTION_CELLS == 2.0**-FRACTION_BITS
 snap = numba.njit(cache=True, nogil=True, inline="always")(snapped)
 """`grid.snapped`, for compiled functions."""
 MAX_COORDINATE_CELLS, MAX_BEAM_CELLS = 1e9, 1e300

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridSpec, snapped
-from gridtrack.common.raycast import FRACTION_BITS, MAX_COORDINATE_CELLS, clip, directions_of, first_cell, snap, turned
+from gridtrack.common.grid import FRACTION_BITS, GridSpec, snapped
+from gridtrack.common.raycast import MAX_COORDINATE_CELLS, clip, directions_of, first_cell, snap, turned
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
 from gridtrack.recordings.observation import reference_pose

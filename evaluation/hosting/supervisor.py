@@ -290,7 +290,7 @@ def prctl(option: int, value: int) -> None:
 
 
 def join_new_keyring() -> None:
-    """Give this process a session keyring of its own: that of the user would keep keys beyond its end."""
+    """Give this process a new session keyring: keys in the keyring of the user's session would outlive it."""
     if (number := KEYCTL.get(os.uname().machine)) and sys.platform == "linux":
         ctypes.CDLL(None).syscall(number, KEYCTL_JOIN_SESSION_KEYRING, None)
 
