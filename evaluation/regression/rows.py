@@ -11,8 +11,15 @@ from scipy.special import ndtri
 
 from gridtrack.evaluation.regression.measurement import BANDS, Baseline, Measurement
 from gridtrack.evaluation.scores.definition import Floats, Measure, Output, Ratio, ScoreDefinition, Sums, value_of
-from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, IntervalEstimate, Replicates, holm, replicates
-from gridtrack.evaluation.statistics.trainings import one_more, spread_between
+from gridtrack.evaluation.statistics.jackknife import (
+    LEAST_UNITS,
+    IntervalEstimate,
+    Replicates,
+    degrees_of_freedom,
+    replicates,
+)
+from gridtrack.evaluation.statistics.trainings import Spread, Trainings, one_more, spread_between
+from gridtrack.evaluation.statistics.wild_bootstrap import Variation, family_p, influence_on_difference
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,43 +129,66 @@ def _rows_of(
                             )
 
 
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """A row's run less its baseline, before the correction; the spread between the trainings of the baseline, None with
+    one; and per unit (U,), for the correction, its influence on the gain."""
+
+    difference: IntervalEstimate
+    spread: Spread | None
+    influence: Floats
+    freedom: float
+    p: float
+    """Of a fall, one-sided."""
+
+    @classmethod
+    def of(cls, row: PairedRow) -> _Compared:
+        trainings = [row.replicates(sums) for sums in row.trainings]
+        own, mean = row.replicates(row.run), Trainings(tuple(trainings), learned=True).mean
+        found = one_more(own, trainings)
+        worse = row.output.direction * float(found.value) < 0
+        return cls(
+            found,
+            spread_between(trainings) if len(trainings) > 1 else None,
+            row.output.direction * influence_on_difference(own, mean),
+            float(degrees_of_freedom(own.size, mean.size)),
+            float(found.p) / 2 if worse else 1.0 - float(found.p) / 2,
+        )
+
+
 def row_tests(rows: Sequence[PairedRow]) -> list[RowTest]:
-    """The test of each row, with Holm's correction over all of them. With fewer than LEAST_UNITS units there is none.
+    """The test of each row, corrected for the family of all of them. With fewer than LEAST_UNITS units there is none.
 
     With several runs in the baseline the difference is that from one more training, so that its variance includes the
     spread between trainings.
     """
     if not rows or len(np.unique(rows[0].units)) < LEAST_UNITS:
         return [RowTest() for _ in rows]
-    compared = [_compared(row) for row in rows]
-    p = [_one_sided(row, found) for row, (found, _) in zip(rows, compared, strict=True)]
-    adjusted = holm(np.array(p)).tolist()
+    compared = [_Compared.of(row) for row in rows]
+    corrected, level = family_p(np.array([one.p for one in compared]), _variation(compared))
     return [
-        RowTest(None if np.isnan(own) else own, found, spread, _critical(found, len(rows)))
-        for own, (found, spread) in zip(adjusted, compared, strict=True)
+        RowTest(
+            None if np.isnan(p) else p,
+            one.difference,
+            None if one.spread is None else float(one.spread.deviation),
+            _critical(one.difference, level),
+        )
+        for p, one in zip(corrected.tolist(), compared, strict=True)
     ]
 
 
-def _compared(row: PairedRow) -> tuple[IntervalEstimate, float | None]:
-    """The run less the baseline, and the standard deviation between the trainings of the baseline."""
-    trainings = [row.replicates(sums) for sums in row.trainings]
-    found = one_more(row.replicates(row.run), trainings)
-    spread = float(spread_between(trainings).deviation) if len(trainings) > 1 else None
-    return found, spread
+def _variation(compared: Sequence[_Compared]) -> Variation:
+    """The chance variation of the rows. Between trainings rows vary independently, which is the careful assumption."""
+    spreads = [one.spread for one in compared]
+    return Variation(
+        np.stack([one.influence for one in compared], axis=1),
+        np.array([one.freedom for one in compared]),
+        np.array([0.0 if spread is None else float(spread.error) for spread in spreads]),
+        next((spread.freedom for spread in spreads if spread), 1.0),
+    )
 
 
-def _one_sided(row: PairedRow, found: IntervalEstimate) -> float:
-    """The p-value of a fall."""
-    worse = row.output.direction * float(found.value) < 0
-    return float(found.p) / 2 if worse else 1.0 - float(found.p) / 2
-
-
-def _critical(found: IntervalEstimate, family: int) -> float:
-    """The smallest fall with a p-value that the correction for `family` rows leaves significant, from the interval."""
+def _critical(found: IntervalEstimate, level: float) -> float:
+    """The smallest fall with a one-sided p-value of `level`, from the interval of 95 %."""
     reach = float(found.high - found.low) / 2
-    return reach * _quantile_ratio(family) if np.isfinite(reach) else 0.0
-
-
-def _quantile_ratio(family: int) -> float:
-    """The normal quantile of a one-sided level of 5 % over `family` rows, over that of a two-sided one of 5 %."""
-    return float(ndtri(1 - 0.05 / family) / ndtri(0.975))
+    return reach * float(ndtri(1 - level) / ndtri(0.975)) if np.isfinite(reach) else 0.0

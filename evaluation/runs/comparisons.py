@@ -37,8 +37,8 @@ from gridtrack.evaluation.statistics.jackknife import (
     holm,
     verdict_of,
 )
-from gridtrack.evaluation.statistics.many_families import false_difference_rate
 from gridtrack.evaluation.statistics.trainings import LEAST_TRAININGS, Trainings, spread_between, training_differences
+from gridtrack.evaluation.statistics.wild_bootstrap import false_difference_rate
 
 TESTED_STRATA = (*HEADLINE_STRATA, OCCLUDED)
 """The strata in which trackers are compared with the reference."""

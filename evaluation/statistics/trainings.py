@@ -135,7 +135,7 @@ def training_differences(own: Trainings, reference: Trainings, level: float = LE
     without = mine.without - theirs.without
     over_units = (units - 1) / units * ((without - without.mean(axis=0)) ** 2).sum(axis=0)
     of_units = over_units, degrees_of_freedom(mine.size, theirs.size)
-    variance, freedom = _satterthwaite(of_units, own.variance(), reference.variance())
+    variance, freedom = total_variance(of_units, own.variance(), reference.variance())
     return difference_of(value, np.sqrt(variance), freedom, level)
 
 
@@ -153,14 +153,14 @@ def one_more(own: Replicates, trainings: Sequence[Replicates], level: float = LE
     over_units = (units - 1) / units * ((without - without.mean(axis=0)) ** 2).sum(axis=0)
     spread = spread_between(trainings)
     of_units = over_units, degrees_of_freedom(own.size, mean.size)
-    variance, freedom = _satterthwaite(of_units, (spread.error**2, spread.freedom))
+    variance, freedom = total_variance(of_units, (spread.error**2, spread.freedom))
     return difference_of(own.value - mean.value, np.sqrt(variance), freedom, level)
 
 
-def _satterthwaite(*parts: tuple[Floats, Floats | float]) -> tuple[Floats, Floats]:
+def total_variance(*parts: tuple[Floats, Floats | float]) -> tuple[Floats, Floats]:
     """The sum (...) of variances, and its degrees of freedom (Satterthwaite 1946)."""
-    variance = np.sum([part for part, _ in parts], axis=0)
-    squared = np.sum([part**2 / freedom for part, freedom in parts], axis=0)
+    variance = np.asarray(sum(part for part, _ in parts))
+    squared = sum(part**2 / freedom for part, freedom in parts)
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = np.where(variance > 0, variance**2 / squared, 1.0)
     return variance, freedom

@@ -5,7 +5,7 @@ import pytest
 
 from gridtrack.evaluation.scores.definition import Ratio
 from gridtrack.evaluation.statistics.jackknife import ratio_replicates
-from gridtrack.evaluation.statistics.many_families import false_difference_rate
+from gridtrack.evaluation.statistics.wild_bootstrap import false_difference_rate
 
 UNITS = 30
 NAMES = "abcd"
