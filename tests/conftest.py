@@ -7,7 +7,6 @@ import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +20,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # workers fill the cores: two thr
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 PLUGINS = Path(__file__).parent / "plugins"
-DATA = Path(__file__).resolve().parents[1] / "data"
 
 Install = Callable[..., Path]
 
@@ -37,27 +35,11 @@ def own_cache_of_stretches(tmp_path_factory: pytest.TempPathFactory) -> Iterator
 
 
 @pytest.fixture(scope="session", autouse=True)
-def one_survey_of_each_shipped_recording() -> Iterator[None]:
-    """Recordings that ship with gridtrack are surveyed once in a session: their files stay as they are."""
-    from gridtrack.recordings.recording import Recording
+def shipped_recordings_are_read_once() -> Iterator[None]:
+    """Recordings that ship with gridtrack are surveyed and read once in a session: their files stay as they are."""
+    from scenes.read_once import shipped_recordings_read_once
 
-    surveyed: Any = Recording.survey
-    found: dict[tuple[object, ...], tuple[Any, list[str], str]] = {}
-
-    def survey(recording: Recording) -> Any:
-        path = recording.path.resolve()
-        if DATA not in path.parents or recording.growth is not None:
-            return surveyed.func(recording)
-        kind = type(recording), path, recording.options.model_dump_json()
-        if kind not in found:
-            found[kind] = surveyed.func(recording), recording.warning_texts(), recording.damage
-        recording.recall(*found[kind])
-        return found[kind][0]
-
-    once = cached_property(survey)
-    once.__set_name__(Recording, "survey")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Recording, "survey", once)
+    with shipped_recordings_read_once():
         yield
 
 
