@@ -32,8 +32,9 @@ class Alternation:
         """Add the sensor's next scan."""
         ranges = _within_limits(scan)
         if len(self._last_two) == 2:
-            own_m, other_m = (difference_m(ranges, before) for before in self._last_two)
-            self.count += other_m > UNLIKE_M and own_m < LIKE_SHARE * other_m
+            own, other = self._last_two
+            other_m = difference_m(ranges, other)
+            self.count += other_m > UNLIKE_M and difference_m(ranges, own) < LIKE_SHARE * other_m
         self._last_two = [*self._last_two[-1:], ranges]
 
     def is_found(self, scans: int) -> bool:

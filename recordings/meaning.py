@@ -24,11 +24,15 @@ LEAST_RANGE_M = 1e-3
 def with_meaning(scan: Scan, options: ReadOptions) -> Scan:
     """The scan with the range limits, angles and codes for no return that the options name."""
     low_m, high_m = options.range_limits or (scan.range_min, scan.range_max)
-    scan = replace(scan, range_min=LEAST_RANGE_M if low_m == 0.0 < high_m else low_m, range_max=high_m)
+    low_m = LEAST_RANGE_M if low_m == 0.0 < high_m else low_m
+    if (low_m, high_m) != (scan.range_min, scan.range_max):
+        scan = replace(scan, range_min=low_m, range_max=high_m)
     if options.angles is not None:
         first_rad, last_rad = options.angles
         step_rad = (last_rad - first_rad) / max(scan.ranges.size - 1, 1)
         scan = replace(scan, angle_min=first_rad, angle_increment=step_rad, last_angle=None)
+    if not options.no_return:
+        return scan
     is_code = np.zeros(scan.ranges.shape, np.bool_)
     for code in options.no_return:
         is_code |= CODES[code](scan)

@@ -34,6 +34,15 @@ def own_cache_of_stretches(tmp_path_factory: pytest.TempPathFactory) -> Iterator
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def shipped_recordings_are_read_once() -> Iterator[None]:
+    """Recordings that ship with gridtrack are surveyed and read once in a session: their files stay as they are."""
+    from scenes.read_once import shipped_recordings_read_once
+
+    with shipped_recordings_read_once():
+        yield
+
+
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
     """`install(distribution, {name: "module:attribute"}, {file: text})` installs a distribution with entry points."""

@@ -119,7 +119,8 @@ def test_the_undamaged_part_of_a_truncated_recording_can_be_used(tmp_path):
     content = Path(DEMO).read_bytes()
     cut.write_bytes(content[: len(content) // 2])
     broken = r"the recording is 63\.6 s long \(cut off in the middle of a record\): name a range .* \(.*@0s-63s\)"
-    commands = (["compare", f"{cut}@0s-20s", "--tracker", "persistence"], ["train", "static-map", f"{cut}@0s-20s"])
+    compare = ["compare", "--no-floors", f"{cut}@0s-20s", "--tracker", "persistence"]
+    commands = (compare, ["train", "static-map", f"{cut}@0s-20s"])
     for command in commands:
         refused = gridtrack(*command, *out, code=2).stderr
         own = r"gridtrack: cut\.mcap@validation \(75s-90s\): "
@@ -290,8 +291,8 @@ def test_a_tracker_is_trained_compared_and_reported(tmp_path):
     stretches = (f"{DEMO}@0s-20s", "--validation", f"{DEMO}@75s-81s")
     gridtrack("train", "static-map:prior_frames=3", *stretches, "--out", weights)
     done = gridtrack(
-        "compare", f"{DEMO}@114s-124s", "--tracker", "persistence", "--tracker", "map=static-map:prior_frames=3",
-        "--weights", weights, "--horizon", "1s", "--out", run,
+        "compare", "--no-floors", f"{DEMO}@114s-124s", "--tracker", "persistence",
+        "--tracker", "map=static-map:prior_frames=3", "--weights", weights, "--horizon", "1s", "--out", run,
     )  # fmt: skip
     assert "| persistence |" in done.stdout
     assert "map@leg_tracker@114s-124s: ok" in done.stderr
@@ -311,7 +312,7 @@ def test_a_training_whose_weights_cannot_be_written_does_not_start(tmp_path):
 @pytest.mark.usefixtures("trackers_here")
 def test_a_trial_that_did_not_complete_is_exit_code_3(tmp_path):
     done = gridtrack(
-        "compare", f"{DEMO}@114s-118s", "--tracker", "blank", "--tracker", "static-map:card=site",
+        "compare", "--no-floors", f"{DEMO}@114s-118s", "--tracker", "blank", "--tracker", "static-map:card=site",
         "--grid", "60x0.15", "--horizon", "0.5s", "--out", tmp_path / "run", code=3,
     )  # fmt: skip
     assert re.search("static-map@leg_tracker@114s-118s: (not-applicable|untrained)", done.stderr)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 
 from gridtrack.common.errors import ConfigurationError, NothingMeasuredError, RecordingError
@@ -110,22 +111,28 @@ class EvaluationSplit:
 
 
 def plan_splits(texts: Iterable[str], validation: str | None, sampling: Sampling) -> tuple[EvaluationSplit, ...]:
-    """The split of each RECORDING[@range], as of `plan_split`; `validation` is opened once."""
-    opened = open_recording(parse_stretch(validation)[0], format=sampling.format) if validation else None
-    return tuple(plan_split(text, validation, sampling, opened) for text in texts)
+    """The split of each RECORDING[@range]; without a range the stretch named `test`, else the whole recording.
 
-
-def plan_split(
-    text: str, validation: str | None, sampling: Sampling, opened: Recording | None = None
-) -> EvaluationSplit:
-    """The split of RECORDING[@range]; without a range the stretch named `test`, else the whole recording.
-
-    Thresholds are chosen on `validation`, RECORDING[@range], else on the recording's own validation stretch; `opened`
-    is the recording of `validation` if it is open already. Raises RecordingError, and ConfigurationError where the
-    horizon or the stretches do not fit.
+    Thresholds are chosen on `validation`, RECORDING[@range], else on the recording's own validation stretch. Each
+    recording is read once for all its stretches. Raises RecordingError, and ConfigurationError where the horizon or the
+    stretches do not fit.
     """
+    opened = cache(partial(open_recording, format=sampling.format))
+    chosen_on = opened(parse_stretch(validation)[0]) if validation else None
+    return tuple(_plan_split(text, opened(parse_stretch(text)[0]), validation, sampling, chosen_on) for text in texts)
+
+
+def plan_split(text: str, validation: str | None, sampling: Sampling) -> EvaluationSplit:
+    """The split of one RECORDING[@range], as of `plan_splits`."""
+    (split,) = plan_splits((text,), validation, sampling)
+    return split
+
+
+def _plan_split(
+    text: str, recording: Recording, validation: str | None, sampling: Sampling, opened: Recording | None
+) -> EvaluationSplit:
+    """`plan_split` of an open recording; `opened` is the recording of `validation`."""
     path, stretch = parse_stretch(text)
-    recording = open_recording(path, format=sampling.format)
     if stretch is None and TEST in recording.info.stretches:
         return split_of(recording, name_from(path), TEST, validation, sampling, opened)
     name = name_from(path) if stretch is None else f"{name_from(path)}@{text.rpartition('@')[2]}"

@@ -98,7 +98,8 @@ def run_lines(gridtrack: Command, lines: list[Line]) -> int:
             words.unlink(missing_ok=True)
             done = subprocess.run(["bash", "-e", "-c", line], check=False).returncode
             if words.exists():  # of the gridtrack in the line
-                done = gridtrack(*words.read_text().split("\0")[:-1]).code
+                command, *typed = words.read_text().split("\0")[:-1]
+                done = gridtrack(command, *(["--no-floors"] if command == "compare" else []), *typed).code
             code = code or done
     return code
 

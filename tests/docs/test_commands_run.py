@@ -95,7 +95,7 @@ SMALLER = (
     ("compare drive.bag --ego-motion", "compare no-poses.bag --ego-motion"),
     ("drive.bag --out drive.mcap --ego-motion", "no-poses.bag --out drive.mcap --ego-motion"),
     ("hall.bag --out hall.mcap --topic", "clouds.bag --out hall.mcap --topic"),
-    ("gridtrack compare ", "gridtrack compare --no-floors "),
+    ("gridtrack compare ", "gridtrack compare --no-floors --horizon 1s --every 0.5s "),
 )  # fmt: skip
 """Texts of the pages and their replacements: the same commands on seconds, each on a file of its own."""
 

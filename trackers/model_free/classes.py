@@ -94,7 +94,10 @@ class ClassModel(NamedTuple):
 
     def log_densities(self, features: Array) -> Array:
         """log p(features | class) (T, K) of `features` (T, F)."""
-        return np.asarray(_log_densities(features, self.mixture_weights, self.means, self.whitening))
+        _, scale = np.linalg.slogdet(self.whitening)
+        whitened, centres = features @ self.whitening, self.means @ self.whitening
+        scale = scale - 0.5 * len(FEATURES) * math.log(2.0 * math.pi)
+        return np.asarray(_log_mixtures(whitened, centres, self.mixture_weights, scale))
 
     def posteriors(self, evidence: Array, log_prior: Array) -> Array:
         """P(class) (T, K) from `evidence`, mean log densities over the lifetime of a track, and `log_prior` (T, K)."""
@@ -180,45 +183,59 @@ def features_of(tracks: Sequence[Track], frame: GridFrame, window: Window) -> Ar
 def _features(points, ends, motions, origins):  # type: ignore[no-untyped-def]
     features = np.empty((len(motions), 5))
     for t in range(len(motions)):
-        own = points[ends[t] : ends[t + 1]]
-        x, y = own[:, 0].mean(), own[:, 1].mean()
-        xy, less = ((own[:, 0] - x) * (own[:, 1] - y)).sum(), ((own[:, 0] - x) ** 2 - (own[:, 1] - y) ** 2).sum()
-        axis = 0.5 * math.atan2(2.0 * xy, less)
-        length, _ = _extents(own, axis)
-        along, across = _extents(own, math.atan2(motions[t, 1], motions[t, 0]))
+        first, last = ends[t], ends[t + 1]
+        x = y = xy = less = 0.0
+        for i in range(first, last):
+            x += points[i, 0]
+            y += points[i, 1]
+        x, y = x / (last - first), y / (last - first)
+        for i in range(first, last):
+            xy += (points[i, 0] - x) * (points[i, 1] - y)
+            less += (points[i, 0] - x) ** 2 - (points[i, 1] - y) ** 2
+        length, _ = _extents(points, first, last, 0.5 * math.atan2(2.0 * xy, less))
+        along, across = _extents(points, first, last, math.atan2(motions[t, 1], motions[t, 0]))
         distance = np.inf if len(origins) else 0.0
         for i in range(len(origins)):
             distance = min(distance, math.hypot(origins[i, 0] - x, origins[i, 1] - y))
         # the offsets are about the resolution, so that the logarithms of smaller values differ little
         features[t, 0], features[t, 1], features[t, 2] = length + 0.2, along + 0.2, across + 0.2
         features[t, 3], features[t, 4] = math.hypot(motions[t, 0], motions[t, 1]) + 0.3, distance + 1.0
-    return np.log(features)
+        for i in range(5):
+            features[t, i] = math.log(features[t, i])
+    return features
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _extents(points, heading):  # type: ignore[no-untyped-def]
-    """Extents of `points` (N, 2) along a heading and across it."""
+@numba.njit(error_model="numpy")
+def _extents(points, first, last, heading):  # type: ignore[no-untyped-def]
+    """Extents of the `points` (N, 2) from `first` up to but not including `last`, along a heading and across it."""
     cosine, sine = math.cos(heading), math.sin(heading)
-    along, across = points[:, 0] * cosine + points[:, 1] * sine, points[:, 1] * cosine - points[:, 0] * sine
-    return along.max() - along.min(), across.max() - across.min()
+    front = left = -np.inf
+    back = right = np.inf
+    for i in range(first, last):
+        along, across = points[i, 0] * cosine + points[i, 1] * sine, points[i, 1] * cosine - points[i, 0] * sine
+        front, back = max(front, along), min(back, along)
+        left, right = max(left, across), min(right, across)
+    return front - back, left - right
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _log_densities(features, mixture_weights, means, whitening):  # type: ignore[no-untyped-def]
-    classes, components, count = means.shape
-    found, logs = np.empty((len(features), classes)), np.empty(components)
+def _log_mixtures(features, centres, weights, scale):  # type: ignore[no-untyped-def]
+    """Log densities (T, K) of whitened `features` (K, T, F): each class has C Gaussians around `centres` (K, C, F).
+
+    `weights` (K, C) of the Gaussians; `scale` (K,) is the logarithm of the density at the centre of one.
+    """
+    classes, components, count = centres.shape
+    found, logs = np.empty((features.shape[1], classes)), np.empty(components)
     for k in range(classes):
-        scale = math.log(abs(np.linalg.det(whitening[k]))) - 0.5 * count * math.log(2.0 * math.pi)
-        whitened, centres = features @ whitening[k], means[k] @ whitening[k]
-        for t in range(len(features)):
+        for t in range(features.shape[1]):
             best = -np.inf
             for c in range(components):
-                logs[c] = math.log(mixture_weights[k, c])
+                logs[c] = math.log(weights[k, c])
                 for i in range(count):
-                    logs[c] -= 0.5 * (whitened[t, i] - centres[c, i]) ** 2
+                    logs[c] -= 0.5 * (features[k, t, i] - centres[k, c, i]) ** 2
                 best = max(best, logs[c])
             total = 0.0
             for c in range(components):
                 total += math.exp(logs[c] - best)
-            found[t, k] = scale + best + math.log(total)
+            found[t, k] = scale[k] + best + math.log(total)
     return found

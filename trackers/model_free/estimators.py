@@ -203,34 +203,55 @@ class SwitchingEstimator:
         )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _mixture(mean, covariance, other_mean, other_covariance, share):  # type: ignore[no-untyped-def]
     """Mean (6,) and covariance (6, 6) of a mixture, the other component with weight `share`; headings are close."""
-    difference = other_mean - mean
+    difference, mixed, spread = np.empty(6), np.empty(6), np.empty((6, 6))
+    for i in range(6):
+        difference[i] = other_mean[i] - mean[i]
     difference[2] = wrapped(difference[2])
-    mixed = mean + share * difference
+    for i in range(6):
+        mixed[i] = mean[i] + share * difference[i]
+        for j in range(6):
+            spread[i, j] = (
+                (1.0 - share) * covariance[i, j]
+                + share * other_covariance[i, j]
+                + (1.0 - share) * share * (difference[i] * difference[j])
+            )
     mixed[2] = wrapped(mixed[2])
-    return mixed, (1.0 - share) * covariance + share * other_covariance + (1.0 - share) * share * np.outer(
-        difference, difference
-    )
+    return mixed, spread
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _updated_probabilities(probabilities, mean, covariance, other_mean, other_covariance, pose, noise, gate):  # type: ignore[no-untyped-def]
     """Bayes' rule: the probabilities (2,) of the regimes after a measured pose (3,) with covariance `noise` (3, 3)."""
-    predicted = (
-        _log_likelihood(mean, covariance, pose, noise, gate),
-        _log_likelihood(other_mean, other_covariance, pose, noise, gate),
-    )
-    most = max(predicted)
-    first, second = probabilities[0] * math.exp(predicted[0] - most), probabilities[1] * math.exp(predicted[1] - most)
-    return np.array([first, second]) / (first + second)
+    one = _log_likelihood(mean, covariance, pose, noise, gate)
+    other = _log_likelihood(other_mean, other_covariance, pose, noise, gate)
+    most, updated = max(one, other), np.empty(2)
+    updated[0], updated[1] = probabilities[0] * math.exp(one - most), probabilities[1] * math.exp(other - most)
+    total = updated[0] + updated[1]
+    updated[0], updated[1] = updated[0] / total, updated[1] / total
+    return updated
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 def _log_likelihood(mean, covariance, pose, noise, gate):  # type: ignore[no-untyped-def]
-    """Log likelihood of a measured pose (3,), up to a constant; constant beyond the `gate`."""
-    innovation = pose - mean[:3]
-    innovation[2] = wrapped(innovation[2])
-    spread = covariance[:3, :3] + noise
-    return -0.5 * (min(innovation @ np.linalg.solve(spread, innovation), gate) + math.log(np.linalg.det(spread)))
+    """Log likelihood of a measured pose (3,), up to a constant; constant beyond the `gate`.
+
+    By the Cholesky factor of the innovation's covariance.
+    """
+    factor, whitened = np.empty((3, 3)), np.empty(3)
+    squared = log_determinant = 0.0
+    for i in range(3):
+        for j in range(i + 1):
+            rest = covariance[i, j] + noise[i, j]
+            for k in range(j):
+                rest -= factor[i, k] * factor[j, k]
+            factor[i, j] = math.sqrt(rest) if i == j else rest / factor[j, j]
+        whitened[i] = wrapped(pose[i] - mean[i]) if i == 2 else pose[i] - mean[i]
+        for k in range(i):
+            whitened[i] -= factor[i, k] * whitened[k]
+        whitened[i] /= factor[i, i]
+        squared += whitened[i] * whitened[i]
+        log_determinant += 2.0 * math.log(factor[i, i])
+    return -0.5 * (min(squared, gate) + log_determinant)

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import Any
 
 import gtsam
-import numba
 import numpy as np
 
 from gridtrack.common.geometry import wrap_angle
@@ -159,8 +158,7 @@ def pose_factor(frame: int, pose: Array, covariance: Array) -> Any:
     return gtsam.CustomFactor(gtsam.noiseModel.Robust.Create(kernel, noise), [frame], residual)
 
 
-@numba.njit(cache=True, nogil=True)
-def linearisation_point(mean, covariance, pose, pose_covariance):  # type: ignore[no-untyped-def]
+def linearisation_point(mean: Array, covariance: Array, pose: Array, pose_covariance: Array) -> Array:
     """The first linearisation point (6,) of the new state, which determines the initial weight of its measurement.
 
     Within the gate it is the estimate of the Kalman filter, near the measurement; beyond it the prediction, `mean` (6,)
@@ -169,7 +167,7 @@ def linearisation_point(mean, covariance, pose, pose_covariance):  # type: ignor
     """
     innovation = pose - mean[:3]
     weighted = np.linalg.solve(covariance[:3, :3] + pose_covariance, innovation)
-    return mean.copy() if innovation @ weighted > GATE else mean + weighted @ covariance[:3]
+    return mean.copy() if innovation @ weighted > GATE else np.asarray(mean + weighted @ covariance[:3])
 
 
 class FactorGraphTracker(ModelFreeTracker):

@@ -46,6 +46,8 @@ NO_POINT = 1e12
 """Squared distance if there is no point, m^2."""
 UNKNOWN = (1e4, 1e4, 1e3)
 """Variance of an unobserved direction: x and y (m^2) and heading (rad^2)."""
+JACOBI_SWEEPS = 8
+"""Sweeps of Jacobi's method: five leave nothing of a symmetric (3, 3) besides its diagonal."""
 
 
 class Outlines(NamedTuple):
@@ -119,61 +121,90 @@ def match(boundaries: Outlines, seen: Mask, returns: Outlines, pairs: Pairs, sur
     with the variance UNKNOWN.
     """
     pairs = pairs._replace(numbers=np.ascontiguousarray(pairs.numbers))
-    poses, covariances, residuals = _match(boundaries, seen, returns, pairs, surface_noise_m)
+    back = np.where(seen, BACK * boundaries.weights, 0.0).astype(np.float32)
+    single = (each._replace(weights=each.weights.astype(np.float32)) for each in (boundaries, returns))
+    poses, covariances, residuals = _match(*single, back, pairs, surface_noise_m)
     return Matches(poses, covariances, residuals, np.where(pairs.oriented, 3, 2))
 
 
+# The kernels index single numbers: array operations of NumPy and its linear algebra take numba seconds each to compile.
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _match(boundaries, seen, returns, pairs, surface_noise_m):  # type: ignore[no-untyped-def]
-    """Poses (P, 3), covariances (P, 3, 3) and residuals (P,); see `match`."""
+def _match(boundaries, returns, back, pairs, surface_noise_m):  # type: ignore[no-untyped-def]
+    """Poses (P, 3), covariances (P, 3, 3) and residuals (P,); see `match`. `back` (N,): weights of `_expectation`."""
     count = len(pairs.numbers)
     poses, covariances, residuals = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count)
     for p in range(count):
-        b, r = pairs.numbers[p]
+        b, r = pairs.numbers[p, 0], pairs.numbers[p, 1]
         own = slice(boundaries.bounds[b], boundaries.bounds[b + 1])
         theirs = slice(returns.bounds[r], returns.bounds[r + 1])
-        poses[p], covariances[p], residuals[p] = _best_match(
-            (boundaries.points[own], boundaries.weights[own], boundaries.cut[own] & pairs.extended[p]),
-            seen[own],
-            (returns.points[theirs], returns.weights[theirs], returns.cut[theirs] & pairs.extended[p]),
+        residuals[p] = _best_match(
+            (boundaries.points[own], boundaries.weights[own], boundaries.cut[own]),
+            back[own],
+            (returns.points[theirs], returns.weights[theirs], returns.cut[theirs]),
             pairs.starts[p],
             _widths(pairs.start_error_m[p], surface_noise_m),
             surface_noise_m,
+            pairs.extended[p],
             pairs.oriented[p],
+            poses[p],
+            covariances[p],
         )
     return poses, covariances, residuals
 
 
 @numba.njit(error_model="numpy")
-def _best_match(boundary, seen, returns, starts, widths, surface_noise_m, oriented):  # type: ignore[no-untyped-def]
-    """Pose (3,), covariance (3, 3) and residual of the best match of one pair from any of the starts (S, 3)."""
+def _best_match(  # type: ignore[no-untyped-def]
+    boundary, back, returns, starts, widths, surface_noise_m, extended, oriented, pose, covariance
+):
+    """Write the best match of one pair from any of the starts (S, 3) into `pose` (3,) and `covariance` (3, 3).
+
+    Returns its residual.
+    """
     (offsets, weights, cut), (positions, trust, returns_cut) = boundary, returns
     points, placed = np.empty((2, len(positions)), np.float32), np.empty((2, len(offsets)), np.float32)
-    return_weights, boundary_weights = trust.astype(np.float32), weights.astype(np.float32)
-    back = np.where(seen, BACK * weights, 0.0).astype(np.float32)
     at_returns, at_boundary = np.empty((6, len(positions)), np.float32), np.empty((6, len(offsets)), np.float32)
     _place(positions, -starts[0, 0], -starts[0, 1], 0.0, points)
     _place(offsets, 0.0, 0.0, starts[0, 2], placed)
-    of_returns = _information(points, return_weights, returns_cut, CONTINUES * surface_noise_m)
-    of_boundary = _information(placed, boundary_weights, cut, CONTINUES * surface_noise_m)
-    best, covariance, residual = starts[0], np.empty((3, 3)), np.inf
-    for start in starts[np.isfinite(starts[:, 0])]:
-        moved = np.array([0.0, 0.0, start[2]])  # relative to the start, for single precision
-        _place(positions, -start[0], -start[1], 0.0, points)
+    of_returns = _information(points, trust, returns_cut, extended, CONTINUES * surface_noise_m)
+    of_boundary = _information(placed, weights, cut, extended, CONTINUES * surface_noise_m)
+    gradient, inverse = np.empty(3), np.empty((3, 3))
+    pose[0], pose[1], pose[2] = starts[0, 0], starts[0, 1], starts[0, 2]
+    residual = np.inf
+    for s in range(len(starts)):
+        if not math.isfinite(starts[s, 0]):
+            continue
+        x, y, turn = 0.0, 0.0, starts[s, 2]  # relative to the start, for single precision
+        _place(positions, -starts[s, 0], -starts[s, 1], 0.0, points)
         for n in range(len(widths)):
-            _place(offsets, moved[0], moved[1], moved[2], placed)
-            _expectation(points, return_weights, placed, boundary_weights, of_boundary, widths[n], at_returns)
-            _expectation(placed, back, points, return_weights, of_returns, widths[n], at_boundary)
-            gradient, information = _derivatives(points, at_returns, placed, at_boundary, moved, widths[n], oriented)
-            inverse = _covariance(information)
+            _place(offsets, x, y, turn, placed)
+            _expectation(points, trust, placed, weights, of_boundary, widths[n], at_returns)
+            _expectation(placed, back, points, trust, of_returns, widths[n], at_boundary)
+            first, second = _sum_terms(points, at_returns, ONE, x, y), _sum_terms(placed, at_boundary, ZERO, x, y)
+            _derivatives(first, second, widths[n], oriented, gradient, inverse)
+            _invert(inverse)
             if n < len(widths) - 1:
-                step = inverse @ gradient
-                moved += step * min(1.0, widths[n] / max(math.hypot(step[0], step[1]), 1e-9))
-        misfit = -2.0 * np.log(np.minimum(at_returns[5], ONE)).mean()
+                step_x, step_y, step_turn = _product(inverse, gradient)
+                share = min(1.0, widths[n] / max(math.hypot(step_x, step_y), 1e-9))
+                x, y, turn = x + share * step_x, y + share * step_y, turn + share * step_turn
+        misfit = _misfit(at_returns)
         if misfit < residual:
-            moved[:2] += start[:2]
-            best, covariance, residual = moved, inverse, misfit
-    return best, covariance, residual
+            residual = misfit
+            pose[0], pose[1], pose[2] = starts[s, 0] + x, starts[s, 1] + y, turn
+            for i in range(3):
+                for j in range(3):
+                    covariance[i, j] = inverse[i, j]
+    return residual
+
+
+@numba.njit(error_model="numpy")
+def _misfit(at_returns):  # type: ignore[no-untyped-def]
+    """-2 times the mean log likelihood of the returns, from their expectation (6, K)."""
+    total = ZERO
+    for i in range(at_returns.shape[1]):
+        total += math.log(min(at_returns[5, i], ONE))
+    return -2.0 * (total / at_returns.shape[1])
 
 
 @numba.njit(error_model="numpy")
@@ -197,15 +228,20 @@ def _place(points, x, y, turn, placed):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy", fastmath=True)
-def _information(points, weights, cut, reach):  # type: ignore[no-untyped-def]
+def _information(points, weights, cut, extended, reach):  # type: ignore[no-untyped-def]
     """Information of each point (2, N) of an outline about a motion in each direction: matrices xx, xy, yy (3, N).
 
     Identity minus the covariance of the outline around the point, in units of `reach` squared: 0 along a line that
-    continues, 1 across it, nearly 1 for small outlines and at ends; reduced along the outline where it is cut off.
+    continues, 1 across it, nearly 1 for small outlines and at ends; reduced along an `extended` outline where it is
+    `cut` off (N,).
     """
     information = np.empty((3, points.shape[1]), np.float32)
     scale, about, nearby = 1.0 / (reach * reach), _exponent(reach), _exponent(CUT_REACH * reach)
-    ends = points[:, cut]
+    ends, count = np.empty_like(points), 0
+    for i in range(points.shape[1]):
+        if extended and cut[i]:
+            ends[0, count], ends[1, count] = points[0, i], points[1, i]
+            count += 1
     for i in range(points.shape[1]):
         total = x = y = xx = xy = yy = ZERO
         for j in range(points.shape[1]):
@@ -219,7 +255,7 @@ def _information(points, weights, cut, reach):  # type: ignore[no-untyped-def]
             yy += share * dy * dy
         x, y = x / total, y / total
         xx, xy, yy = xx / total - x * x, xy / total - x * y, yy / total - y * y
-        along = 1.0 - (1.0 - CUT) * _exp(nearby * _squared_distance(points[0, i], points[1, i], ends))
+        along = 1.0 - (1.0 - CUT) * _exp(nearby * _squared_distance(points[0, i], points[1, i], ends, count))
         information[0, i], information[1, i], information[2, i] = _scale_along(
             1.0 - scale * xx, -scale * xy, 1.0 - scale * yy, along
         )
@@ -227,10 +263,10 @@ def _information(points, weights, cut, reach):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy")
-def _squared_distance(x, y, points):  # type: ignore[no-untyped-def]
-    """From x, y to the nearest of `points` (2, N); NO_POINT if there are none."""
+def _squared_distance(x, y, points, count):  # type: ignore[no-untyped-def]
+    """From x, y to the nearest of the first `count` of `points` (2, N); NO_POINT if there are none."""
     nearest = NO_POINT
-    for j in range(points.shape[1]):
+    for j in range(count):
         dx, dy = points[0, j] - x, points[1, j] - y
         nearest = min(nearest, dx * dx + dy * dy)
     return nearest
@@ -282,32 +318,35 @@ def _exp(x):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy")
-def _derivatives(points, at_returns, placed, at_boundary, pose, width, oriented):  # type: ignore[no-untyped-def]
-    """Gradient (3,) of the log likelihood at `pose` (3,), and its negative curvature (3, 3) with the prior UNKNOWN.
+def _derivatives(of_returns, of_boundary, width, oriented, gradient, information):  # type: ignore[no-untyped-def]
+    """Write the `gradient` (3,) of the log likelihood, and its negative curvature `information` (3, 3).
 
-    Sum over the returns `points` (2, K), with their expectation on the boundary `at_returns` (6, K), and the boundary
-    points `placed` (2, N), with their expectation among the returns `at_boundary` (6, N).
+    From `_sum_terms` of the returns and of the boundary points; the curvature includes the prior UNKNOWN.
     """
-    x, y, turn, xx, xy, yy, x_turn, y_turn, turn_turn = np.add(
-        _sum_terms(points, at_returns, ONE, pose), _sum_terms(placed, at_boundary, ZERO, pose)
-    ) / (width * width)
+    terms = np.empty(9)
+    for i in range(9):
+        terms[i] = (of_returns[i] + of_boundary[i]) / (width * width)
     if not oriented:
-        turn = x_turn = y_turn = turn_turn = 0.0
-    gradient = np.array([x, y, turn])
-    total = np.array([[xx, xy, x_turn], [xy, yy, y_turn], [x_turn, y_turn, turn_turn]])
-    for axis in range(3):
-        total[axis, axis] += 1.0 / UNKNOWN[axis]
-    return gradient, total
+        terms[2] = terms[6] = terms[7] = terms[8] = 0.0
+    gradient[0], gradient[1], gradient[2] = terms[0], terms[1], terms[2]
+    information[0, 0], information[1, 1] = terms[3] + 1.0 / UNKNOWN[0], terms[5] + 1.0 / UNKNOWN[1]
+    information[2, 2] = terms[8] + 1.0 / UNKNOWN[2]
+    information[0, 1] = information[1, 0] = terms[4]
+    information[0, 2] = information[2, 0] = terms[6]
+    information[1, 2] = information[2, 1] = terms[7]
 
 
 @numba.njit(error_model="numpy", fastmath=True)
-def _sum_terms(points, expected, on_boundary, pose):  # type: ignore[no-untyped-def]
+def _sum_terms(points, expected, on_boundary, around_x, around_y):  # type: ignore[no-untyped-def]
     """Contribution of `points` (2, N) with their expectation `expected` (6, N) to `_derivatives`, for kernel width 1.
+
+    Returns the gradient by x, y and turn, and the curvature xx, xy, yy, x_turn, y_turn, turn_turn; a turn is about the
+    position `around_x`, `around_y`.
 
     The expected point lies on the boundary for `on_boundary` 1 (`points` are returns); for 0 the point itself does.
     """
     x = y = turn = xx = xy = yy = x_turn = y_turn = turn_turn = ZERO
-    pose_x, pose_y, sign = np.float32(pose[0]), np.float32(pose[1]), ONE - on_boundary - on_boundary
+    pose_x, pose_y, sign = np.float32(around_x), np.float32(around_y), ONE - on_boundary - on_boundary
     for i in range(points.shape[1]):
         dx, dy, axx, axy, ayy = expected[0, i], expected[1, i], expected[2, i], expected[3, i], expected[4, i]
         bx, by = points[0, i] + on_boundary * dx - pose_x, points[1, i] + on_boundary * dy - pose_y
@@ -321,24 +360,62 @@ def _sum_terms(points, expected, on_boundary, pose):  # type: ignore[no-untyped-
         x_turn += axy * bx - axx * by
         y_turn += ayy * bx - axy * by
         turn_turn += axx * by * by - (axy + axy) * bx * by + ayy * bx * bx
-    return np.array([x, y, turn, xx, xy, yy, x_turn, y_turn, turn_turn])
+    return x, y, turn, xx, xy, yy, x_turn, y_turn, turn_turn
 
 
 @numba.njit(error_model="numpy")
-def _covariance(information):  # type: ignore[no-untyped-def]
-    """Inverse (3, 3) of the result of `_derivatives`: positive definite, about UNKNOWN for directions that were not
-    observed.
+def _invert(information):  # type: ignore[no-untyped-def]
+    """Invert the result (3, 3) of `_derivatives` in place: positive definite, about UNKNOWN in unobserved directions.
 
     In exact arithmetic `information` is at least the prior. If a long body meets the returns in one place only, a
     turn about that place is the small difference of large sums; its rounding error in single precision exceeds the
     prior: the difference to the prior is then added, in the directions that lack it.
     """
     if not _is_below_prior(information):
-        return _inverse(information)
-    deviations = np.sqrt(np.array(UNKNOWN))
-    scales = np.outer(deviations, deviations)  # in these units the prior is the identity
-    shares, axes = np.linalg.eigh(information * scales)
-    return axes / np.maximum(shares, 1.0) @ axes.T * scales
+        _invert_positive(information)
+        return
+    axes = np.empty((3, 3))
+    for i in range(3):  # to units in which the prior is the identity
+        for j in range(3):
+            information[i, j] *= math.sqrt(UNKNOWN[i]) * math.sqrt(UNKNOWN[j])
+    _diagonalise(information, axes)
+    shares = max(information[0, 0], 1.0), max(information[1, 1], 1.0), max(information[2, 2], 1.0)
+    for i in range(3):
+        for j in range(3):
+            information[i, j] = (
+                math.sqrt(UNKNOWN[i])
+                * math.sqrt(UNKNOWN[j])
+                * (
+                    axes[i, 0] * axes[j, 0] / shares[0]
+                    + axes[i, 1] * axes[j, 1] / shares[1]
+                    + axes[i, 2] * axes[j, 2] / shares[2]
+                )
+            )
+
+
+@numba.njit(error_model="numpy")
+def _diagonalise(a, axes):  # type: ignore[no-untyped-def]
+    """Jacobi's method: replace the symmetric `a` (3, 3) by `axes`^T a `axes`, with its eigenvalues on the diagonal.
+
+    The eigenvectors are the columns of `axes` (3, 3). Each of the JACOBI_SWEEPS sweeps squares what is left besides the
+    diagonal (Golub and Van Loan, section 8.5).
+    """
+    for i in range(3):
+        for j in range(3):
+            axes[i, j] = 1.0 if i == j else 0.0
+    for turn in range(3 * JACOBI_SWEEPS):
+        p, q = turn % 3, (turn + 1) % 3
+        if a[p, q] == 0.0:
+            continue
+        ratio = 0.5 * (a[q, q] - a[p, p]) / a[p, q]
+        tangent = math.copysign(1.0, ratio) / (abs(ratio) + math.hypot(1.0, ratio))
+        cosine = 1.0 / math.hypot(1.0, tangent)
+        sine = tangent * cosine
+        for k in range(3):
+            a[k, p], a[k, q] = cosine * a[k, p] - sine * a[k, q], sine * a[k, p] + cosine * a[k, q]
+            axes[k, p], axes[k, q] = cosine * axes[k, p] - sine * axes[k, q], sine * axes[k, p] + cosine * axes[k, q]
+        for k in range(3):
+            a[p, k], a[q, k] = cosine * a[p, k] - sine * a[q, k], sine * a[p, k] + cosine * a[q, k]
 
 
 @numba.njit(error_model="numpy")
@@ -351,15 +428,28 @@ def _is_below_prior(a):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy")
-def _inverse(a):  # type: ignore[no-untyped-def]
-    """Inverse (3, 3) of a symmetric, positive definite matrix: its cofactors divided by its determinant."""
-    inverse = np.empty((3, 3))
+def _invert_positive(a):  # type: ignore[no-untyped-def]
+    """Invert a symmetric, positive definite matrix (3, 3) in place: its cofactors divided by its determinant."""
+    cofactors = np.empty((3, 3))
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         for m in range(3):
             n, o = (m + 1) % 3, (m + 2) % 3
-            inverse[i, m] = a[j, n] * a[k, o] - a[j, o] * a[k, n]
-    return inverse / (a[0, 0] * inverse[0, 0] + a[0, 1] * inverse[0, 1] + a[0, 2] * inverse[0, 2])
+            cofactors[i, m] = a[j, n] * a[k, o] - a[j, o] * a[k, n]
+    determinant = a[0, 0] * cofactors[0, 0] + a[0, 1] * cofactors[0, 1] + a[0, 2] * cofactors[0, 2]
+    for i in range(3):
+        for m in range(3):
+            a[i, m] = cofactors[i, m] / determinant
+
+
+@numba.njit(error_model="numpy")
+def _product(a, b):  # type: ignore[no-untyped-def]
+    """The three numbers of the matrix `a` (3, 3) times `b` (3,)."""
+    return (
+        a[0, 0] * b[0] + a[0, 1] * b[1] + a[0, 2] * b[2],
+        a[1, 0] * b[0] + a[1, 1] * b[1] + a[1, 2] * b[2],
+        a[2, 0] * b[0] + a[2, 1] * b[1] + a[2, 2] * b[2],
+    )
 
 
 @numba.njit(error_model="numpy")

@@ -193,7 +193,9 @@ def _process_noise(moved, step, noise):  # type: ignore[no-untyped-def]
     The turn acceleration rotates heading and velocity by the same angle, and the speed noise scales the velocity: both
     terms grow with the speed, the first across the motion, the second along it.
     """
-    noise[:] = step.noise
+    for i in range(6):
+        for j in range(6):
+            noise[i, j] = step.noise[i, j]
     speed_noise, turn = step.speed_covariance, step.turn_noise
     along, across = (moved[3], moved[4]), (-moved[4], moved[3])
     for a in range(2):  # 0 for the position and the heading, 1 for their rates
@@ -228,29 +230,26 @@ def _add_transformed(jacobian, covariance, total):  # type: ignore[no-untyped-de
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def transition(mean, steps, step):  # type: ignore[no-untyped-def]
     """`mean` (6,) after `steps` periods, heading unwrapped, and its derivative (6, 6) by `mean`."""
-    jacobian, one = np.eye(6), np.empty((6, 6))
-    moved = mean.copy()
+    moved, following, jacobian, one = mean.copy(), np.empty(6), np.eye(6), np.empty((6, 6))
+    column = np.empty(6)
     for _ in range(steps):
-        following = np.empty(6)
         _transition(moved, step, following, one)
-        moved, jacobian = following, one @ jacobian
+        for j in range(6):
+            for i in range(6):
+                column[i] = 0.0
+                for k in range(6):
+                    column[i] += one[i, k] * jacobian[k, j]
+            for i in range(6):
+                jacobian[i, j] = column[i]
+        for i in range(6):
+            moved[i] = following[i]
     return moved, jacobian
 
 
-@INLINED
-def _predict_state(mean, covariance, step, moved, spread, jacobian):  # type: ignore[no-untyped-def]
-    """Write the state one period ahead into `moved` (6,) and `spread` (6, 6), and its derivative into `jacobian`."""
-    _transition(mean, step, moved, jacobian)
-    _process_noise(moved, step, spread)
-    _add_transformed(jacobian, covariance, spread)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def predict_state(mean, covariance, step):  # type: ignore[no-untyped-def]
+def predict_state(mean: Array, covariance: Array, step: Discretisation) -> tuple[Array, Array]:
     """`mean` (6,) and `covariance` (6, 6) one period ahead, heading unwrapped."""
-    moved, spread = np.empty(6), np.empty((6, 6))
-    _predict_state(mean, covariance, step, moved, spread, np.empty((6, 6)))
-    return moved, spread
+    means, covariances = propagate_all(mean[None], covariance[None], 1, step)
+    return means[0, 1], covariances[0, 1]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -258,12 +257,17 @@ def propagate_all(means, covariances, steps, step):  # type: ignore[no-untyped-d
     """`propagate` with a discretised model."""
     tracks = means.shape[0]
     all_means, all_covariances = np.empty((tracks, steps + 1, 6)), np.empty((tracks, steps + 1, 6, 6))
-    all_means[:, 0], all_covariances[:, 0] = means, covariances
     jacobian = np.empty((6, 6))
     for track in range(tracks):
         mean, spread = all_means[track], all_covariances[track]
+        for i in range(6):
+            mean[0, i] = means[track, i]
+            for j in range(6):
+                spread[0, i, j] = covariances[track, i, j]
         for n in range(steps):
-            _predict_state(mean[n], spread[n], step, mean[n + 1], spread[n + 1], jacobian)
+            _transition(mean[n], step, mean[n + 1], jacobian)
+            _process_noise(mean[n + 1], step, spread[n + 1])
+            _add_transformed(jacobian, spread[n], spread[n + 1])
     return all_means, all_covariances
 
 

@@ -200,12 +200,16 @@ def boundary_patch(offsets, weights, heading, scale):  # type: ignore[no-untyped
     pixels; the value of a pixel is the mean probability of its cells.
     """
     cosine, sine = math.cos(heading) / scale, math.sin(heading) / scale
-    x, y = np.empty((2, len(offsets)))
+    x, y = np.empty(len(offsets)), np.empty(len(offsets))
+    least_x = least_y = np.inf
+    most_x = most_y = -np.inf
     for j in range(len(offsets)):
         x[j] = cosine * offsets[j, 0] - sine * offsets[j, 1]
         y[j] = sine * offsets[j, 0] + cosine * offsets[j, 1]
-    left, bottom = math.floor(x.min()), math.floor(y.min())
-    patch = np.zeros((math.floor(y.max()) - bottom + 2, math.floor(x.max()) - left + 2), np.float32)
+        least_x, most_x = min(least_x, x[j]), max(most_x, x[j])
+        least_y, most_y = min(least_y, y[j]), max(most_y, y[j])
+    left, bottom = math.floor(least_x), math.floor(least_y)
+    patch = np.zeros((math.floor(most_y) - bottom + 2, math.floor(most_x) - left + 2), np.float32)
     cells = scale * scale
     for j in range(len(offsets)):
         column, row = math.floor(x[j]), math.floor(y[j])
@@ -216,7 +220,10 @@ def boundary_patch(offsets, weights, heading, scale):  # type: ignore[no-untyped
         patch[i, k + 1] += share * (1.0 - up) * right
         patch[i + 1, k] += share * up * (1.0 - right)
         patch[i + 1, k + 1] += share * up * right
-    return np.minimum(patch, np.float32(1.0)), (bottom, left)
+    for i in range(patch.shape[0]):
+        for k in range(patch.shape[1]):
+            patch[i, k] = min(patch[i, k], np.float32(1.0))
+    return patch, (bottom, left)
 
 
 @numba.njit(error_model="numpy", fastmath=True)

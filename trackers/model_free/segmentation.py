@@ -52,7 +52,9 @@ def _segment(points, reach, order):  # type: ignore[no-untyped-def]
 
     Clusters are trees of points, rooted at the first one (union-find; Tarjan 1975).
     """
-    parent = np.arange(len(points))
+    parent = np.empty(len(points), np.int64)
+    for i in range(len(points)):
+        parent[i] = i
     for n in range(len(order)):
         i = order[n]
         for m in range(n + 1, len(order)):

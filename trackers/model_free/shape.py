@@ -57,10 +57,16 @@ class Shape:
         shape have equal weight.
         """
         gain = max(gain, 1.0 / (self.frames + 1))
-        self.offsets, self.weights, self.ages, self.cut = _update(
-            *(self.offsets, self.weights, self.ages, self.cut),
-            *(found, found_cut, revealed, in_view, apart_m, gain),
-        )
+        known, most = len(self.offsets), len(self.offsets) + len(found)
+        points, weights, ages = np.zeros((most, 2)), np.zeros(most), np.ones(most, np.int64)
+        cut = np.zeros(most, np.bool_)
+        points[:known], weights[:known], cut[:known] = self.offsets, self.weights, self.cut
+        ages[:known] += self.ages
+        total = _update(points, weights, cut, known, found, found_cut, revealed, in_view, apart_m, gain)
+        kept = np.flatnonzero(weights[:total] > REMOVE_BELOW * gain)
+        if len(kept) > MAX_POINTS:
+            kept = np.sort(kept[np.argsort(weights[kept], kind="stable")[-MAX_POINTS:]])
+        self.offsets, self.weights, self.ages, self.cut = points[kept], weights[kept], ages[kept], cut[kept]
         self.frames += 1
 
     def extend(self, other: Shape, offsets: Array) -> None:
@@ -111,14 +117,13 @@ def in_view(boundaries: Sequence[Array], grid: GridSpec, visible: Mask) -> list[
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _update(offsets, weights, ages, cut, found, found_cut, revealed, in_view, apart_m, gain):  # type: ignore
-    """Boundary points (N', 2), weights, ages and whether cut off (N',) after one frame; see `Shape.update`."""
-    known = len(offsets)
+def _update(points, weights, cut, known, found, found_cut, revealed, in_view, apart_m, gain):  # type: ignore
+    """Update the first `known` boundary points (N, 2), weights and whether cut off (N,) in place; see `Shape.update`.
+
+    New points follow them. Returns the number of points.
+    """
     total = known
-    points, likely = np.empty((known + len(found), 2)), np.zeros(known + len(found))
-    points[:known], likely[:known] = offsets, weights
-    met, ends = np.zeros((2, known + len(found)), np.bool_)
-    ends[:known] = cut
+    met = np.zeros(len(points), np.bool_)
     for k in range(len(found)):
         nearest, distance = -1, apart_m * apart_m
         for j in range(total):
@@ -126,21 +131,16 @@ def _update(offsets, weights, ages, cut, found, found_cut, revealed, in_view, ap
             if dx * dx + dy * dy < distance:
                 nearest, distance = j, dx * dx + dy * dy
         if nearest < 0:
-            points[total] = found[k]
-            likely[total] = REVEALED_WEIGHT if revealed[k] else 0.0
-            met[total], ends[total] = True, found_cut[k]
+            points[total, 0], points[total, 1] = found[k, 0], found[k, 1]
+            weights[total] = REVEALED_WEIGHT if revealed[k] else 0.0
+            met[total], cut[total] = True, found_cut[k]
             total += 1
         else:
-            ends[nearest] = found_cut[k] and (ends[nearest] or not met[nearest])
+            cut[nearest] = found_cut[k] and (cut[nearest] or not met[nearest])
             met[nearest] = True
     for j in range(total):
         if met[j]:
-            likely[j] += gain * (1.0 - likely[j])
+            weights[j] += gain * (1.0 - weights[j])
         else:
-            likely[j] -= gain * likely[j] * (1.0 if in_view[j] else HIDDEN_DECAY)
-    kept = np.flatnonzero(likely[:total] > REMOVE_BELOW * gain)
-    if len(kept) > MAX_POINTS:
-        kept = np.sort(kept[np.argsort(likely[kept])[-MAX_POINTS:]])
-    older = np.ones(total, np.int64)
-    older[:known] += ages
-    return points[kept], likely[kept], older[kept], ends[kept]
+            weights[j] -= gain * weights[j] * (1.0 if in_view[j] else HIDDEN_DECAY)
+    return total

@@ -40,7 +40,7 @@ def test_no_argument_environment_or_descriptor_names_the_recording(command, trac
     )
     path, found = record("hidden-name"), tmp_path / "found.json"
     selection = f"{tracker}:found={found},secret=eman-neddih"
-    options = [selection, str(path)] if command == ("train",) else [str(path), "--tracker", selection]
+    options = [selection, str(path)] if command == ("train",) else ["--no-floors", str(path), "--tracker", selection]
     argv = [sys.executable, "-m", "gridtrack.cli", *command, *options, "--out", str(tmp_path / "out")]
     subprocess.run(
         argv, check=True, stdout=subprocess.DEVNULL, env=os.environ | {"RECORDING": str(path)}, preexec_fn=drop_tracing

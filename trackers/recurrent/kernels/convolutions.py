@@ -261,11 +261,10 @@ def add_shifted(maps, bias, out):  # type: ignore[no-untyped-def]
     size, side = out.shape[0], maps.shape[0]
     reach = side // 2
     for r in range(size):
-        out[r] = bias
+        for x in range(size):
+            out[r, x] = bias
         for i in range(max(0, reach - r), min(side, size + reach - r)):
             for j in range(side):
-                seen = maps[i, j, r + i - reach]
-                if j < reach:
-                    out[r, reach - j :] += seen[: max(0, size - reach + j)]
-                else:
-                    out[r, : size - j + reach] += seen[j - reach :]
+                aside = j - reach
+                for x in range(max(0, -aside), min(size, size - aside)):
+                    out[r, x] += maps[i, j, r + i - reach, x + aside]

@@ -1,0 +1,78 @@
+"""Recordings that ship with gridtrack, each surveyed and read once: their files stay as they are."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gridtrack.common.scan import Scan
+from gridtrack.recordings.recording import Recording
+
+DATA = Path(__file__).resolve().parents[2] / "data"
+Key = tuple[type[Recording], Path, str]
+
+
+class Scans:
+    """The scans of `reading`, which is read as far as an iteration needs it; for all threads."""
+
+    def __init__(self, reading: Iterator[Scan]) -> None:
+        self._reading, self._read, self._lock = reading, list[Scan](), threading.Lock()
+
+    def __iter__(self) -> Iterator[Scan]:
+        for number in count():
+            with self._lock:
+                if number == len(self._read):
+                    self._read += [scan for scan in (next(self._reading, None),) if scan is not None]
+                if number == len(self._read):
+                    return
+            yield self._read[number]
+
+
+@contextmanager
+def shipped_recordings_read_once() -> Iterator[None]:
+    """In the block, recordings below DATA that are opened with the same options share their survey and their scans."""
+    surveyed: Any = Recording.survey
+    scans_of = Recording.scans
+    surveys: dict[Key, tuple[Any, list[str], str]] = {}
+    read: dict[Key, Scans] = {}
+
+    def key_of(recording: Recording) -> Key | None:
+        path = recording.path.resolve()
+        if DATA not in path.parents or recording.growth is not None:
+            return None
+        return type(recording), path, recording.options.model_dump_json()
+
+    def survey(recording: Recording) -> Any:
+        if (key := key_of(recording)) is None:
+            return surveyed.func(recording)
+        if key not in surveys:
+            surveys[key] = surveyed.func(recording), recording.warning_texts(), recording.damage
+        recording.recall(*surveys[key])
+        return surveys[key][0]
+
+    def scans(recording: Recording, start_s: float | None = None, end_s: float | None = None) -> Iterator[Scan]:
+        if (key := key_of(recording)) is None:
+            yield from scans_of(recording, start_s, end_s)
+            return
+        first_ns: int | None = None
+        for scan in read.setdefault(key, Scans(scans_of(recording))):
+            first_ns = scan.stamp_ns if first_ns is None else first_ns
+            since_s = (scan.stamp_ns - first_ns) / 1e9
+            if end_s is not None and since_s >= end_s:
+                return
+            if start_s is None or since_s >= start_s:
+                yield scan
+
+    once: Any = cached_property(survey)
+    once.__set_name__(Recording, "survey")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Recording, "survey", once)
+        patch.setattr(Recording, "scans", scans)
+        yield
