@@ -27,7 +27,7 @@ MIB = 2.0**20
 
 
 def repeated_run(run: Path, out: Path, trackers: int, recordings: int) -> Path:
-    """Make the folder of a run at `out` with these numbers of trackers and recordings, by repeating those of `run`."""
+    """Make the folder of a run at `out` with these numbers of trackers and recordings, which repeat those of `run`."""
     summary, record = (json.loads((run / name).read_text("utf-8")) for name in (SUMMARY_FILE, RUN_FILE))
     names = {f"{name} {i}": name for i, name in enumerate(islice(cycle(summary["recordings"]), recordings))}
     rows = [label for label, row in summary["trackers"].items() if row["role"] != "ceiling"]

@@ -63,7 +63,7 @@ COLUMNS = (
 )
 SECTION = "cost"
 PLAN_RECORDINGS, PLAN_TRACKERS, PLAN_MACHINES, PLAN_CORES = 10_000, 20, 50, 16
-"""The plan to estimate; the cores are those of each machine."""
+"""The plan to estimate; cores per machine."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """Two lasers on one topic with one frame: their scans alternate between two views.
 
-Nothing in the messages tells them apart, but a scan is like the last one of its own laser.
+The messages do not distinguish them, but a scan is like the last one of its own laser.
 """
 
 from __future__ import annotations

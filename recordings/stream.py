@@ -42,7 +42,7 @@ def open_stream(
     points: Points = "centres",
     **options: Any,
 ) -> GridStream:
-    """The stream of `RECORDING` or `RECORDING@STRETCH`; grid and rate default to those of the recording.
+    """The stream of `RECORDING` or `RECORDING@STRETCH`; grid and rate default to the recording's.
 
     `options` are those of open_recording. Raises RecordingError, PluginError and ConfigurationError.
     """

@@ -275,7 +275,7 @@ class Survey:
 
 
 def _likely_unit(nearest: float, farthest: float, low_m: float, high_m: float) -> str:
-    """What to do about ranges outside the limits: by the unit that would make them fit, if there is one."""
+    """Remedy for ranges outside the limits: by the unit that would make them fit, if there is one."""
     for unit, factor in (("centimetres", 1e2), ("millimetres", 1e3)):
         if low_m <= farthest / factor <= high_m:
             return f"the ranges are probably {unit}: convert them, and let the driver write metres (ROS REP 117)"

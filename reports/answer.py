@@ -146,7 +146,7 @@ class _MainResult:
         return f"the floor, {_names(self._floor)}, has {self._text(self._floor)}"
 
     def _significance(self) -> str:
-        """Which rows differ significantly from those at the top, and the names of those that do not."""
+        """Rows that differ significantly from the rows at the top, and the names of the others."""
         rest = [row for row in self._compared if row not in self._floor]
         different, alike, untested = (
             [row for row in rest if self._standings[row.key] == one] for one in ("different", "alike", "")
@@ -190,7 +190,7 @@ class _MainResult:
         if any(row.trial.complete for row in table.rows_in("unranked")):
             return f"No tracker is ranked on {table.recording}: each learned from its frames, or did not complete it."
         if table.rows_in("unranked"):
-            others = " but those of the floor" if table.rows_in("floor") else ""
+            others = " but the floors" if table.rows_in("floor") else ""
             return f"No tracker{others} completed {table.recording}."
         return f"Only trackers of the floor were run on {table.recording}."
 

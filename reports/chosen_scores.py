@@ -1,4 +1,4 @@
-"""The tables of an exported report: the rows and the scores that a user chose, or those of the main table."""
+"""The tables of an exported report: the rows and scores that a user chose, or the main table's."""
 
 from __future__ import annotations
 

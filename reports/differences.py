@@ -91,7 +91,7 @@ def difference_table(run: ReportedRun, recording: str) -> DifferenceTable | None
 
 
 def _rows_of(run: ReportedRun, one: TrackerDifference, columns: Sequence[HeadlineTest]) -> Iterator[DifferenceRow]:
-    """The row of the headline score, and where there was a comparison those of the other tested scores of the run."""
+    """The row of the headline score, and rows of the run's other tested scores if there was a comparison."""
     name = name_in(run, one.tracker, one.recordings)
     score, output = run.summary.find(run.summary.headline)
     if one.interval:

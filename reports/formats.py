@@ -82,7 +82,7 @@ def _of_table(one: ExportedTable, titled: bool) -> Iterator[str]:
     yield headline_markdown(one.table, escaped).rstrip("\n")
     if one.differences:
         yield (
-            f"Scores less those of {escaped(one.differences.reference)}, paired over {one.differences.units}; p of"
+            f"Scores less {escaped(one.differences.reference)}, paired over {one.differences.units}; p of"
             f" {one.differences.headline} corrected after Holm:"
         )
         yield difference_markdown(one.differences, escaped).rstrip("\n")

@@ -70,7 +70,7 @@ def _of_ends(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
     for run in runs:
         if run.summary.interrupted:
             before = _before([run.name], runs)
-            yield Notice(f"{before}the run was interrupted: the page shows what was scored until then", serious=True)
+            yield Notice(f"{before}the run was interrupted: the page shows the scores until then", serious=True)
 
 
 def _of_parity(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:

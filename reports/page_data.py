@@ -95,7 +95,7 @@ def _recording(
 
 
 def _strata(row: TableRow, steps: int) -> dict[str, Any]:
-    """The estimates by stratum, score and output, to five digits; without those that are defined nowhere."""
+    """The estimates by stratum, score and output, to five digits; without estimates that are defined nowhere."""
     found = {stratum: _scores(scores, steps) for stratum, scores in row.trial.strata.items()}
     return {stratum: scores for stratum, scores in found.items() if scores}
 

@@ -91,7 +91,7 @@ def players_of(
 def player_of(
     table: HeadlineTable, folders: Mapping[str, Path], described: RecordingIdentity, budget: int
 ) -> tuple[Player | None, tuple[str, ...]]:
-    """The player of one recording, whose moments have `budget` bytes, and notices of samples that cannot be read.
+    """The player of one recording with moments of `budget` bytes, and notices of samples that cannot be read.
 
     `folders`: the folder of each trial by label. Moments are judged by the scores of cells in motion at the decisive
     step; their times are seconds since the start of the recording. The player is None where no trial kept samples.
@@ -180,12 +180,11 @@ def _kept_samples(
 
 
 def _refuse_others(samples: Mapping[str, Mapping[int, Sample]], first: Sample) -> None:
-    """Raise ReportError for samples of another grid or other horizons than those of `first`."""
+    """Raise ReportError for samples of another grid or other horizons than `first`."""
     for label, kept in samples.items():
         if any(s.grid != first.grid or s.horizons_s != first.horizons_s for s in kept.values()):
             raise ReportError(
-                f"{label}: its samples are of another grid or other horizons than those of the other trackers: run it"
-                " again"
+                f"{label}: its samples have another grid or other horizons than the other trackers': run it again"
             )
 
 

@@ -1,4 +1,4 @@
-"""What trackers expect of a place before they see it, beside what the recording shows, packed for the page.
+"""The expectation of trackers for a place before their first frame, beside the recording, packed for the page.
 
 A plane is M x M bytes, rows from the bottom up, deflated, as base64: the logarithm of a probability from LEAST to 1 in
 PRIOR_LEVELS steps, 0 for LEAST and below, and NEVER_SEEN for a cell that was never visible.

@@ -33,7 +33,7 @@ WRITTEN = pytest.StashKey[dict[Path, str]]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option that writes baselines instead of comparing with them."""
     parser.getgroup("gridtrack").addoption(
-        UPDATE, action="store_true", help="write what tracker_regression measures as the new baseline"
+        UPDATE, action="store_true", help="write the measurements of tracker_regression as the new baseline"
     )
 
 

@@ -31,7 +31,7 @@ class Run:
 
     path: Path
     record: RunRecord
-    """What was compared: the resolved configuration, versions, machine, hashes of inputs."""
+    """The record of the comparison: the resolved configuration, versions, machine, hashes of inputs."""
     summary: RunSummary
     """All results, typed (docs/run-folder.md)."""
     url: str = ""

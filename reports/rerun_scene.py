@@ -75,7 +75,7 @@ def _library() -> Any:
 
 
 class RerunScene:
-    """What is drawn, entity by entity; a name that the user gave is one part of an entity's path, escaped."""
+    """The drawing, entity by entity; a name that the user gave is one part of an entity's path, escaped."""
 
     def __init__(self, stream: rr.RecordingStream, library: Any) -> None:
         self._stream, self._rr = stream, library
@@ -149,7 +149,7 @@ class RerunScene:
         colours: Sequence[Rgb],
         labels: Sequence[str] = (),
     ) -> None:
-        """Closed outlines (N, 2), metres, world; they replace those of the time before."""
+        """Closed outlines (N, 2), metres, world; they replace earlier ones."""
         strips = [np.column_stack([ring, np.full(len(ring), OUTLINE_Z_M)]) for ring in map(_closed, outlines)]
         lines = self._rr.LineStrips3D(strips, colors=_bytes(colours), labels=list(labels) or None, radii=0.03)
         self.log(entity, lines)

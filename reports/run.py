@@ -70,7 +70,7 @@ class ReportedRun:
         return [one for one in self.summary.differences if one.recordings == recording]
 
     def identity_of(self, recording: str) -> Any:
-        """What decides the scores on one recording, its hash among them: equal for runs of the same frames."""
+        """Everything that decides the scores on one recording, its hash included: equal for runs of the same frames."""
         recordings = self.record.configuration.recordings
         return recordings if self.is_pooled(recording) else recordings.get(recording)
 

@@ -135,7 +135,7 @@ def _missing(name: str, of_runs: Sequence[Sequence[str]]) -> Iterator[Change]:
 
 
 def _of_code(runs: Sequence[ReportedRun]) -> Iterator[Change]:
-    """The trackers that every run has and whose known code is not the same in all; a line for each."""
+    """A line for each tracker that every run has, if its known code is not the same in all."""
     for label in _in_every(runs):
         of_runs = [run.code_of(label) for run in runs]
         if len({frozenset(codes) for codes in of_runs if codes}) > 1:

@@ -27,7 +27,7 @@ class StrataTable:
 
     title: str
     about: str
-    """What it shows."""
+    """Its caption."""
     columns: tuple[TableColumn, ...]
     rows: tuple[tuple[TableRow, tuple[tuple[TableCell, DifferenceCell | None], ...]], ...]
     reference: str

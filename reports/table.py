@@ -25,7 +25,7 @@ STANDING = "standing"
 """A stratum outside the headline tests: the headline score at the detail horizon is a column beside the others."""
 
 LEAK = "learned from these frames"
-"""The mark of a row whose weights learned from frames that it is scored on."""
+"""The mark of a row with weights that learned from scored frames."""
 
 RowGroup = Literal["ceiling", "ranked", "floor", "unranked"]
 """The ceiling; complete trials of trackers; complete trials of the floor; trials that are not complete, or scored on
@@ -128,7 +128,7 @@ def name_of(label: str, trial: TrialSummary) -> str:
 
 
 def name_in(run: ReportedRun, label: str, recording: str) -> str:
-    """The same of a row of a run on a recording, or of what is pooled."""
+    """The same of a row of a run on a recording, or pooled."""
     entry = run.summary.trackers.get(label)
     trial = entry.recordings.get(recording) if entry else None
     return name_of(label, trial) if trial else label
@@ -147,7 +147,7 @@ class TableRow:
 
     @property
     def key(self) -> str:
-        """What tells the row from all others on the page."""
+        """A key of the row, unique on the page."""
         return row_key(self.run, self.label)
 
     @property
@@ -162,7 +162,7 @@ class TableRow:
 
     @property
     def outcome(self) -> str:
-        """The outcome of the trial; of a pooled row of which nothing was scored, those of its trials."""
+        """The outcome of the trial; of a pooled row without scores, the outcomes of its trials."""
         if self.trial.outcome == "partial" and not self.trial.frames_scored:
             return ", ".join(dict.fromkeys(map(outcome_words, self.trials)))
         return outcome_words(self.trial)

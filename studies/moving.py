@@ -52,7 +52,7 @@ EVERY_S = 2.0
 TABLE_S = 1.0
 """The horizon of the scores by carrier, of the differences between trackers, and of the pictures."""
 APART = 20
-"""Scans between two poses whose relative error is measured: 2.5 s, the longest forecast."""
+"""Scans between two poses with a measured relative error: 2.5 s, the longest forecast."""
 COMMAND = "python -m studies.moving"
 MOMENTS = (("car-202", 46.0), ("robot-201", 30.0))
 """A drive, and seconds since its beginning; the nearest of the kept forecasts is drawn."""

@@ -59,7 +59,7 @@ class Timeline:
         return int((~self.accepted).sum())
 
     def lasting(self, frames: int) -> Timeline:
-        """The same for `frames` frames or more: the tracker receives none of those that are added."""
+        """The same for `frames` frames or more: the tracker receives none of the added frames."""
         added = max(0, frames - len(self.newest))
         newest = np.pad(self.newest, (0, added), "edge") if len(self.newest) else np.full(added, -1, np.int64)
         return Timeline(np.pad(self.accepted, (0, added)), newest)

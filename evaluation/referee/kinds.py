@@ -184,7 +184,7 @@ def kinds_of_outlines(scene: Scene, windows: Iterable[SE2], grid: GridSpec) -> K
 
 
 MIN_HITS = 0.1
-"""Where the sensor moves: share of the frames in which a static cell is itself occupied, of those that show it."""
+"""For a moving sensor: share of the frames showing a static cell in which the cell itself is occupied."""
 BLOCK_NS = 30_000_000_000
 """Where the sensor moves: a block of time; the cells of a block are judged by it and the blocks before and after."""
 StaticTiles = dict[CellPlace, NDArray[np.uint8]]
@@ -263,7 +263,7 @@ class ObservedCounts:
         return KindsOfTimes(self._judged | still_open, self._grid)
 
     def _flush(self) -> None:
-        """Add the counts of the window to those of its block: the window moves now, or another block begins."""
+        """Add the counts of the window to its block: the window moves now, or another block begins."""
         if self._window is None:
             return
         if self._at_rest is not None:
@@ -273,7 +273,7 @@ class ObservedCounts:
         self._counts[:] = 0
 
     def _judge(self, newest: int) -> None:
-        """Judge each block whose neighbours are over when `newest` begins, and drop what no other block needs."""
+        """Judge each block with neighbours that are over when `newest` begins, and drop counts no other block needs."""
         for block in sorted(self._open):
             if block + 1 < newest and block not in self._judged:
                 self._judged[block] = self._static(block)

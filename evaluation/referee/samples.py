@@ -2,7 +2,7 @@
 
 The log time of a sample is the stamp of frame t: `/window` is the pose of its window in the world, `/input` x_t,
 `/sensors` the positions of the sensors in it, `/tracks` the tracker's objects at t, `/came/1s` the frame observed one
-second later, `/scored/1s` what was known of every cell then, and `/forecast/1s` the forecast of it. Probabilities have
+second later, `/scored/1s` the known state of every cell then, and `/forecast/1s` the forecast of it. Probabilities have
 255 steps.
 """
 
@@ -45,7 +45,7 @@ KEPT = 40
 HORIZONS_S = (0.5, 1.0, 2.0)
 MAX_TOPICS = 64
 BUDGET = ReadBudget(bytes_per_byte=2000, free_records=2 * KEPT * MAX_TOPICS)
-"""Limits of what a file of samples may unpack to: most cells of a large grid are never seen, and compress well."""
+"""Limits of an unpacked file of samples: most cells of a large grid are never seen, and compress well."""
 SENSORS_TOPIC, TRACKS_TOPIC, WINDOW_TOPIC = "/sensors", "/tracks", "/window"
 
 _MESSAGES: dict[str, Any] = {SENSORS_TOPIC: PosesInFrame, TRACKS_TOPIC: SceneUpdate, WINDOW_TOPIC: FrameTransform}
@@ -318,7 +318,7 @@ class KeptObject:
 
 
 def objects_message(objects: Sequence[TrackedObject], stamp_ns: int) -> Any:
-    """The objects as a message, which replaces all those of the message before."""
+    """The objects as a message, which replaces all objects of the message before."""
     message = SceneUpdate()
     message.deletions.add(type=SceneEntityDeletion.ALL).timestamp.FromNanoseconds(stamp_ns)
     for one in objects:

@@ -67,7 +67,7 @@ class Target:
     `state` (M, M) uint8 of the states above; without truth no hidden cell is scored. `motion` (M, M) uint8: the part of
     each dynamic cell, an index into PARTS. `cells` (N,) int64, row * M +
     column: the occupied cells with a known class, visible and hidden; `labels` (N,) uint8: their classes, indices into
-    the recording's classes. `beams` are those that cross the window. `flow()`: the true velocities, found when they
+    the recording's classes. `beams` cross the window. `flow()`: the true velocities, found when they
     are first asked for.
     """
 

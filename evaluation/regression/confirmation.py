@@ -1,4 +1,4 @@
-"""Confirmation: what looks worse is judged a second time, on a second run of the same trials."""
+"""Confirmation: worse rows are judged a second time, on a second run of the same trials."""
 
 from __future__ import annotations
 

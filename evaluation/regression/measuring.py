@@ -263,7 +263,7 @@ def _beside_scores(record: TrialRecord) -> dict[str, Any]:
 
 
 def _identity(trials: Mapping[str, TrialIdentity], label: str) -> dict[str, Any]:
-    """What ran under a label."""
+    """The tracker of a label."""
     trial = next(trial for name, trial in trials.items() if name.partition("@")[0] == label)
     return {
         "tracker": trial.tracker,

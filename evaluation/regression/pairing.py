@@ -21,7 +21,7 @@ from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 CELLS = "cells"
 """The part of a score that counts cells whatever the forecast: it is equal for the same frames and rules."""
 _SAME_ROW = ("tracker", "options", "points", "program")
-"""What is one tracker under a label; its weights and its seed may be another training's."""
+"""Fields that identify the tracker of a label; weights and seed may be another training's."""
 
 
 def require_paired(baseline: Baseline, run: Measurement) -> None:

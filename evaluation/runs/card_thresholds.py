@@ -84,7 +84,7 @@ def _add(total: Tally, counted: Tally, period_s: float) -> None:
 
 
 def _filled(bins: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The `bins` (S, K), those that are not `known` (S, K) taken from the nearest known step; 0.5 without any."""
+    """The `bins` (S, K); bins that are not `known` (S, K) come from the nearest known step; 0.5 without any."""
     filled = np.full_like(bins, HALF)
     for k in range(bins.shape[1]):
         steps = np.flatnonzero(known[:, k])

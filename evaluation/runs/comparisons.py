@@ -414,7 +414,7 @@ _ByWeights = dict[tuple[str, ...], list[FinishedTrial]]
 
 @dataclass(frozen=True, slots=True)
 class _Tracker:
-    """What all trainings of one tracker have in common."""
+    """The common properties of all trainings of one tracker."""
 
     name: str
     options: str
@@ -427,7 +427,7 @@ class _Tracker:
 
 @dataclass(frozen=True, slots=True)
 class TrainingRows:
-    """The rows of one tracker on the recordings `names`, and those of the reference: the trials of each training.
+    """The rows of one tracker and of the reference on the recordings `names`: the trials of each training.
 
     `why_partial`: one of the two has trainings that did not complete these recordings, and they may be its worse ones.
     """

@@ -35,7 +35,7 @@ tracker."""
 DETAIL_HORIZON_S = 1.0
 """The horizon of the scores beside the headline, and of the order of rows."""
 POOLED_EVERY_S = 0.5
-"""Spacing of the common horizons, seconds: those of the headline are multiples of it."""
+"""Spacing of the common horizons, seconds: headline horizons are multiples of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,7 +286,7 @@ def steps_at(horizons_s: Sequence[float], described: RecordingDescription) -> tu
 
 
 def unlike_recordings(recordings: Mapping[str, RecordingDescription]) -> list[str]:
-    """Notices of differences among recordings whose scores are pooled."""
+    """Notices of differences among pooled recordings."""
     described = list(recordings.values())
     notices, horizons_s = [], common_horizons(described)
     if any(one.horizons_s != horizons_s for one in described):

@@ -1,4 +1,4 @@
-"""Regions for the score of a training: those of the referee, for whole stretches, as files.
+"""Regions for the score of a training: the referee's, for whole stretches, as files.
 
 The command finds them, because static outlines and speeds are truth that `fit` does not receive. They are found once
 for each scored stretch, so every tracker, and every part of a stretch, is scored on the same cells.

@@ -86,7 +86,7 @@ class _Interruptible(Protocol):
 
 
 class _RunJob:
-    """A job with the name of a trial, whose result is the record in the trial's folder."""
+    """A job with the name of a trial; its result is the record in the trial's folder."""
 
     kind: JobKind
     replaces: tuple[str, ...] = ()

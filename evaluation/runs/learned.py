@@ -93,7 +93,7 @@ def weights_in(folder: Path, tracker: str, site: str, kind: CardKind = "any") ->
 
 
 def _require_folder(folder: Path, remedy: str = "") -> None:
-    """Raise WeightsError, whose line ends with `remedy`, if the folder does not exist."""
+    """Raise WeightsError, with a line that ends with `remedy`, if the folder does not exist."""
     if not folder.is_dir():
         raise WeightsError(f"{folder}: no such folder of weights{remedy}")
 

@@ -85,9 +85,9 @@ def write_model(path: Path, content: ResultModel) -> None:
 
 
 def read_model(path: Path, model: type[_Model], schema: int, max_bytes: int, remedy: str) -> _Model:
-    """The content of a result file, validated; `remedy` ends every error message: what to do about it.
+    """The content of a result file, validated; `remedy` ends every error message.
 
-    Raises FileNotFoundError, for the caller to report what is missing, and RunError for a file that is larger than
+    Raises FileNotFoundError, for the caller to report the missing file, and RunError for a file that is larger than
     `max_bytes`, is no JSON object, has another schema number than `schema`, or does not fit the model.
     """
     content = read_json(path, max_bytes, RunError)

@@ -21,13 +21,13 @@ RunStatus = Literal["running", "complete", "interrupted"]
 
 
 LONGEST_S, SHORTEST_STEP_S = 3600.0, 1e-5
-"""Longest horizon and shortest period that are read, seconds: far beyond those of any comparison."""
+"""Longest horizon and shortest period that are read, seconds: far beyond any comparison."""
 StretchSeconds = tuple[float, float | None]
 """Start and end of a stretch, seconds since the start of its recording; None: to the end."""
 
 
 class RecordingDescription(ResultModel):
-    """What was compared on one recording."""
+    """The comparison on one recording."""
 
     horizons_s: tuple[Annotated[float, Field(ge=0.0, le=LONGEST_S)], ...] = Field(min_length=2)
     """Of steps 0..n, seconds."""
@@ -68,7 +68,7 @@ def refuse_unordered(horizons_s: Sequence[float]) -> None:
 
 
 class RecordingIdentity(RecordingDescription):
-    """What decides the scores on a recording: equal for runs of the same frames, steps and validation stretch."""
+    """Everything that decides the scores on a recording: equal for runs of the same frames, steps and validation."""
 
     stretch_s: StretchSeconds
     sha256: str
@@ -121,11 +121,11 @@ class RecordingSummary(RecordingDescription):
 
 
 class TrialIdentity(ResultModel):
-    """What decides a trial's scores beside its recording and its weights."""
+    """Everything that decides a trial's scores beside its recording and its weights."""
 
     tracker: str
     options: dict[str, Any]
-    """As given; what is not given has the tracker's default."""
+    """As given; other options have the tracker's default."""
     points: str = "centres"
     """The returns in each frame: `centres` of occupied cells, or `raw`."""
     argv: tuple[str, ...] = ()
@@ -174,7 +174,7 @@ class Machine(ResultModel):
 
 
 class RunRecord(ResultModel):
-    """A run: what was requested, with which inputs and versions, and how far it is."""
+    """A run: its request, inputs, versions and progress."""
 
     schema_version: Literal[3] = Field(default=RUN_SCHEMA, alias="schema")
     command: tuple[str, ...]

@@ -126,7 +126,7 @@ class TrialRun:
     def _choose_thresholds(self) -> Thresholds:
         """Stream the validation stretch and choose the thresholds on it.
 
-        Without such a stretch they are those of the card, and 0.5 where it has none.
+        Without such a stretch they come from the card, and are 0.5 if it has none.
         """
         stretch = self.trial.validation
         if stretch is None:
@@ -149,7 +149,7 @@ class TrialRun:
                 self._scored = scorekeeper.scored
 
     def _tracker(self) -> TrackerLike:
-        """What forecasts the test stretch."""
+        """The forecaster of the test stretch."""
         return self._process
 
     def _has_scores(self) -> bool:

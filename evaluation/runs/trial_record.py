@@ -57,7 +57,7 @@ class Times(ResultModel):
 
 
 class TrialRecord(ResultModel):
-    """One trial: its outcome, the number of frames, the thresholds, and what was measured."""
+    """One trial: its outcome, number of frames, thresholds and measurements."""
 
     schema_version: Literal[3] = Field(default=TRIAL_SCHEMA, alias="schema")
     label: str
@@ -87,7 +87,7 @@ class TrialRecord(ResultModel):
     card: Literal["", "site", "general"] = ""
     """Whether the weights used are those of the site or general ones; empty without weights."""
     leak: Line = ""
-    """What its weights learned from frames of its test or validation stretch; empty where nothing."""
+    """Frames of its test or validation stretch that its weights learned from; empty if none."""
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the trial's other files, by name, when the trial ended."""
     recoveries: int = 0

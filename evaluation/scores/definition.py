@@ -1,4 +1,4 @@
-"""What a score is: how it counts a forecast, and what values follow from the counts.
+"""Definition of a score: how it counts a forecast, and its values from the counts.
 
 A score is one object. Storage, pooling, intervals, paired tests, the gate, tables, pages and exports ask it for its
 title, unit and direction, and for its values; they name no score. Counts are additive sums, so that scores of several
@@ -114,8 +114,8 @@ def block(name: str, size: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class TrialFacts:
-    """What a score may know of a trial: cells of `cell_m` metres, steps 0..`steps`, the strata that are scored, the
-    classes of the recording and those of the tracker, its thresholds, and whether there is ground truth."""
+    """A trial as scores see it: cells of `cell_m` metres, steps 0..`steps`, the strata that are scored, the
+    classes of the recording and of the tracker, its thresholds, and whether there is ground truth."""
 
     cell_m: float
     steps: int

@@ -1,4 +1,4 @@
-"""Values of a score relative to those of other rows: the share of the way from the best floor to the oracle."""
+"""Values of a score relative to other rows: the share of the way from the best floor to the oracle."""
 
 from __future__ import annotations
 

@@ -219,7 +219,7 @@ def degrees_of_freedom(*sizes: Floats) -> Floats:
     """Degrees of freedom (...) of a jackknife over units: their effective number less one, and at least 1.
 
     The effective number is that of equal units with the same information (Kish 1965); of several `sizes` (U, ...) of
-    the units the smallest, without those that are 0 in all units.
+    the units the smallest, without values that are 0 in all units.
     """
     effective = np.fmin.reduce([divided(one.sum(axis=0) ** 2, (one**2).sum(axis=0)) for one in sizes])
     freedom: Floats = np.fmax(effective - 1, 1.0)

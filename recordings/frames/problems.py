@@ -1,4 +1,4 @@
-"""Messages about chains: why poses cannot be used and what to do, and notes about poses that can be used."""
+"""Messages about chains: why poses cannot be used, with the remedy, and notes about usable poses."""
 
 from __future__ import annotations
 

@@ -260,7 +260,7 @@ class FrameTree:
         return next((edge for edge in edges if edge.parent == parent and topic in edge.topics.values()), None)
 
     def edge_beside(self, scans: str, child: str) -> Edge:
-        """The edge of a frame that has one: from the topic whose namespace contains the topic `scans`, else the first.
+        """The edge of a frame that has one: from the topic with the namespace of the topic `scans`, else the first.
 
         The innermost such namespace counts: `/robot1/tf` for `/robot1/scan`.
         """

@@ -62,7 +62,7 @@ function emptyDrawing(width) {
   return svg;
 }
 
-// What is chosen, by the name of its column.
+// The choice, by the name of its column.
 function choicesMade(listed, chosen) {
   return Object.fromEntries(listed.map(([key, , , taken = chosen[key]]) => [COLUMNS[key] ?? key, taken]));
 }
@@ -86,7 +86,7 @@ export function choice(name, options, chosen, changed) {
   return make("label", { class: "choice" }, make("span", {}, name), select);
 }
 
-// What is chosen, as a line of text, without what has no options.
+// The choice, as a line of text, without choices that have no options.
 export function choiceWords(listed, chosen) {
   const textOf = (options, taken) => options.find(([value]) => value === taken)?.[1];
   return listed.filter(([, , options]) => options.length)

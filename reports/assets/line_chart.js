@@ -38,7 +38,7 @@ export function lineChart({ lines, x: across, y: up, diagonal, width }) {
   return withReading(svg, { lines, drawn, places: readingPlaces(places, [first, last]), words: wordsOf(across), digits: up.digits, x, y, width });
 }
 
-// More bands than can be told from each other: only that of the line next to the pointer is drawn.
+// Too many bands to distinguish: only the band of the line next to the pointer is drawn.
 export function isCrowded(lines) {
   return lines.filter((one) => one.low?.some((v) => v !== null)).length > MOST_BANDS;
 }

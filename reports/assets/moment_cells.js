@@ -49,7 +49,7 @@ export function cameColour(code) {
   return state > 1 ? unseenColour() : ofLevel(state === 1 ? LEVEL_MASK : 0);
 }
 
-// The truth: hidden cells too; what no laser can observe is grey.
+// The truth: hidden cells too; cells that no laser can observe are grey.
 export function truthColour(code) {
   const state = code & 7;
   return state === NOT_SCORED ? unseenColour() : ofLevel(state & 1 ? LEVEL_MASK : 0);
@@ -59,7 +59,7 @@ export function forecastColour(code) {
   return ofLevel(code & LEVEL_MASK);
 }
 
-// The name of what a forecast did in a cell, or "" where nothing is to mark. `stratum`: whether cells in motion are known.
+// The name of a hit or an error of a forecast in a cell, or "". `stratum`: whether cells in motion are known.
 export function markOf(forecast, target, stratum) {
   const called = (forecast & CALLED) !== 0;
   const state = target & 7;

@@ -240,13 +240,13 @@ export class Player {
     this.element.dataset.ready = `${moment} ${h}`;
   }
 
-  // What is chosen that another recording may have: the labels of trackers, and the horizon in seconds.
+  // The choices that another recording may have: the labels of trackers, and the horizon in seconds.
   get choice() {
     const trackers = this.chosen.filter((tracker) => tracker !== NONE).map((tracker) => this.data.trackers[tracker]);
     return { trackers, horizon: this.data.horizons_s[this.h] };
   }
 
-  // Chooses the nearest horizon and those of the trackers that this recording has; where it has none, theirs stay.
+  // Chooses the nearest horizon and the trackers that this recording has; without any, its own stay.
   choose({ trackers, horizon }) {
     const known = trackers.map((label) => this.data.trackers.indexOf(label)).filter((at) => at >= 0);
     if (known.length) this.chosen = this.chosen.map((_, at) => known[at] ?? NONE);

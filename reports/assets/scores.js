@@ -55,7 +55,7 @@ export function lineThrough(row, xs, points) {
   return lineOf(row, { xs, values, low, high });
 }
 
-// Options of selects: what the recording has. `has`: which of them are listed.
+// Options of selects, from the recording. `has`: which of them are listed.
 export function recordingOptions(has = () => true) {
   return pageData.recordings.filter(has).map((one) => [one.name, one.name]);
 }

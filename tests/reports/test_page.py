@@ -236,7 +236,7 @@ def test_a_run_in_which_every_trial_failed_is_still_a_page(make_run, tmp_path):
     assert "No tracker completed crossing" in page
     floor = {"blank": ("blank", lambda _: np.zeros((21, 32, 32), np.float32))}
     beside = make_run(tmp_path / "beside", trackers=floor, broken=[("net", 3, "interrupted", "")])
-    assert "No tracker but those of the floor completed crossing" in page_of(beside, out=tmp_path / "other page")
+    assert "No tracker but the floors completed crossing" in page_of(beside, out=tmp_path / "other page")
     assert page.count("no weights for site") == 2, "in the answer and in the notices"
 
 

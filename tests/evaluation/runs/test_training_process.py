@@ -157,7 +157,7 @@ def test_ctrl_c_reaches_fit_and_no_process_survives_the_command(end, record, tmp
 def test_ctrl_c_reports_the_weights_that_are_kept(record, tmp_path):
     recording, card = record(), tmp_path / "fits" / "room.toml"
     kept = {
-        "writes-and-sleeps": "has the weights, but not what is learned after them, such as classes",
+        "writes-and-sleeps": "has the weights without later stages, such as classes",
         "sleeps": "keeps the weights of an earlier training",
     }
     for how, text in kept.items():
