@@ -177,7 +177,7 @@ def _update_baseline(runs: Sequence[Path], baseline: Path, settings: GateSetting
 
 
 def _replaced(baseline: Path) -> Baseline | str | None:
-    """The baseline that is replaced, or why it cannot be read; None where there is none."""
+    """The baseline that is replaced, or why it cannot be read; None if there is none."""
     try:
         return read_baseline(baseline) if baseline.exists() else None
     except (BaselineError, Unmeasured) as reason:

@@ -92,7 +92,7 @@ def csv_of_tables(exported: Sequence[ExportedTable]) -> str:
     """A row for each tracker on each recording, for spreadsheets and scripts.
 
     Columns: `recording`, `run` (empty for one), `tracker`, `outcome`, `frames_scored`, `frames_expected`, and each
-    score with the ends of its interval as `... low` and `... high`; empty where undefined. A name that begins as a
+    score with the ends of its interval as `... low` and `... high`; empty if undefined. A name that begins as a
     formula has an apostrophe before it. Columns that only some recordings have are empty for the others.
     """
     rows = [dict(_fields(one, row)) for one in exported for row in one.table.rows]

@@ -48,7 +48,7 @@ Panel = tuple[str, Mapping[str, Mapping[int, Point]]]
 
 def history_svg(entries: Sequence[HistoryEntry]) -> str:
     """A panel for each F1 of the middle step band, for each other score that was worse at any of the `entries`, the
-    oldest first, and for the time of each call. Raises ConfigurationError where matplotlib is not installed."""
+    oldest first, and for the time of each call. Raises ConfigurationError if matplotlib is not installed."""
     try:
         import matplotlib
         from matplotlib.figure import Figure

@@ -136,7 +136,7 @@ def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
 
 
 def _before(names: Sequence[str], runs: Sequence[ReportedRun]) -> str:
-    """The names of the runs that have a notice, before it; empty where there is one run alone."""
+    """The names of the runs that have a notice, before it; empty if there is one run alone."""
     return f"{' and '.join(names)}: " if len(runs) > 1 else ""
 
 

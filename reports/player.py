@@ -32,7 +32,7 @@ OBJECTS_SHOWN = 60
 
 @dataclass(frozen=True)
 class Picture:
-    """One grid as a PNG data address, and its description in words; `png` is empty where there is no picture."""
+    """One grid as a PNG data address, and its description in words; `png` is empty if there is no picture."""
 
     png: str
     words: str
@@ -94,7 +94,7 @@ def player_of(
     """The player of one recording with moments of `budget` bytes, and notices of samples that cannot be read.
 
     `folders`: the folder of each trial by label. Moments are judged by the scores of cells in motion at the decisive
-    step; their times are seconds since the start of the recording. The player is None where no trial kept samples.
+    step; their times are seconds since the start of the recording. The player is None if no trial kept samples.
     Raises ReportError.
     """
     samples, notices = _kept_samples(table.rows, folders)

@@ -98,7 +98,7 @@ def _is_of_grid(columns: Sequence[NDArray[Any]], size: int) -> bool:
 
 
 def pack(probability: NDArray[np.float32]) -> str:
-    """A plane (M, M) of probabilities, NaN where the cell was never visible."""
+    """A plane (M, M) of probabilities, NaN if the cell was never visible."""
     levels = np.rint(PRIOR_LEVELS * (1.0 - np.log(np.clip(probability, LEAST, 1.0)) / np.log(LEAST)))
     plane = np.where(np.isnan(probability), NEVER_SEEN, np.nan_to_num(levels)).astype(np.uint8)
     return base64.b64encode(zlib.compress(plane.tobytes(), 9)).decode()

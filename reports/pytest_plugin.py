@@ -96,7 +96,7 @@ class TrackerRegression:
 
         Paths are relative to the test's folder. `margin` and `tolerance` are those of `gridtrack regress`; None: its
         defaults. `options` are the fields of `CompareSettings`: horizon_s, every_s, grid, rate_hz, seed, weights, ...
-        Returns the verdict; None where the baseline was written instead.
+        Returns the verdict; None if the baseline was written instead.
         """
         from gridtrack.common.errors import GridtrackError, printable
         from gridtrack.evaluation.regression.baseline import baseline_of, write_baseline

@@ -44,7 +44,7 @@ def rerun_scene(path: Path, name: str, identity: str) -> Iterator[RerunScene]:
     """A scene that becomes the file `path` when the block ends; when the block raises, there is no file.
 
     `name` is shown by the viewer, which takes files of one `identity` for one recording. Raises ConfigurationError
-    where rerun-sdk is not installed, OSError where the file cannot be written.
+    if rerun-sdk is not installed, OSError where the file cannot be written.
     """
     rerun = _library()
     stream = rerun.RecordingStream("gridtrack", recording_id=identity)
@@ -201,7 +201,7 @@ class RerunScene:
 
 
 def colour_of_class(label: int) -> Rgb:
-    """The colour of a class by its index; grey where it is not known."""
+    """The colour of a class by its index; grey if it is not known."""
     return (0.5, 0.5, 0.5) if label == UNLABELLED else CLASS_COLOURS[label % len(CLASS_COLOURS)]
 
 

@@ -82,7 +82,7 @@ class ReportedRun:
         return folder
 
     def code_of(self, label: str) -> tuple[str, ...]:
-        """SHA-256 of the code of a tracker's trials, each once, in their order; none where it is not known.
+        """SHA-256 of the code of a tracker's trials, each once, in their order; none if it is not known.
 
         Raises RunError.
         """

@@ -85,22 +85,22 @@ class TableCell:
 
     @property
     def value(self) -> float | None:
-        """The value; None where it is undefined."""
+        """The value; None if it is undefined."""
         return self.estimate.value
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """The interval; None where there is none."""
+        """The interval; None if there is none."""
         return self.estimate.interval
 
     @property
     def text(self) -> str:
-        """The value to the score's decimals, or a dash where it is undefined."""
+        """The value to the score's decimals, or a dash if it is undefined."""
         return UNDEFINED if self.value is None else f"{self.value:.{self.decimals}f}"
 
     @property
     def interval_text(self) -> str:
-        """The interval in brackets; empty where there is none."""
+        """The interval in brackets; empty if there is none."""
         if self.interval is None:
             return ""
         low, high = (f"{end:.{self.decimals}f}" for end in self.interval)
@@ -280,7 +280,7 @@ def _headline_of(runs: Sequence[ReportedRun]) -> tuple[str, str]:
 
 
 def _common_horizons(runs: Sequence[ReportedRun], recording: str) -> tuple[float, ...]:
-    """The horizons that every run has. Raises ReportError where their rates differ."""
+    """The horizons that every run has. Raises ReportError if their rates differ."""
     stretches = [run.summary.recordings[recording] for run in runs]
     for run, stretch in zip(runs, stretches, strict=True):
         if abs(stretch.period_s - stretches[0].period_s) > 1e-6:

@@ -134,7 +134,7 @@ def _row_data(row: AnyRow, standing: Standing) -> dict[str, Any]:
 
 
 def _section(title: str, headings: Sequence[str], rows: Sequence[Any], cells: Any) -> Iterator[str]:
-    """A heading and a table; nothing where there are no rows."""
+    """A heading and a table; nothing if there are no rows."""
     if not rows:
         return
     yield f"### {title}"

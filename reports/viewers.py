@@ -44,7 +44,7 @@ def foxglove_layout() -> str:
 def write_rerun_recording(stream: GridStream, path: Path, on_frame: Callable[[], None] = lambda: None) -> None:
     """Write the stretch of `stream` as a Rerun recording; `on_frame` is called after each frame.
 
-    Everything is in the world of ground truth. Raises ConfigurationError where rerun-sdk is not installed,
+    Everything is in the world of ground truth. Raises ConfigurationError if rerun-sdk is not installed,
     RecordingError and OSError.
     """
     with rerun_scene(path, stream.name, f"{stream.recording.sha256}@{stream.stretch_s}") as scene:

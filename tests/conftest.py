@@ -71,7 +71,7 @@ def burglar(install: Install) -> None:
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
-    """Chromium, one for all tests; they are skipped where there is none.
+    """Chromium, one for all tests; they are skipped if there is none.
 
     Its driver runs an event loop in this thread: what needs a loop of its own runs in another thread.
     """

@@ -1,4 +1,4 @@
-"""General weights: trained on recordings of unlike places, used where there are none of the site, and named so."""
+"""General weights: trained on recordings of unlike places, used if there are none of the site, and named so."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Weights and runs in a store: commands take URLs, run on local copies, and lose nothing where the store fails."""
+"""Weights and runs in a store: commands take URLs, run on local copies, and lose nothing if the store fails."""
 
 from __future__ import annotations
 

@@ -215,7 +215,7 @@ def observed_kinds(observations: Iterable[Observation], grid: GridSpec) -> Kinds
     where it or a neighbour is occupied in more than half of the frames that show it, and the cell itself in more than
     MIN_HITS of them. Over minutes the errors grow to several cells, so that only frames of the same block of time and
     of those beside it count. The ring is the eight neighbours of a static cell, where range noise flickers; all others
-    are dynamic. Raises RecordingError where the windows cover too much.
+    are dynamic. Raises RecordingError if the windows cover too much.
     """
     counts = ObservedCounts(grid)
     for observation in observations:

@@ -41,7 +41,7 @@ class ReturnsInMotion(Protocol):
 
     @property
     def bodies(self) -> BodyMotions | None:
-        """The motions of the bodies of the true scene; None where it is not known."""
+        """The motions of the bodies of the true scene; None if it is not known."""
         ...
 
     def among(self, observation: Observation, grid: GridSpec) -> Mask:

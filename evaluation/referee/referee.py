@@ -108,7 +108,7 @@ def scored_forecasts(
 ) -> Iterator[ScoredForecast]:
     """Stream `stream` through the tracker, and yield each scheduled forecast when its last frame is observed.
 
-    Raises RecordingError where a target cannot be made.
+    Raises RecordingError if a target cannot be made.
     """
     tracker.reset(seed)
     recent: deque[Moment] = deque(maxlen=schedule.steps + 1)
@@ -164,7 +164,7 @@ class Delivery:
 
 
 def refuse_moving(stream: GridStream, tracker: str) -> None:
-    """Raise RecordingError where the sensor moves in the stretch: `tracker` follows only a sensor at rest."""
+    """Raise RecordingError if the sensor moves in the stretch: `tracker` follows only a sensor at rest."""
     if stream.first_move_s is None:
         return
     rest = stream.recording.survey.longest_rest_s(2.0 * stream.period_s)

@@ -157,7 +157,7 @@ def _sensor_poses(origins: NDArray[np.float32], stamp_ns: int) -> Any:
 def read_samples(path: Path) -> Iterator[Sample]:
     """The samples of a trial in the order of their stamps, one at a time in memory.
 
-    Raises SamplesError where the file is damaged or not of this form, after the samples before the damage.
+    Raises SamplesError if the file is damaged or not of this form, after the samples before the damage.
     """
     stamp_ns: int | None = None
     topics: dict[str, Any] = {}
@@ -212,7 +212,7 @@ def _sample(stamp_ns: int, topics: dict[str, Any]) -> Sample:
 
 
 def _window_of(message: Any) -> SE2:
-    """The pose of the window. Raises ValueError where it is not finite."""
+    """The pose of the window. Raises ValueError if it is not finite."""
     at, turned = message.translation, message.rotation
     pose = SE2(at.x, at.y, 2 * math.atan2(turned.z, turned.w))
     if not math.isfinite(pose.x + pose.y + pose.theta):
@@ -223,7 +223,7 @@ def _window_of(message: Any) -> SE2:
 def _scored(
     topics: dict[str, Any], grid: GridSpec, horizons: tuple[float, ...]
 ) -> tuple[NDArray[np.uint8] | None, Mask | None]:
-    """The states (H, M, M) and the cells in motion (H, M, M); None where the file has none."""
+    """The states (H, M, M) and the cells in motion (H, M, M); None if the file has none."""
     if not all(f"/scored/{h:g}s" in topics for h in horizons):
         return None, None
     planes = [planes_in(topics[f"/scored/{h:g}s"], grid, SCORED_FIELDS) for h in horizons]
@@ -342,7 +342,7 @@ def objects_message(objects: Sequence[TrackedObject], stamp_ns: int) -> Any:
 
 
 def objects_of(message: Any) -> tuple[KeptObject, ...]:
-    """The objects of a message of `objects_message`. Raises ValueError where one has another form."""
+    """The objects of a message of `objects_message`. Raises ValueError if one has another form."""
     objects = []
     for entity in message.entities:
         if len(entity.cubes) != 1 or len(entity.arrows) != 1:

@@ -25,7 +25,7 @@ TEST, VALIDATION, TRAIN = "test", "validation", "train"
 """Names of stretches in a recording that have a use here."""
 _OF_CARD = (
     ", so the thresholds of a tracker are those of its weights' card (chosen on the validation stretches of its"
-    " training), and 0.5 where there is none; name a stretch with --validation"
+    " training), and 0.5 if there is none; name a stretch with --validation"
 )
 USUAL_EVERY_S, LEAST_FORECASTS = 1.0, 30
 """Time between scored forecasts by default, and the least number of forecasts for which it is shortened."""
@@ -226,7 +226,7 @@ def _validation_stretch(
 
 
 def own_validation(stream: GridStream) -> GridStream:
-    """The stretch named `validation` of the recording. Raises RecordingError where there is none."""
+    """The stretch named `validation` of the recording. Raises RecordingError if there is none."""
     try:
         return like(stream, VALIDATION)
     except RecordingError as error:

@@ -367,7 +367,7 @@ def _column(found: Replicates, k: int) -> Replicates:
 
 
 def _at(found: Mapping[str, Estimated], score: ScoreDefinition, output: Output, place: Place) -> Replicates | None:
-    """The replicates of a score at one place; None where the row has none."""
+    """The replicates of a score at one place; None if the row has none."""
     one = found.get(score.name)
     if one is None or place.stratum not in one.strata or output.name not in one.replicates:
         return None
@@ -461,7 +461,7 @@ def training_rows(run: RunTrials, names: Sequence[str]) -> list[TrainingRows]:
 
 
 def _why_partial(tracker: str, complete: int, failed: int) -> str:
-    """Why a tracker with `failed` trainings is not compared; empty where all are complete."""
+    """Why a tracker with `failed` trainings is not compared; empty if all are complete."""
     if not failed:
         return ""
     return f"{complete} of {complete + failed} trainings of {tracker} are complete, and the others may be worse"

@@ -148,7 +148,7 @@ def run_oracle(
 
 
 def oracle_validation(split: EvaluationSplit) -> GridStream | None:
-    """The stretch on which the oracle's thresholds are chosen; None where there is none, or where it has no truth."""
+    """The stretch on which the oracle's thresholds are chosen; None if there is none, or if it has no truth."""
     return split.validation if split.validation and split.validation.has_truth else None
 
 

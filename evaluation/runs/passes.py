@@ -91,7 +91,7 @@ class Followed(ResultModel):
     missed: int
     """Those of them that the tracker was not given, because it was busy."""
     age_frames: Quantiles | None
-    """Age of the newest forecast in time at each of them, in frames; null where there are none."""
+    """Age of the newest forecast in time at each of them, in frames; null if there are none."""
     forecast_steps: int
     """How many steps ahead the forecasts reach, for delays to be covered."""
 

@@ -38,9 +38,9 @@ def _each_defined(values: Any) -> Any:
 Line = Annotated[str, AfterValidator(bounded_line)]
 """A sentence for people, which may quote untrusted input: one printable line of bounded length."""
 Number = Annotated[float | None, BeforeValidator(_defined)]
-"""A score; None where it is undefined (NaN and infinities are read as None)."""
+"""A score; None if it is undefined (NaN and infinities are read as None)."""
 Curve = Annotated[tuple[float | None, ...], BeforeValidator(_each_defined)]
-"""One score at every step 0..n; None where it is undefined, as in a stratum without cells."""
+"""One score at every step 0..n; None if it is undefined, as in a stratum without cells."""
 Curves = dict[str, Curve]
 """A curve for each stratum."""
 CellCounts = tuple[int, ...]

@@ -45,7 +45,7 @@ class RecordingDescription(ResultModel):
     warm_up_frames: int = 0
     forecast_every_frames: int = 0
     cycle_s: float | None = None
-    """The longest cycle of the place, such as that of its traffic signals, seconds; null where none is known."""
+    """The longest cycle of the place, such as that of its traffic signals, seconds; null if none is known."""
     source_sha256: str = ""
     """Of the file that the recording was imported from, else of its own file. Recordings and stretches of one source
     are one recording for the statistical units; empty: not known, and no other is of the same source."""
@@ -160,7 +160,7 @@ class WeightsUsed(ResultModel):
     name: str
     sha256: str
     labelled_scans: int | None = None
-    """Labelled scans that their classes were learned from; null where there are no classes, and in an earlier run."""
+    """Labelled scans that their classes were learned from; null if there are no classes, and in an earlier run."""
 
 
 class Machine(ResultModel):
@@ -200,6 +200,6 @@ class RunRecord(ResultModel):
 
 
 def read_run_record(folder: Path) -> RunRecord:
-    """The record in a run's folder. Raises FileNotFoundError where it has none, and RunError."""
+    """The record in a run's folder. Raises FileNotFoundError if it has none, and RunError."""
     remedy = "compare again, into another folder (--out)"
     return read_model(folder / RUN_FILE, RunRecord, RUN_SCHEMA, MAX_RUN_BYTES, remedy)

@@ -109,7 +109,7 @@ class PointEstimate(ResultModel):
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """The interval; None where there is none."""
+        """The interval; None if there is none."""
         return None if self.low is None or self.high is None else (self.low, self.high)
 
 
@@ -133,11 +133,11 @@ class ScopeSummary(ResultModel):
     threshold_chosen_on: str = ""
     """The validation stretch; empty without one, or where recordings differ in it."""
     thresholds: dict[str, Curve] = Field(default_factory=dict)
-    """By stratum; null where recordings differ."""
+    """By stratum; null if recordings differ."""
     strata: dict[str, Estimates] = Field(default_factory=dict)
-    """By stratum, score and output; empty where nothing was scored."""
+    """By stratum, score and output; empty if nothing was scored."""
     interval: Line = ""
-    """Why there are no intervals; empty where there are."""
+    """Why there are no intervals; empty if there are."""
     best_floor: Line = ""
     """Label of the floor with the best headline score, from which shares of the oracle are; empty if not known."""
     below_floor: bool = False
@@ -154,11 +154,11 @@ class ScopeSummary(ResultModel):
         return self.complete and not self.leak
 
     def estimate(self, stratum: str, score: str, output: str) -> Estimate | None:
-        """An estimate; None where there is none."""
+        """An estimate; None if there is none."""
         return self.strata.get(stratum, {}).get(score, {}).get(output)
 
     def at(self, stratum: str, score: str, output: str, step: int) -> PointEstimate:
-        """An estimate at one step; of None where it is not known."""
+        """An estimate at one step; of None if it is not known."""
         found = self.estimate(stratum, score, output)
         return NO_ESTIMATE if found is None else found.at(step)
 
@@ -245,14 +245,14 @@ class TrackerDifference(ResultModel):
     frames: int = 0
     """Scored frames that both have."""
     interval: Line = ""
-    """Why there is no interval or no comparison; empty where there is."""
+    """Why there is no interval or no comparison; empty if there is."""
     strata: dict[str, Estimates] = Field(default_factory=dict)
     """By stratum, score and output."""
     tests: tuple[HeadlineTest, ...] = Field(default=(), max_length=100)
     """Of the headline score; empty for the differences of class scores."""
 
     def at(self, stratum: str, score: str, output: str, step: int) -> PointEstimate:
-        """A difference at one step; of None where it is not known."""
+        """A difference at one step; of None if it is not known."""
         found = self.strata.get(stratum, {}).get(score, {}).get(output)
         return NO_ESTIMATE if found is None else found.at(step)
 
@@ -290,7 +290,7 @@ class TrackerTrainings(ResultModel):
     """The first label of the reference."""
     units: int = 0
     interval: Line = ""
-    """Why there is no interval; empty where there is."""
+    """Why there is no interval; empty if there is."""
     scores: tuple[TrainingsScore, ...] = Field(default=(), max_length=100)
 
 
@@ -332,7 +332,7 @@ class RunSummary(ResultModel):
     """SCORE.OUTPUT of the headline score."""
     recordings: dict[str, RecordingSummary] = Field(min_length=1)
     pooled_horizons_s: tuple[Annotated[float, Field(ge=0.0, le=LONGEST_S)], ...] = ()
-    """Of the scores of all recordings together; empty where there are none."""
+    """Of the scores of all recordings together; empty if there are none."""
     trackers: dict[str, TrackerSummary]
     """By label."""
     reference: str | None = None
@@ -398,6 +398,6 @@ def _refuse_other_lengths(where: str, curves: Iterator[tuple[str, Sequence[float
 
 
 def read_summary(folder: Path) -> RunSummary:
-    """The summary in a run's folder. Raises FileNotFoundError where it has none, and RunError."""
+    """The summary in a run's folder. Raises FileNotFoundError if it has none, and RunError."""
     remedy = "read it with gridtrack 0.2, which wrote it, or compare again"
     return read_model(folder / SUMMARY_FILE, RunSummary, SUMMARY_SCHEMA, MAX_SUMMARY_BYTES, remedy)

@@ -98,7 +98,7 @@ class TrialRun:
         return "ok", ""
 
     def _refuse_moving(self, description: TrackerDescription) -> None:
-        """Raise RecordingError where the sensor moves and the tracker cannot follow it."""
+        """Raise RecordingError if the sensor moves and the tracker cannot follow it."""
         if not description.moving_sensor:
             for stretch in filter(None, (self.trial.validation, self.trial.test)):
                 refuse_moving(stretch, self.trial.label)

@@ -134,7 +134,7 @@ class ScoreDefinition:
     """A score.
 
     `count(forecast, facts, memory)` gives the sums (S, K, P) of one forecast, per step 0..steps, stratum and part, or
-    None where the forecast has nothing to count. `memory` is made by `new_memory` for each trial and kept between its
+    None if the forecast has nothing to count. `memory` is made by `new_memory` for each trial and kept between its
     forecasts. `value(sums)` gives every output that follows from sums (..., P), pooled, of units, or without one of
     them: intervals, differences and tests are made from it. The first output leads. `strata` and `parts` of a trial
     follow from its facts; a score without strata does not apply to the trial. `relate` gives outputs (S,) by stratum
@@ -178,7 +178,7 @@ class ScoreDefinition:
 
 
 def divided(part: NDArray[Any], whole: NDArray[Any], defined: NDArray[np.bool_] | None = None) -> Floats:
-    """part / whole, broadcast; NaN where `whole` is 0 or the ratio is not `defined`."""
+    """part / whole, broadcast; NaN if `whole` is 0 or the ratio is not `defined`."""
     divisible = whole > 0 if defined is None else defined & (whole > 0)
     found = np.full(np.broadcast_shapes(part.shape, whole.shape), np.nan)
     np.divide(part, whole, out=found, where=divisible)
@@ -186,7 +186,7 @@ def divided(part: NDArray[Any], whole: NDArray[Any], defined: NDArray[np.bool_] 
 
 
 def value_of(found: Ratio | Measure | Floats) -> Floats:
-    """The value (...) of what `ScoreDefinition.value` gives of pooled sums; NaN where it is undefined."""
+    """The value (...) of what `ScoreDefinition.value` gives of pooled sums; NaN if it is undefined."""
     if isinstance(found, Ratio):
         return divided(found.part, found.whole, None if found.support is None else found.support > 0)
     return found.value if isinstance(found, Measure) else found

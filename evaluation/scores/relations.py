@@ -16,7 +16,7 @@ def share_of_oracle(
     *,
     relative: bool = False,
 ) -> CurvesByStratum:
-    """(value - floor) / (oracle - floor) by stratum (S,); NaN where it is not known.
+    """(value - floor) / (oracle - floor) by stratum (S,); NaN if it is not known.
 
     `direction`: 1 where higher values are better, -1 where lower ones are. A share is not known without oracle or
     floor, and where the oracle is not better than the floor by `least_gap`, as a share of the floor's value where

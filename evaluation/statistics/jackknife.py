@@ -36,7 +36,7 @@ share of that over all units."""
 
 @dataclass(frozen=True, slots=True)
 class IntervalEstimate:
-    """A value (...), the ends of its interval, and the p-value of no difference where it is one; NaN where unknown."""
+    """A value (...), the ends of its interval, and the p-value of no difference where it is one; NaN if unknown."""
 
     value: Floats
     low: Floats
@@ -134,7 +134,7 @@ def interval(found: Replicates, scale: Scale, level: float = LEVEL) -> IntervalE
 
 def _interval_of_ratio(found: Replicates, scale: Scale, level: float) -> tuple[Floats, Floats]:
     """Half a count is added to each sum of the odds where both are counts. Where the value is 0 in all units, or 1 in
-    all, the interval is that point; NaN where fewer than LEAST_AGREEING effective units agree.
+    all, the interval is that point; NaN if fewer than LEAST_AGREEING effective units agree.
     """
     assert found.ratio is not None
     part, whole, counted = found.ratio.part, found.ratio.whole, found.ratio.counted and scale == "odds"

@@ -72,7 +72,7 @@ export function svgText(x, y, text, attributes = {}) {
 
 export const inSeconds = (seconds) => `${Number(seconds.toPrecision(3))} s`;
 
-// A score in words, with a dash where it is undefined.
+// A score in words, with a dash if it is undefined.
 export function inDigits(value, digits = 3) {
   return value === null || value === undefined ? "–" : value.toFixed(digits);
 }

@@ -95,7 +95,7 @@ export function choiceWords(listed, chosen) {
 
 // The choices of a figure in a row, with nothing to choose left out; drawn again after every change. A choice of
 // `listed`: [key, name, options, taken]. Where what is chosen is no option, the first takes its place for good, or
-// `taken` for as long as the options are these; where there is no option, it stays.
+// `taken` for as long as the options are these; if there is no option, it stays.
 export function choiceBar(listed, chosen, redraw) {
   const bar = make("div", { class: "choices" });
   const fill = () => {

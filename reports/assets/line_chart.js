@@ -49,7 +49,7 @@ function showBandOf(chosen, drawn) {
   }
 }
 
-// The values of the lines, and of their bands, from the place `first` on; all values where there are none.
+// The values of the lines, and of their bands, from the place `first` on; all values if there are none.
 function scaledValues(lines, first) {
   const valuesOf = (wanted) => lines.flatMap(({ xs, values, low, high }) =>
     [values, low ?? [], high ?? []].flatMap((curve) => curve.filter((value, i) => value !== null && wanted(xs[i]))));

@@ -11,7 +11,7 @@ const PLAY_MS = 700;
 const NONE = -1;
 
 export class Player {
-  // `onward(kind)` goes to such a moment of another recording; null where there is no other.
+  // `onward(kind)` goes to such a moment of another recording; null if there is no other.
   constructor(element, data, onward) {
     Object.assign(this, { element, data, onward, moment: 0, h: data.decisive, zoom: 1, centre: null });
     Object.assign(this, { marks: true, boxes: true, wipe: false, split: data.size / 2 });

@@ -111,6 +111,6 @@ def trial_of(summary: RunSummary, label: str, recording: str = "room") -> TrialS
 
 
 def curve(scope: ScopeSummary, stratum: str, output: str) -> tuple[float | None, ...] | None:
-    """The values of SCORE.OUTPUT in a stratum, by step; None where there are none."""
+    """The values of SCORE.OUTPUT in a stratum, by step; None if there are none."""
     found = scope.estimate(stratum, *output.split("."))
     return None if found is None else found.value

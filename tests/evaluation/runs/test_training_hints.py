@@ -25,7 +25,7 @@ def gridtrack(*words):
 
 
 def compare(recording, folder, *options):
-    """The reason of static-map's trial on `recording`, empty where it is complete. General weights are not used."""
+    """The reason of static-map's trial on `recording`, empty if it is complete. General weights are not used."""
     command = (
         "compare",
         "--no-floors",
