@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gridtrack.evaluation.referee.deadline import Costs
-from gridtrack.evaluation.runs import deadline_pass
+from gridtrack.evaluation.runs import timed_passes
 from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
 from gridtrack.evaluation.runs.summarise import _mismatched_degradations
@@ -26,7 +26,7 @@ def costing(monkeypatch):
     """`costing(update_ms, predict_ms)` sets the measured cost of every frame."""
 
     def costing(update_ms, predict_ms):
-        monkeypatch.setattr(deadline_pass, "_measure", lambda *_: (Costs((update_ms,), (predict_ms,)), 12))
+        monkeypatch.setattr(timed_passes, "_measure", lambda *_: (Costs((update_ms,), (predict_ms,)), 12))
 
     return costing
 
