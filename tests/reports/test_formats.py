@@ -213,7 +213,7 @@ def test_a_pdf_is_a_pdf_with_embedded_outlines(hostile_run, tmp_path):
 
 
 @pytest.mark.parametrize("name", [name for name in FORMATS if name != "pdf"])
-def test_the_command_prints_what_is_rendered(run_folder, name):
+def test_the_command_prints_each_rendered_file(run_folder, name):
     if name == "svg":
         pytest.importorskip("matplotlib", reason="needs the extra `figures`")
     assert report(run_folder, "--format", name).stdout_bytes == render_as(name, [run_folder])

@@ -57,7 +57,7 @@ def test_the_arrows_change_a_choice_and_the_figure_with_it(opened):
     assert page.evaluate("document.activeElement.tagName") == "SELECT", "the focus stays on the choice"
 
 
-def test_enter_opens_what_a_figure_means_and_escape_closes_it(opened):
+def test_enter_opens_the_explanation_of_a_figure_and_escape_closes_it(opened):
     page, _ = opened()
     button = page.locator("#ranking button.meaning")
     meaning = page.locator("#meaning-ranking")
@@ -70,7 +70,7 @@ def test_enter_opens_what_a_figure_means_and_escape_closes_it(opened):
     assert page.evaluate("document.activeElement.textContent") == "What it means"
 
 
-def test_every_figure_and_table_says_what_it_means(opened):
+def test_every_figure_and_table_has_an_explanation(opened):
     page, _ = opened()
     named = page.eval_on_selector_all("button.meaning", "all => all.map((one) => one.getAttribute('popovertarget'))")
     assert len(named) >= 8

@@ -214,7 +214,7 @@ def test_runs_side_by_side_are_named_and_the_page_is_in_the_folder_of_the_first(
     assert "after: good" in page
 
 
-def test_what_changed_between_runs_is_what_differs_and_nothing_else(run_folder, tmp_path):
+def test_only_differences_between_runs_are_listed_as_changes(run_folder, tmp_path):
     first, second = (shutil.copytree(run_folder, tmp_path / name) for name in ("before", "after"))
     record = json.loads((second / "run.json").read_text())
     record["command"], record["started"] = ["gridtrack", HOSTILE], "2026-01-01T00:00:00Z"

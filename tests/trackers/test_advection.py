@@ -40,7 +40,7 @@ def test_one_frame_stays_where_it_is() -> None:
     assert not tracker.predict(1).occupancy.any()
 
 
-def test_what_stands_stays() -> None:
+def test_standing_objects_stay() -> None:
     tracker = tracker_on(SMALL)
     occupied = np.zeros((5, 5), bool)
     occupied[1:3, 2] = True

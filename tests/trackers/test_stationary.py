@@ -81,7 +81,7 @@ def test_the_past_of_a_cell_keeps_its_place_in_the_world() -> None:
     assert np.array_equal(past.bins()[:, :3], moved.bins()[:, :3])
 
 
-def test_what_is_learned_is_the_share_of_occupied_cells_among_the_visible_ones_at_each_horizon() -> None:
+def test_the_table_has_the_share_of_occupied_among_visible_cells_at_each_horizon() -> None:
     """A wall that flickers: occupied in every second frame of 0.1 s."""
     frames = [frame(cells((2, 2)) if n % 2 else EMPTY, second=n / 10) for n in range(60)]
     source = Frames(frames, grid=GRID, period_s=0.1)

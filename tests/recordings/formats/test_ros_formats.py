@@ -261,7 +261,7 @@ def test_stamps_at_the_end_of_a_scan_are_moved_to_its_first_beam(tmp_path: Path,
         list(open_recording(path, topic="/rear/scan", stamps="end").scans())
 
 
-def test_stamps_in_bursts_are_told_with_the_rate(tmp_path: Path, scans: list[Scan]) -> None:
+def test_stamps_in_bursts_are_a_warning_with_the_rate(tmp_path: Path, scans: list[Scan]) -> None:
     """A buffer that is read every half a second gives five scans nearly the same stamp."""
     stamps = [10**9 + 5 * 10**8 * (k // 5) + 2_000_000 * (k % 5) for k in range(40)]
     even = [10**9 + 10**8 * k for k in range(40)]
@@ -271,9 +271,9 @@ def test_stamps_in_bursts_are_told_with_the_rate(tmp_path: Path, scans: list[Sca
         path = ROS1.write(tmp_path / f"{count}.bag", received)
         bursts = [line for line in open_recording(path).overview().warnings if "come in bursts" in line]
         assert len(bursts) == count
-    told = open_recording(tmp_path / "1.bag").overview().warnings[0]
-    assert "half of them less than 2 ms after another" in told
-    assert "give --rate 11.1, or take the times of reception, with `gridtrack recording import" in told
+    reported = open_recording(tmp_path / "1.bag").overview().warnings[0]
+    assert "half of them less than 2 ms after another" in reported
+    assert "give --rate 11.1, or take the times of reception, with `gridtrack recording import" in reported
 
 
 @pytest.mark.parametrize("increment_s", [-1e-4, 1.0, math.nan, math.inf])

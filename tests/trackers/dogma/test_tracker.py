@@ -344,7 +344,7 @@ def test_the_map_of_the_site_lies_where_the_card_says(tmp_path) -> None:
         np.testing.assert_allclose(tracker.predict(2).occupancy[2], expected, atol=levels)
 
 
-def test_a_wall_that_comes_into_view_is_born_at_rest_and_what_enters_open_cells_is_not() -> None:
+def test_a_wall_that_comes_into_view_is_born_at_rest_and_objects_that_enter_open_cells_are_not() -> None:
     state = ParticleGrid(GRID, PERIOD_S, SETTINGS, seed=1)
     seen, empty = np.ones(GRID.shape, bool), np.zeros(GRID.shape, bool)
     wall, walker = empty.copy(), empty.copy()

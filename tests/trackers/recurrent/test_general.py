@@ -163,7 +163,7 @@ def fit_at_site(tracker, start, folder, scores, drift=0, **options):
     return card, fit(tracker, card, [place], objective=scores, start=start, **given)
 
 
-def test_a_training_begins_with_the_forecasts_of_the_general_weights_and_adds_what_the_place_has(general, tmp_path):
+def test_a_training_begins_with_the_forecasts_of_the_general_weights_and_adds_the_place(general, tmp_path):
     tracker, start, _ = general
     score = Scores(0.1, 0.9)
     card, _ = fit_at_site(tracker, start, tmp_path, score)
@@ -209,7 +209,7 @@ def test_general_weights_that_no_update_improves_are_kept(general, tmp_path, f1,
     assert (results["score"], results["log_loss"]) == pytest.approx((f1[chosen], log_loss[chosen]))
 
 
-def test_settings_are_those_of_the_general_weights_but_for_the_length_of_the_training(general):
+def test_settings_come_from_the_general_weights_except_the_length_of_the_training(general):
     tracker, start, _ = general
     weights = load_start(start, tracker_name(start))
     of_accelerator = replace(

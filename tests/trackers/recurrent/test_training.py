@@ -168,7 +168,7 @@ def test_the_card_has_the_settings_and_data_of_the_training(short):
     assert any("update 2" in line for line in lines)
 
 
-def test_a_training_does_not_repeat_what_its_libraries_warn_of_each_other(short):
+def test_a_training_does_not_repeat_warnings_of_its_libraries_about_each_other(short):
     assert short[2] == []
 
 

@@ -158,7 +158,7 @@ def general(tmp_path_factory):
     return card
 
 
-def test_classes_are_learned_from_all_recordings_and_a_dot_is_told_by_the_size_of_its_cells(general, tmp_path):
+def test_classes_are_learned_from_all_recordings_and_a_dot_is_classified_by_the_size_of_its_cells(general, tmp_path):
     """The classes of the card are those of all recordings together."""
     one_shot, options = tmp_path / "general.toml", OneShotTracker.Options(labelled_scans=40, channels=8)
     task, _ = sources.task_for(DilatedConvGRUTracker, one_shot, [FINE, COARSE], general=True)
