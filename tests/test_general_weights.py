@@ -139,7 +139,7 @@ def dogma_of_the_hall(general_dogma, tmp_path_factory):
 
 
 def test_a_training_at_a_site_starts_from_the_general_weights_and_says_so(general_dogma, dogma_of_the_hall):
-    """Settings that are not searched are theirs, options are the user's; what belongs to the place is learned there."""
+    """Settings that are not searched are theirs, options are the user's; the place is learned there."""
     folder, text, card = dogma_of_the_hall
     general = general_dogma / "dogma" / "general.toml"
     assert (card.started_from.name, card.started_from.sha256) == ("dogma/general.toml", sha256_of(general))
@@ -160,7 +160,7 @@ def test_a_card_names_the_training_recordings_of_its_general_weights(dogma_of_th
 
 
 def test_a_general_training_goes_on_from_general_weights_that_are_named(general_dogma, tmp_path):
-    """With recordings of further places: what the weights learned from before stays on the card."""
+    """With recordings of further places: earlier training recordings stay on the card."""
     text = gridtrack(
         *("train", "dogma:acceleration=0.3", f"{HALL}@30s-40s", f"{STREET}@10s-20s"),
         *("--validation", f"{STREET}@20s-26s", "--general", "--weights", general_dogma, "--out", tmp_path),

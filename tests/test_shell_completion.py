@@ -1,4 +1,4 @@
-"""What the shell completes, asked as bash asks: it ends a word at each of : = @ and replaces what follows the last."""
+"""Completions of the shell, asked as bash asks: it ends a word at each of : = @ and replaces the rest."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def asked_by_bash(*typed: str) -> dict[str, str]:
 
 @pytest.fixture
 def completed_in_bash(monkeypatch: pytest.MonkeyPatch) -> Complete:
-    """`completed_in_bash(*words)`: what bash is offered in place of the end of the last word."""
+    """`completed_in_bash(*words)`: the offers to bash for the end of the last word."""
 
     def completed(*typed: str) -> list[str]:
         for name, value in asked_by_bash(*typed).items():

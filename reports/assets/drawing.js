@@ -21,7 +21,7 @@ export function draw(tag, attributes = {}, ...children) {
 
 // A button that opens the section `name` of docs/figures.md, which is at the end of the page.
 export function meaning(name) {
-  return make("button", { type: "button", class: "meaning", popovertarget: `meaning-${name}` }, "What it means");
+  return make("button", { type: "button", class: "meaning", popovertarget: `meaning-${name}` }, "Explanation");
 }
 
 // The line in a tracker's colour that stands before its name.

@@ -43,7 +43,7 @@ export function inputColour(code) {
   return code === 0 ? unseenColour() : ofLevel(code === 2 ? LEVEL_MASK : 0);
 }
 
-// What came: hidden cells as not visible.
+// The observed frame: hidden cells as not visible.
 export function cameColour(code) {
   const state = code & 7;
   return state > 1 ? unseenColour() : ofLevel(state === 1 ? LEVEL_MASK : 0);

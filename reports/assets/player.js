@@ -94,7 +94,7 @@ export class Player {
     const wiped = this.wipe && shown.length > 1;
     this.drawn = [
       { panel: new MomentCanvas("input"), draw: (drawing) => drawing.input() },
-      { panel: new MomentCanvas("what came"), draw: (drawing) => drawing.target(cameColour, "what came") },
+      { panel: new MomentCanvas("observed"), draw: (drawing) => drawing.target(cameColour, "observed") },
     ];
     if (this.data.hidden_known) {
       this.drawn.push({ panel: new MomentCanvas("truth"), draw: (drawing) => drawing.target(truthColour, "truth") });

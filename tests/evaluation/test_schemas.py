@@ -1,4 +1,4 @@
-"""The committed JSON Schemas are those of the models."""
+"""The committed JSON Schemas agree with the models."""
 
 from pathlib import Path
 

@@ -134,7 +134,7 @@ def test_a_sensor_at_rest_and_a_short_drive_have_no_drift() -> None:
 
 
 def unrest_of(recorded: list[Scan]) -> str:
-    """What is said about these scans without their poses."""
+    """The lines about these scans without their poses."""
     rest = PoseDrift(at_rest=True)
     for scan in recorded:
         rest.add(replace(scan, world_T_sensor=SE2()))

@@ -1,4 +1,4 @@
-"""What can be chosen in the figures of a run: the time ahead lasts over recordings of unlike rates, and what ranks."""
+"""Choices in the figures of a run: the time ahead lasts over recordings of unlike rates, and so does the score."""
 
 from contextlib import contextmanager
 

@@ -1,4 +1,4 @@
-"""What the figures of the page are given: curves of probability, conditions, times, classes; and their explanations."""
+"""The data of the figures of the page: curves of probability, conditions, times, classes; and their explanations."""
 
 import copy
 import json

@@ -1,4 +1,4 @@
-"""Foxglove draws forecasts.mcap and recordings: read by a generic reader, its schemas and settings those of its SDK."""
+"""Foxglove draws forecasts.mcap and recordings: read by a generic reader, with the schemas and settings of its SDK."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page by keyboard alone: every control can be reached, is marked when it is, and does what it does by pointer."""
+"""The page by keyboard alone: every control can be reached, is then marked, and works as by pointer."""
 
 CONTROLS = "button, select, input, a[href], summary, [tabindex='0']"
 NUMBER_CONTROLS = f"""() => [...document.querySelectorAll("{CONTROLS}")].map((one, i) => {{
@@ -67,7 +67,7 @@ def test_enter_opens_the_explanation_of_a_figure_and_escape_closes_it(opened):
     assert "A bar joins rows that do not differ significantly" in meaning.inner_text()
     page.keyboard.press("Escape")
     assert not meaning.is_visible()
-    assert page.evaluate("document.activeElement.textContent") == "What it means"
+    assert page.evaluate("document.activeElement.textContent") == "Explanation"
 
 
 def test_every_figure_and_table_has_an_explanation(opened):

@@ -225,9 +225,9 @@ def test_only_differences_between_runs_are_listed_as_changes(run_folder, tmp_pat
     assert changes["versions.torch"][1] == "9.9"
     page = render_report([first, second]).read_text("utf-8")
     assert_self_contained(page)
-    table = page.partition("<h2>What changed</h2>")[2].partition("</table>")[0]
+    table = page.partition("<h2>Changes</h2>")[2].partition("</table>")[0]
     assert "<td>9.9</td>" in table
-    assert "<h2>What changed</h2>" not in render_report([first]).read_text("utf-8")
+    assert "<h2>Changes</h2>" not in render_report([first]).read_text("utf-8")
 
 
 def test_a_run_in_which_every_trial_failed_is_still_a_page(make_run, tmp_path):

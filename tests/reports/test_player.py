@@ -1,4 +1,4 @@
-"""Moments on the page: packed without loss at their quantisation, within the budget, and what is left out is said."""
+"""Moments on the page: packed without loss at their quantisation, within the budget, and omissions are named."""
 
 import base64
 import json

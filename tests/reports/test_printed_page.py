@@ -1,4 +1,4 @@
-"""A printed page says in words what its figures show, as nothing of it can be chosen on paper."""
+"""A printed page describes its figures in words, as nothing can be chosen on paper."""
 
 import pytest
 

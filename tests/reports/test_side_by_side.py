@@ -1,4 +1,4 @@
-"""The page of several runs: rows of each run reported apart, an answer for each, and near the top what differs."""
+"""The page of several runs: rows of each run reported apart, an answer for each, and the differences near the top."""
 
 import json
 import shutil
@@ -69,7 +69,7 @@ def test_each_run_has_its_answer_and_the_changes_stand_before_the_figures(page):
         assert "good and fair have the highest PR-AUC on in-motion cells" in answer
         assert "Compared on" in answer
     headings = page.locator("h2").all_text_contents()
-    assert headings.index("What changed") < headings.index("Ranking")
+    assert headings.index("Changes") < headings.index("Ranking")
 
 
 def trials(recording, **options):

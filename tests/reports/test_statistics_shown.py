@@ -195,7 +195,7 @@ ALIKE, UNTESTED = "no difference shown", ""
     ],
 )
 def test_the_lead_says_from_which_rows_the_best_one_differs_significantly(changed, pooled, verdicts, words):
-    """`verdicts` on these rows and `good`, in place of those of the run, where all differ."""
+    """`verdicts` on these rows and `good`, in place of the run's, in which all differ."""
 
     def judge(summary):
         for family in summary["pairs"]:
@@ -266,7 +266,7 @@ def test_a_difference_names_a_row_with_general_weights_as_the_table_does(changed
     assert {row.name for row in differences.rows if row.tracker == "good"} == {"good (general)"}
     reported = pull_request_markdown([found], exported_tables([found]))
     assert "| good (general), F1 |" in reported
-    assert "less those of persistence (general)" in reported
+    assert "Scores less persistence (general)" in reported
 
 
 def family(labels, different):

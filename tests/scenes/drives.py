@@ -1,4 +1,4 @@
-"""Drives of a laser whose true poses are known: through a room, along a corridor, past a crowd, over an empty field."""
+"""Drives of a laser with known true poses: through a room, along a corridor, past a crowd, over an empty field."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A drive past walls, posts and people: what a laser on a robot sees, in a window that follows it."""
+"""A drive past walls, posts and people: the view of a laser on a robot, in a window that follows it."""
 
 from __future__ import annotations
 

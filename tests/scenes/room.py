@@ -80,7 +80,7 @@ def write_room(
 ) -> Path:
     """Write the recording, with a sensor that moves at `speed` m/s towards the wall; returns `path`.
 
-    `rate_hz` is what it says of its rate; its scans come at RATE_HZ, from a stamp that `shift_ns` is added to.
+    `rate_hz` is its recorded rate; its scans come at RATE_HZ, from a stamp that `shift_ns` is added to.
     """
     info = RecordingInfo(site=site, grid=grid, rate_hz=rate_hz, stretches=STRETCHES if stretches is None else stretches)
     with path.open("wb") as file:

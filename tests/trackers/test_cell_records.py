@@ -50,7 +50,7 @@ def frame_of(drawing: str) -> GridFrame:
     [
         ("..... ..... ..... ..... .....", "ooooo ooooo ooooo ooooo ooooo"),
         ("..... ..... ..... ..... ....#", "ooooo ooooo ooooo ooo.. ooo.."),
-        # Beams along a wall at the right: they cross its cells between two returns, and what is behind is hidden.
+        # Beams along a wall at the right: they cross its cells between two returns, and the cells behind are hidden.
         ("...#? ....? ....? ...#? ....?", "oo... oo... oo... oo... oo..."),
         # The edge of a shadow.
         ("..... ..#.. ..??. ..??? .....", "o...o o.... o.... o.... o...."),

@@ -89,7 +89,7 @@ def test_the_table_has_the_share_of_occupied_among_visible_cells_at_each_horizon
     at = {round(h, 2): n for n, h in enumerate(TABLE_HORIZONS_S)}
     forecasts = visible[at[0.0]].sum() / 25
     assert forecasts == 8, "after 20 frames, every half second"
-    assert visible[at[2.5]].sum() == 3 * 25, "those whose frame is in the stretch"
+    assert visible[at[2.5]].sum() == 3 * 25, "targets with a frame in the stretch"
     assert occupied[at[0.0]].sum() == occupied[at[0.2]].sum() == 4
     assert occupied[at[0.1]].sum() == 4
 

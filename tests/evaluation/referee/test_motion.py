@@ -127,7 +127,7 @@ def box(x, y, length, width):
 
 
 def observation(step, *objects, occupied):
-    """Objects as (track, x, y): boxes of 0.3 m whose centre is there."""
+    """Objects as (track, x, y): boxes of 0.3 m with the centre there."""
     bodies = tuple(SceneObject(track, 0, SE2(x, y), box(-0.15, -0.15, 0.3, 0.3)) for track, x, y in objects)
     stamp_ns = step * 250_000_000
     scan = Scan(stamp_ns, np.zeros(0, np.float32), 0.0, 0.1, 0.0, 9.0, scene=Scene((), 0, bodies))

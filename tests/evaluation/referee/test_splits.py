@@ -1,4 +1,4 @@
-"""Splits: the test stretch, the validation stretch, and what must not overlap."""
+"""Splits: the test stretch, the validation stretch, and refused overlaps."""
 
 import pytest
 

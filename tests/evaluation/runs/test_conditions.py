@@ -101,7 +101,7 @@ def test_degraded_input_is_the_same_for_all_and_is_scored_against_the_undegraded
         digests = [[point.delivered for point in one.robustness.kinds[name]] for one in (result, blank)]
         assert digests[0] == digests[1]
         assert len(set(digests[0])) == 4
-    # at 1 every frame is lost: what persistence has not seen it does not call occupied
+    # at 1 every frame is lost, and persistence calls no unseen cell occupied
     assert curves["frame_drop"][-1].f1["visible"] == (0.0,) * 11
     assert summary.recordings["room"].parity is True
 

@@ -93,7 +93,7 @@ class HeldBack(LiveTimeline):
 
 
 class Table:
-    """A LiveObserver that keeps what it is shown."""
+    """A LiveObserver that keeps its input."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []

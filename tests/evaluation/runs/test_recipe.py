@@ -61,7 +61,7 @@ def test_every_recipe_is_one_training_that_its_tracker_accepts(path):
     assert recipe.out is not None
     starts = registry.load(recipe.tracker).starts_from_general(options_of(recipe))
     reported = recipe.general or recipe.from_scratch or recipe.weights
-    assert not starts or reported  # not from what the user happens to have
+    assert not starts or reported  # not from weights that the user happens to have
     root, simulated = RECIPES.parents[1], (Path("runs/drives"), Path("runs/worlds"))
     paths = [Path(stretch.partition("@")[0]) for stretch in (*recipe.recordings, *recipe.validation)]
     assert all((root / path).exists() or any(map(path.is_relative_to, simulated)) for path in paths)

@@ -1,4 +1,4 @@
-"""Segments of a long recording: trials of their own that together score what the whole does."""
+"""Segments of a long recording: trials of their own that together have the scores of the whole."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run in a store: what the local folder begins with, and when it is uploaded, kept and removed."""
+"""A run in a store: the first content of the local folder, and when it is uploaded, kept and removed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a training keeps of its recordings: a second one reads none of it again, and no `fit` can damage it."""
+"""The cache of trainings: a second training reads no recording again, and no `fit` can damage it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Vandal(StaticMapTracker):
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """A cache of this test's own; `reported` has what it reports."""
+    """A cache of this test's own; `reported` has its lines."""
     monkeypatch.setattr("gridtrack.common.cache.user_cache_folder", lambda: tmp_path / "cache")
     reported: list[str] = []
     cache = stretch_cache(reported.append)

@@ -1,4 +1,4 @@
-"""Thresholds: the best F1 of each step and stratum on the validation stretch, and those that need no labels."""
+"""Thresholds: the best F1 of each step and stratum on the validation stretch, and label-free ones."""
 
 import numpy as np
 from hypothesis import given, settings

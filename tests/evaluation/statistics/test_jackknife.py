@@ -119,7 +119,7 @@ def test_few_units_that_agree_exactly_tell_nothing():
     assert (float(found.value), np.isnan(found.low), np.isnan(found.p)) == (1.0, True, True)
     assert np.isnan(interval(own)).all()
     own[:, COUNTS.index("tp")] = other[:, COUNTS.index("fn")] = 1.0
-    assert differences(own, other).low == 1.0, "twenty that agree tell everything"
+    assert differences(own, other).low == 1.0, "twenty units that agree leave no doubt"
     assert np.array(interval(own)) == pytest.approx(np.ones(2))
 
 

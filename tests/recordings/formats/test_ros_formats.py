@@ -126,7 +126,7 @@ def ros2_bag(folder: Path, scans: Iterable[Scan], storage: StoragePlugin = Stora
 
 
 def unfinished(folder: Path, scans: Iterable[Scan]) -> Path:
-    """A bag whose recorder was killed: the second half of its messages in the side file, and no metadata."""
+    """A bag of a killed recorder: the second half of its messages in the side file, and no metadata."""
     (whole,) = ros2_bag(folder, scans).glob("*.db3")
     bag = folder / "killed"
     bag.mkdir()
@@ -145,7 +145,7 @@ def unfinished(folder: Path, scans: Iterable[Scan]) -> Path:
 
 
 def split_without_metadata(folder: Path, scans: Iterable[Scan]) -> Path:
-    """Two files of one bag, whose numbers sort otherwise than their names."""
+    """Two files of one bag; their numbers sort otherwise than their names."""
     bag, every = folder / "split", list(scans)
     bag.mkdir()
     for number, part in ((2, every[:20]), (10, every[20:])):
@@ -179,7 +179,7 @@ def folder_of_packed_mcap(folder: Path, scans: Iterable[Scan]) -> Path:
 
 
 def wrong_index(folder: Path, scans: Iterable[Scan]) -> Path:
-    """A bag in which the sizes of the indices are not those of their entries."""
+    """A bag with sizes of indices that disagree with their entries."""
     path = ros1_bag(folder, scans)
     content, at = bytearray(path.read_bytes()), len(ROS1_MAGIC)
     while at < len(content):

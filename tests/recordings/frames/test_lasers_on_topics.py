@@ -56,7 +56,7 @@ def test_two_lasers_with_unknown_mounts_are_refused_with_a_command_for_each(bag:
 
 
 def alternating(seconds: int = 5, lost: tuple[int, ...] = ()) -> list[made.Message]:
-    """Scans of two lasers on a robot at rest, in one frame, without those of the numbers `lost`."""
+    """Scans of two lasers on a robot at rest, in one frame, without the numbers `lost`."""
     lasers, person = (made.FRONT, BACK), (50.0, 50.0)
     scans = [
         ROS.laser(100 * k + laser.offset_ms, made.ranges_at(laser, SE2(1.0, 0.5, 0.2), person), laser, "laser")

@@ -95,7 +95,7 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
 
 @pytest.fixture
 def general(tmp_path):
-    """The card of general weights, whose time constant of free cells is outside the range of the search."""
+    """The card of general weights with a time constant of free cells outside the range of the search."""
     settings = DogmaSettings(particles=1200, acceleration=0.7, birth_speed=3.0, free_decay_s=30.0)
     path = tmp_path / "general" / "general.toml"
     card = card_for("dogma", task(path, None, settings, general=True), settings.model_dump())

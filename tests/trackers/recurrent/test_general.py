@@ -39,7 +39,7 @@ BRIEF = {"observed_frames": 5, "blank_frames": 3, "repetitions": 1}
 
 @pytest.fixture(scope="module", params=TRACKERS)
 def general(request, tmp_path_factory):
-    """A tracker, the card of its general weights, whose shifts by resolution are not zero, and the training's lines."""
+    """A tracker, the card of its general weights with non-zero shifts by resolution, and the training's lines."""
     card = tmp_path_factory.mktemp("general") / "general.toml"
     sources = [Walk(16, 0.2, 0.125), Walk(24, 0.05, 0.05), Walk(10, 0.1, 0.2, drift=1)]
     options = {"updates": 10, "validate_every": 10, "learning_rate": 0.02, "unseen_weight": 0.1}
@@ -123,7 +123,7 @@ def test_where_no_beam_reached_in_training_the_network_forecasts_the_occupied_ra
 # A training that starts from them
 
 SITE = Walk(18, 0.15, 0.16, unseen=4)
-"""Another number and size of cells, and another period than those of the general weights."""
+"""Another number and size of cells, and another period than the general weights have."""
 
 
 class Place(Walk):
