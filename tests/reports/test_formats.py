@@ -48,7 +48,7 @@ def text_of(name, run, **choice):
 
 
 def plain_latex(text):
-    """The text that TeX prints: the commands of latex_text undone. Another command, or a lone special sign, is an error."""
+    """The text that TeX prints: latex_text undone. Another command, or a lone special sign, is an error."""
     names = {"textbackslash": "\\", "textasciitilde": "~", "textasciicircum": "^", "textless": "<", "textgreater": ">"}
     names |= {"textbar": "|", "textquotedbl": '"', "textasciigrave": "`", "textquotesingle": "'"}
     token = re.compile(r"\\(?P<name>[a-z]+)\{\}|\\(?P<sign>[{}$&#%_])|(?P<plain>[^\\{}$&#%_~^])|(?P<empty>\{\})")
