@@ -192,7 +192,7 @@ def test_samples_of_another_grid_are_refused(run_folder, make_run, tmp_path, mon
         return iter([replace(s, grid=GridSpec(32, 0.3)) for s in samples] if "fair" in str(path) else samples)
 
     monkeypatch.setattr("gridtrack.reports.player.read_samples", shifted)
-    with pytest.raises(ReportError, match="fair: its samples are of another grid"):
+    with pytest.raises(ReportError, match="fair: its samples have another grid"):
         render_report([run])
 
 
