@@ -269,7 +269,7 @@ class GridStream:
 
 
 def default_grid(survey: Survey) -> GridSpec:
-    """The window of a recording that names none: that of GridSpec, with fewer cells where no sensor measures as far."""
+    """The window of a recording that names none: that of GridSpec, with fewer cells if no sensor measures as far."""
     usual, centre = GridSpec(), next(iter(survey.poses.values()))
     reach_m = max(
         sensor.first.range_max + math.hypot(pose.x - centre.x, pose.y - centre.y)

@@ -60,7 +60,7 @@ def render_as(name: str, runs: Sequence[Path], rows: str = "", columns: str = ""
 
 
 def _main(exported: Sequence[ExportedTable]) -> Sequence[ExportedTable]:
-    """The table pooled over all recordings, where there is one; else all tables."""
+    """The table pooled over all recordings, if there is one; else all tables."""
     return [one for one in exported if one.table.pooled] or exported
 
 

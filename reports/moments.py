@@ -51,7 +51,7 @@ class FrameScore:
 
     @property
     def f1(self) -> float:
-        """F1 of this frame alone; 0 where no cell was occupied and none was forecast."""
+        """F1 of this frame alone; 0 if no cell was occupied and none was forecast."""
         return 2 * self.tp / max(2 * self.tp + self.fp + self.fn, 1)
 
 

@@ -189,7 +189,7 @@ def _refuse_others(samples: Mapping[str, Mapping[int, Sample]], first: Sample) -
 
 
 def _thresholds(row: TableRow, steps: Sequence[int]) -> list[float]:
-    """The threshold of cells in motion at each step; 0.5 where the trial has none."""
+    """The threshold of cells in motion at each step; 0.5 if the trial has none."""
     curve = row.trial.thresholds.get(MAIN_STRATUM)
     found = [None if curve is None else curve[step] for step in steps]
     return [0.5 if value is None else value for value in found]

@@ -31,7 +31,7 @@ from gridtrack.evaluation.runs.summary import (
 from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 UNDEFINED = "–"
-"""Shown where a score is undefined."""
+"""Shown if a score is undefined."""
 THRESHOLD = ScoreDescription(
     name="threshold",
     title="Threshold",
@@ -107,7 +107,7 @@ class ReportedRun:
 
 
 def read_runs(paths: Sequence[Path]) -> tuple[ReportedRun, ...]:
-    """Read several runs' folders; each is named by its folder, or by its whole path where names collide.
+    """Read several runs' folders; each is named by its folder, or by its whole path if names collide.
 
     Raises RunError.
     """
@@ -142,7 +142,7 @@ def read_results(path: Path) -> tuple[RunRecord, RunSummary]:
 
 
 def shown_summary(summary: RunSummary) -> RunSummary:
-    """The summary with thresholds as one more score, and where recordings are pooled, with all of them together as the
+    """The summary with thresholds as one more score, and if recordings are pooled, with all of them together as the
     first of its recordings."""
     pooled = summary.has_pooled
     trackers = {label: _shown_row(row, pooled) for label, row in summary.trackers.items()}

@@ -23,7 +23,7 @@ from gridtrack.reports.table import (
 
 @dataclass(frozen=True)
 class StrataTable:
-    """Every tracker with a score in the columns, and where there is one, its difference from the reference."""
+    """Every tracker with a score in the columns, and if there is one, its difference from the reference."""
 
     title: str
     about: str

@@ -55,7 +55,7 @@ class TableColumn:
 
     @property
     def better(self) -> int:
-        """1 where a higher value is better, -1 where a lower one is, else 0."""
+        """1 if higher values are better, -1 if lower ones are, else 0."""
         return self.output.direction
 
     @property
@@ -123,7 +123,7 @@ def row_key(run: str, label: str) -> str:
 
 
 def name_of(label: str, trial: TrialSummary) -> str:
-    """The label as it is shown: with a word where the weights are general."""
+    """The label as it is shown: with a word if the weights are general."""
     return f"{label} (general)" if "general" in trial.card else label
 
 
@@ -152,7 +152,7 @@ class TableRow:
 
     @property
     def name(self) -> str:
-        """The label as it is shown, and before it the name of the run where there are several."""
+        """The label as it is shown, and before it the name of the run if there are several."""
         return row_key(self.run, name_of(self.label, self.trial))
 
     @property
@@ -228,7 +228,7 @@ def headline_tables(runs: Sequence[ReportedRun]) -> tuple[HeadlineTable, ...]:
 
 
 def main_tables(tables: Sequence[HeadlineTable]) -> Sequence[HeadlineTable]:
-    """The table pooled over all recordings, where there is one; else all tables."""
+    """The table pooled over all recordings, if there is one; else all tables."""
     return [table for table in tables if table.pooled] or tables
 
 
@@ -299,7 +299,7 @@ def _same_frames(runs: Sequence[ReportedRun], recording: str) -> bool:
 def _columns(
     runs: Sequence[ReportedRun], trials: Sequence[TrialSummary], horizons_s: Sequence[float]
 ) -> Iterator[TableColumn]:
-    """The headline score at the headline horizons (at the last horizon where the run reaches none), and at one horizon
+    """The headline score at the headline horizons (at the last horizon if the run reaches none), and at one horizon
     the lead of every other tested score.
 
     Without intervals a score that needs no threshold is first: few frames choose a threshold poorly.

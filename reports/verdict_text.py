@@ -154,7 +154,7 @@ def _worse_and_better(row: VerdictRow) -> tuple[str, str]:
 
 
 def _limit_text(row: VerdictRow) -> str:
-    """The smallest change that would have been worse, and the margin over all units where it is another."""
+    """The smallest change that would have been worse, and the margin over all units if it is another."""
     worse, _ = _worse_and_better(row)
     where = " on one recording" if row.recording else ""
     if not np.isfinite(row.smallest):
@@ -261,7 +261,7 @@ def turns_texts(row: TurnsRow) -> list[str]:
 
 
 def amount_text(row: VerdictRow, value: float) -> str:
-    """A change as margins are given: of F1, or a share of a log loss; none where no change can be found."""
+    """A change as margins are given: of F1, or a share of a log loss; none if no change can be found."""
     if not np.isfinite(value):
         return "none"
     return f"{value:.{_decimals(value * 100, 1)}%}" if row.relative else number_text(value)

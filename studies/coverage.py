@@ -212,7 +212,7 @@ def training_table(draws: int) -> ResultTable:
 
 
 def counted_twice_table(draws: int) -> ResultTable:
-    """Coverage, and length relative to intervals over recordings alone, where only trainings on recordings differ."""
+    """Coverage, and length relative to intervals over recordings alone, if only trainings on recordings differ."""
     rows = []
     for trainings in TRAININGS:
         rng, held, longer = np.random.default_rng(trainings), 0, []

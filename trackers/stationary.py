@@ -75,7 +75,7 @@ class StationaryTracker(Tracker):
 
     @classmethod
     def fit(cls, task: FitTask) -> None:
-        """Count in `task.train` how often the cells of each bin are occupied at each horizon, where they are visible.
+        """Count in `task.train` how often the cells of each bin are occupied at each horizon, if they are visible.
 
         Raises ConfigurationError for a training at a site: the table has nothing of a place.
         """

@@ -68,7 +68,7 @@ class Timeline:
 def timeline(frames: int, period_ms: float, costs: Costs) -> Timeline:
     """The timeline of `frames` frames at `period_ms`; the k-th accepted frame takes as long as the k-th measured one.
 
-    The measured durations are repeated where they are fewer. A forecast delivered, or a tracker free, exactly at the
+    The measured durations are repeated if they are fewer. A forecast delivered, or a tracker free, exactly at the
     stamp of a frame is in time for it. Times are integer nanoseconds.
     """
     period_ns = round(period_ms * 1e6)

@@ -66,7 +66,7 @@ CellPlace = tuple[int, int]
 
 
 class WorldCells:
-    """Layers of values of all cells of the world; 0 where nothing was added."""
+    """Layers of values of all cells of the world; 0 if nothing was added."""
 
     def __init__(self, layers: int, dtype: DTypeLike) -> None:
         self.tiles: dict[CellPlace, NDArray[Any]] = {}
@@ -186,7 +186,7 @@ def kinds_of_outlines(scene: Scene, windows: Iterable[SE2], grid: GridSpec) -> K
 MIN_HITS = 0.1
 """For a moving sensor: share of the frames showing a static cell in which the cell itself is occupied."""
 BLOCK_NS = 30_000_000_000
-"""Where the sensor moves: a block of time; the cells of a block are judged by it and the blocks before and after."""
+"""If the sensor moves: a block of time; the cells of a block are judged by it and the blocks before and after."""
 StaticTiles = dict[CellPlace, NDArray[np.uint8]]
 """The static cells of a time, a bit each: (TILE_CELLS * TILE_CELLS / 8,) by the place of the tile."""
 
@@ -211,7 +211,7 @@ def observed_kinds(observations: Iterable[Observation], grid: GridSpec) -> Kinds
     """The kinds that the observations of a recording show, in the order of their stamps.
 
     Of a sensor at rest a cell is static where it is occupied in more than half of the frames in which it is visible.
-    Where the sensor moves, an error of its pose puts a wall into another cell from frame to frame: a cell is static
+    If the sensor moves, an error of its pose puts a wall into another cell from frame to frame: a cell is static
     where it or a neighbour is occupied in more than half of the frames that show it, and the cell itself in more than
     MIN_HITS of them. Over minutes the errors grow to several cells, so that only frames of the same block of time and
     of those beside it count. The ring is the eight neighbours of a static cell, where range noise flickers; all others
@@ -254,7 +254,7 @@ class ObservedCounts:
         self._counts[2] += frame.visible & with_neighbours(frame.occupied)
 
     def kinds(self) -> KindsOfWindow | KindsOfTimes:
-        """The kinds, by the rule for a sensor at rest where there was only one window."""
+        """The kinds, by the rule for a sensor at rest if there was only one window."""
         if self._at_rest is not None:
             seen, hits, _ = self._at_rest + self._counts
             return KindsOfWindow(cell_kinds_around(2 * hits > seen))

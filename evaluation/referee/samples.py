@@ -247,7 +247,7 @@ OCCUPANCY_FIELDS = ("visible", "occupied")
 SCORED_FIELDS = ("state", "in_motion")
 PROBABILITY_FIELDS = ("probability",)
 SHADE = "shade"
-"""The field that a viewer colours by, the last one: 0 where nothing is known, small where free, 255 where occupied."""
+"""The field that a viewer colours by, the last one: 0 if nothing is known, small where free, 255 where occupied."""
 FREE_SHADE = 64
 _SHADE_OF_STATE = np.array([FREE_SHADE, 255, FREE_SHADE // 2, 191, 0], np.uint8)
 """Seen free, seen occupied, hidden and free, hidden and occupied, not scored: the states of `target.py`."""

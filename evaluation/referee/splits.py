@@ -20,7 +20,7 @@ from gridtrack.recordings.stretches import RecordedTime, parse_stretch
 from gridtrack.trackers.training.card import TrainingData
 
 ORACLE = "oracle"
-"""Label of the ceiling, which the referee computes where there is truth; no tracker may have it."""
+"""Label of the ceiling, which the referee computes if there is truth; no tracker may have it."""
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
 """Names of stretches in a recording that have a use here."""
 _OF_CARD = (
@@ -49,7 +49,7 @@ class Sampling:
 
 @dataclass(frozen=True, slots=True)
 class SplitRegions:
-    """Regions of the test and of the validation stretch: the same where both are of one recording."""
+    """Regions of the test and of the validation stretch: the same if both are of one recording."""
 
     test: Regions
     validation: Regions
@@ -102,7 +102,7 @@ class EvaluationSplit:
         return Schedule(frames, self.steps, min(self.every, enough))
 
     def regions(self, check: Callable[[], None] = lambda: None) -> SplitRegions:
-        """Regions of both stretches, each as of `regions_of`; a single pass where both are of one recording."""
+        """Regions of both stretches, each as of `regions_of`; a single pass if both are of one recording."""
         test = regions_of(self.test, self.strata, check)
         if self.validation is None or self.validation.sha256 == self.test.sha256:
             return SplitRegions(test, test)
@@ -279,7 +279,7 @@ def _common_by_name(test: GridStream, seen: TrainingData) -> RecordedTime | None
 
 
 def segments_of(split: EvaluationSplit, segment_s: float, warm_up_s: float) -> Iterator[EvaluationSplit]:
-    """`split` as equal segments of at most `segment_s`; itself where it is not longer.
+    """`split` as equal segments of at most `segment_s`; itself if it is not longer.
 
     Together they are scored at the frames at which the whole is. Each begins `warm_up_s` before its first scored
     forecast, but not before the test stretch, and ends with the horizon of its last one.

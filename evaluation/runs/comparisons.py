@@ -68,7 +68,7 @@ class Comparisons:
         self._estimated: dict[tuple[object, ...], dict[str, Estimated]] = {}
 
     def differences(self) -> list[TrackerDifference]:
-        """Each tracker against the reference: over all recordings where they are pooled, else on each.
+        """Each tracker against the reference: over all recordings if they are pooled, else on each.
 
         Class scores have a reference of their own. The tests of the headline score are one family of Holm's correction.
         Raises ScoresError.
@@ -215,7 +215,7 @@ class Comparisons:
                     yield family, known
 
     def trainings(self) -> list[TrackerTrainings]:
-        """Every tracker with its trainings, where a tracker has several: over all recordings if pooled, else on each.
+        """Every tracker with its trainings, if a tracker has several: over all recordings if pooled, else on each.
 
         Rows of the same tracker, options and points that differ in their weights are trainings of one tracker. Raises
         ScoresError.
@@ -353,7 +353,7 @@ def _differences(
 
 
 def _difference_in(own: Estimated, reference: Estimated, output: str, stratum: str) -> IntervalEstimate:
-    """The difference (S,) in one stratum; without intervals where there are too few units."""
+    """The difference (S,) in one stratum; without intervals if there are too few units."""
     k, n = own.strata.index(stratum), reference.strata.index(stratum)
     if output in own.replicates and output in reference.replicates:
         return difference(_column(own.replicates[output], k), _column(reference.replicates[output], n))
@@ -439,7 +439,7 @@ class TrainingRows:
 
 
 def training_rows(run: RunTrials, names: Sequence[str]) -> list[TrainingRows]:
-    """The trackers on these recordings by their trainings; none where no tracker has several."""
+    """The trackers on these recordings by their trainings; none if no tracker has several."""
     groups: dict[tuple[_Tracker, str], _ByWeights] = {}
     group_of: dict[str | None, tuple[_Tracker, str]] = {}
     for label in run.labels:

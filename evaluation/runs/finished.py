@@ -207,7 +207,7 @@ class RunTrials:
 
     @property
     def groups(self) -> list[list[str]]:
-        """The recordings that trackers are compared on together: all of them where they are pooled, else each."""
+        """The recordings that trackers are compared on together: all of them if they are pooled, else each."""
         return [list(self.recordings)] if self.pools else [[name] for name in self.recordings]
 
     def unit_rule(self, names: Sequence[str], among: Sequence[str] | None = None) -> UnitRule:

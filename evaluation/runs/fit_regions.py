@@ -54,7 +54,7 @@ def cell_kinds_for(stream: GridStream, streams: Iterable[GridStream]) -> StoredK
 
 
 def _each_frame_once(streams: Iterable[GridStream]) -> Iterator[Observation]:
-    """The frames of stretches of one recording in the order of their stamps, also where stretches overlap."""
+    """The frames of stretches of one recording in the order of their stamps, also if stretches overlap."""
     newest_ns = None
     for stream in sorted(streams, key=lambda one: one.stretch_s[0]):
         for observation in stream.observations():

@@ -99,7 +99,7 @@ def _require_folder(folder: Path, remedy: str = "") -> None:
 
 
 def _names(site: str, kind: CardKind) -> tuple[str, ...]:
-    """The names of the cards that may be used at `site`, the best first, where they are valid file names."""
+    """The names of the cards that may be used at `site`, the best first, if they are valid file names."""
     names = {"site": (site,), "general": (GENERAL,), "any": (site, GENERAL)}[kind]
     return tuple(name for name in names if SITE_NAME.fullmatch(name))
 

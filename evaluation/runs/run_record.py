@@ -117,7 +117,7 @@ class RecordingSummary(RecordingDescription):
     """A recording in summary.json."""
 
     parity: bool = True
-    """Whether every tracker was delivered the same frames: trackers are ranked only where it holds."""
+    """Whether every tracker was delivered the same frames: trackers are ranked only if it holds."""
 
 
 class TrialIdentity(ResultModel):

@@ -45,7 +45,7 @@ class SharedThresholds:
             return self._chosen[key]
 
     def learn(self, key: str, used: ThresholdsUsed) -> None:
-        """Keep the thresholds that another process has chosen, where none are known. Raises OSError."""
+        """Keep the thresholds that another process has chosen, if none are known. Raises OSError."""
         if not self.known(key):
             write_text(self._path(key), used.model_dump_json())
 

@@ -36,7 +36,7 @@ class OutputDescription(ResultModel):
 
     @property
     def direction(self) -> int:
-        """1 where a higher value is better, -1 where a lower one is, else 0."""
+        """1 if higher values are better, -1 if lower ones are, else 0."""
         return {"higher": 1, "lower": -1, "": 0}[self.better]
 
     @property
@@ -125,13 +125,13 @@ class ScopeSummary(ResultModel):
     """That of the record; of pooled recordings `ok` or `partial`."""
     reason: Line = ""
     card: str = ""
-    """Whether the weights used are those of the `site` or `general` ones; "general, site" where recordings differ."""
+    """Whether the weights used are those of the `site` or `general` ones; "general, site" if recordings differ."""
     leak: Line = ""
     """The frames that its weights learned from and that it is scored on, or thresholds are chosen on: not ranked."""
     frames_scored: int = 0
     frames_expected: int = 0
     threshold_chosen_on: str = ""
-    """The validation stretch; empty without one, or where recordings differ in it."""
+    """The validation stretch; empty without one, or if recordings differ in it."""
     thresholds: dict[str, Curve] = Field(default_factory=dict)
     """By stratum; null if recordings differ."""
     strata: dict[str, Estimates] = Field(default_factory=dict)
@@ -208,7 +208,7 @@ class TrackerSummary(ResultModel):
     """The returns in each frame: `centres` of occupied cells, or `raw`."""
     recordings: dict[str, TrialSummary]
     pooled: PooledSummary | None = None
-    """Over all recordings; null for a single one, or where rate, horizon or grid differ."""
+    """Over all recordings; null for a single one, or if rate, horizon or grid differ."""
 
     @property
     def ceiling(self) -> bool:
@@ -343,7 +343,7 @@ class RunSummary(ResultModel):
     false_differences: dict[str, Annotated[float, Field(ge=0.0, le=1.0)]] = Field(default_factory=dict)
     """How often at least one family of `pairs` has a difference between equal trackers, by their recordings."""
     trainings: tuple[TrackerTrainings, ...] = ()
-    """Where a tracker has several trainings: every tracker, with the spread between its trainings."""
+    """If a tracker has several trainings: every tracker, with the spread between its trainings."""
 
     @property
     def has_pooled(self) -> bool:

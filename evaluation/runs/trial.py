@@ -183,7 +183,7 @@ class TrialRun:
         )
 
     def _reported_fields(self) -> dict[str, Any]:
-        """The fields of the record that the tracker reports of itself; the defaults where it did not start."""
+        """The fields of the record that the tracker reports of itself; the defaults if it did not start."""
         description = self._description
         if description is None:
             return {}

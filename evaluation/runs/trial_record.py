@@ -21,7 +21,7 @@ OUTCOME_FILE = "outcome.json"
 MAX_OUTCOME_BYTES = 1 << 24
 
 TrialEnding = Outcome | Literal["interrupted", "failed"]
-"""How a trial ended; `interrupted` with its run, `failed` where the scoring failed and not the tracker."""
+"""How a trial ended; `interrupted` with its run, `failed` if the scoring failed and not the tracker."""
 
 
 class ThresholdsUsed(ResultModel):
@@ -77,7 +77,7 @@ class TrialRecord(ResultModel):
     classes: tuple[str, ...] = ()
     """The classes that the tracker gives probabilities for."""
     role: Role = "tracker"
-    """By the tracker's own description; `tracker` where it did not start."""
+    """By the tracker's own description; `tracker` if it did not start."""
     reference_for: tuple[ComparedPart, ...] = ()
     """The comparisons in which the other rows are compared with this tracker by default."""
     code_sha256: str = ""

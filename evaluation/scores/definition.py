@@ -51,7 +51,7 @@ class Output:
 
     @property
     def direction(self) -> int:
-        """1 where a higher value is better, -1 where a lower one is, else 0."""
+        """1 if higher values are better, -1 if lower ones are, else 0."""
         return {"higher": 1, "lower": -1, "": 0}[self.better]
 
     @property
@@ -62,7 +62,7 @@ class Output:
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """A value (...) that is `part` / `whole`, both sums; undefined where the sum of `support` is 0 (None: of `whole`).
+    """A value (...) that is `part` / `whole`, both sums; undefined if the sum of `support` is 0 (None: of `whole`).
 
     `counted`: both sums are counts of cells, so that half a count is added before a logarithm.
     """

@@ -108,7 +108,7 @@ def _joined(ratios: Sequence[Ratio]) -> Ratio:
 
 
 def ratio_replicates(ratio: Ratio) -> Replicates:
-    """The replicates of a ratio of the sums (U, ...) of units. It is undefined where the sum of its support is 0."""
+    """The replicates of a ratio of the sums (U, ...) of units. It is undefined if the sum of its support is 0."""
     whole = ratio.whole if ratio.support is None else ratio.whole * (ratio.support.sum(axis=0) > 0)
     value = divided(ratio.part.sum(axis=0), whole.sum(axis=0))
     without = divided(_without_each(ratio.part), _without_each(whole))
@@ -133,7 +133,7 @@ def interval(found: Replicates, scale: Scale, level: float = LEVEL) -> IntervalE
 
 
 def _interval_of_ratio(found: Replicates, scale: Scale, level: float) -> tuple[Floats, Floats]:
-    """Half a count is added to each sum of the odds where both are counts. Where the value is 0 in all units, or 1 in
+    """Half a count is added to each sum of the odds if both are counts. Where the value is 0 in all units, or 1 in
     all, the interval is that point; NaN if fewer than LEAST_AGREEING effective units agree.
     """
     assert found.ratio is not None

@@ -68,7 +68,7 @@ function placesOf(lines) {
   return [...new Set(lines.flatMap((one) => one.xs))].sort((a, b) => a - b);
 }
 
-// Where values are read: at the places themselves, or evenly where there are too many.
+// Where values are read: at the places themselves, or evenly if there are too many.
 function readingPlaces(places, [first, last]) {
   if (places.length <= READING_PLACES) return places;
   return Array.from({ length: READING_PLACES }, (_, i) => first + (i * (last - first)) / (READING_PLACES - 1));

@@ -64,7 +64,7 @@ export function markOf(forecast, target, stratum) {
   const called = (forecast & CALLED) !== 0;
   const state = target & 7;
   if (state === HIDDEN_OCCUPIED) return called ? "hidden, found" : "hidden, missed";
-  // a threshold of cells in motion says little where nothing is known: all of an outside may be just above it
+  // a threshold of cells in motion says little if nothing is known: all of an outside may be just above it
   if (state === NOT_SCORED) return 2 * (forecast & LEVEL_MASK) > LEVEL_MASK ? "hidden, not scored" : "";
   if (state === HIDDEN_FREE || (stratum && !(target & IN_MOTION))) return "";
   if (state === 1) return called ? "hit" : "miss";
