@@ -54,11 +54,6 @@ class Output:
         """1 if higher values are better, -1 if lower ones are, else 0."""
         return {"higher": 1, "lower": -1, "": 0}[self.better]
 
-    @property
-    def heading(self) -> str:
-        """The title, with the unit."""
-        return f"{self.title}, {self.unit}" if self.unit else self.title
-
 
 @dataclass(frozen=True, slots=True)
 class Ratio:

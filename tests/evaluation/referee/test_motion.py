@@ -16,6 +16,8 @@ from gridtrack.evaluation.referee.strata import CELL_KINDS, PARTS
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
 
+from scenes.drives import box
+
 GRID = GridSpec(7, 0.25, (0.0, 0.0))
 EVERYWHERE = np.ones(GRID.shape, bool)
 NOTHING = np.zeros((0, 2), np.float32)
@@ -120,10 +122,6 @@ def test_the_second_before_a_stretch_is_read_from_its_recording(record):
     found = [moment.target.motion for moment in moments(part, dynamic, ObservedMotion(part))]
     assert (found[0] == PARTS.index("in-motion")).any()
     assert np.array_equal(found, expected)
-
-
-def box(x, y, length, width):
-    return np.array([(x, y), (x + length, y), (x + length, y + width), (x, y + width)], np.float32)
 
 
 def observation(step, *objects, occupied):
