@@ -167,7 +167,7 @@ def _of_trackers(runs: Sequence[ReportedRun]) -> list[Change]:
 
 
 def _with_defaults(change: Change, records: Sequence[FieldTexts]) -> Change:
-    """A change of an option, which has its default in a run that did not give it to the same tracker."""
+    """A change of an option; a run that did not give it has its default."""
     trackers = {record.get("tracker") for record in records}
     if not change.name.startswith(_OPTION) or len(trackers) > 1 or None in trackers:
         return change

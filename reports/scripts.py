@@ -36,7 +36,7 @@ _EXPORT = re.compile(r"^export (?=(?:async )?(?:function|class|const|let)\b)", r
 
 
 def joined_script(folder: Path = ASSETS) -> Markup:
-    """`main.js` of `folder` and the modules that it imports as one module, each once and after those it imports itself.
+    """`main.js` of `folder` and its imports as one module, each once and after its own imports.
 
     Raises ValueError if modules import each other in a circle, or in another form than the one described above, or
     declare a name twice.

@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def closure(name: str, extra: str) -> frozenset[str]:
-    """The installed distributions that `name` with `extra` requires, and those that they require."""
+    """The installed requirements of `name` with `extra`, and their requirements."""
     found: set[tuple[str, str]] = set()
     waiting = [(name, extra)]
     while waiting:

@@ -61,7 +61,7 @@ def open_cells(frame: GridFrame) -> Mask:
 
 
 class OpenSpace:
-    """For each cell (M, M), in which share of the recent frames in which it was visible it was open (`open_cells`).
+    """For each cell (M, M), the share of open frames (`open_cells`) among recent frames that saw it.
 
     Walls that come into view were hidden before, and noise moves returns by a cell only: there no cell is ever open. A
     walker enters cells that were open before. An object that has stood in a cell for about three time constants is no

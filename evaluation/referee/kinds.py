@@ -21,7 +21,7 @@ from gridtrack.recordings.truth import static_cells
 class Regions:
     """The regions of a stretch, in the window of any of its frames; `strata` are the names of those scored.
 
-    Bands of range are about the sensors at the frame whose window it is, the one that a forecast is made at.
+    Bands of range are about the sensors at the frame of the window, at which a forecast is made.
     """
 
     def __init__(self, grid: GridSpec, kinds: CellKinds, strata: tuple[str, ...] = STRATA) -> None:

@@ -75,7 +75,7 @@ class EvaluationSplit:
 
     @property
     def whole(self) -> str:
-        """The name of the split that it is a segment of, else its own: regions are those of the whole."""
+        """The name of the whole split of a segment, else its own: regions belong to the whole."""
         return self.segment_of or self.name
 
     @property

@@ -81,9 +81,9 @@ SUMS_OF_REGIONS = np.array([np.bincount(regions, minlength=REGIONS) for regions 
 class RegionMaps:
     """The region of each cell of a window.
 
-    `visible` (M, M) uint8: the region of a cell while it is visible; a dynamic cell's is that of an open one, to which
-    RANGES times the index of its part is added. `hidden` (M, M) uint8: its region while it is hidden, at age 0; the
-    index of its age band is added. `cell_kinds` (M, M) uint8; `strata`: names of those scored.
+    `visible` (M, M) uint8: the region of a cell while it is visible; a dynamic cell's is an open cell's plus RANGES
+    times the index of its part. `hidden` (M, M) uint8: its region while it is hidden, at age 0; the index of its age
+    band is added. `cell_kinds` (M, M) uint8; `strata`: names of those scored.
     """
 
     visible: NDArray[np.uint8]

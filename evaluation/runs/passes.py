@@ -89,7 +89,7 @@ class Followed(ResultModel):
     frames: int
     """Frames with a deadline: written after the following began."""
     missed: int
-    """Those of them that the tracker was not given, because it was busy."""
+    """Frames among them that the busy tracker did not receive."""
     age_frames: Quantiles | None
     """Age of the newest forecast in time at each of them, in frames; null if there are none."""
     forecast_steps: int

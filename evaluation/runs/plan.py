@@ -105,7 +105,7 @@ class Trial:
 
     @property
     def leaks(self) -> tuple[str, ...]:
-        """Frames that its weights learned from and that it is scored on, or its thresholds are chosen on."""
+        """Scored frames, and frames for thresholds, that its weights learned from."""
         return leaks_of(self.split, self.weights)
 
     def tracker_process(self, log: Path, *, scored: bool = False) -> TrackerProcess:

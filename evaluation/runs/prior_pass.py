@@ -43,7 +43,7 @@ def trials_with_priors(trials: Iterable[Trial], records: Mapping[str, TrialRecor
 
 
 class PriorRun:
-    """The prior of one trial, from a process of its own: one that has seen the stream could remember it."""
+    """The prior of one trial, from a fresh process: one that has seen the stream could remember it."""
 
     def __init__(self, trial: Trial, folder: Path) -> None:
         """The log of the process and the table go to `folder`."""

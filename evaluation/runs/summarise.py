@@ -148,7 +148,7 @@ class _Summary:
         return summary.model_copy(update={"robustness": degraded})
 
     def _pooled(self, label: str, trials: Sequence[FinishedTrial]) -> PooledSummary:
-        """One tracker over all recordings together, of those that it completed.
+        """One tracker over all recordings that it completed, together.
 
         In the units of all recordings, also where the one with the longest blocks is not among them.
         """

@@ -127,7 +127,7 @@ class ScopeSummary(ResultModel):
     card: str = ""
     """Whether the weights used are those of the `site` or `general` ones; "general, site" if recordings differ."""
     leak: Line = ""
-    """The frames that its weights learned from and that it is scored on, or thresholds are chosen on: not ranked."""
+    """Scored frames, and frames for thresholds, that its weights learned from: not ranked."""
     frames_scored: int = 0
     frames_expected: int = 0
     threshold_chosen_on: str = ""
@@ -150,7 +150,7 @@ class ScopeSummary(ResultModel):
 
     @property
     def ranked(self) -> bool:
-        """Whether it is complete, and its weights learned from no frame that it is scored on."""
+        """Whether it is complete, with weights that learned from no scored frame."""
         return self.complete and not self.leak
 
     def estimate(self, stratum: str, score: str, output: str) -> Estimate | None:
@@ -191,7 +191,7 @@ class TrialSummary(ScopeSummary):
 
 
 class PooledSummary(ScopeSummary):
-    """One tracker on all recordings together, of those that it completed."""
+    """One tracker on all recordings that it completed, together."""
 
     recordings_complete: int = 0
     recordings_expected: int = 0

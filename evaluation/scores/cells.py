@@ -21,7 +21,7 @@ _LOWEST_OCTAVE = 12
 _COARSENING, _LOWEST_OCTAVE_NEXT_TO_1 = 8, 7
 """Of the bins for calibration."""
 MASSES = (0.0, 0.5, 1.0)
-"""Probabilities that many cells may have: a bin of their own, so that cells beside them are not mixed with them."""
+"""Probabilities that many cells may have: each is a bin of its own, without neighbouring values."""
 
 
 def _edges(coarsening: int = 1, lowest_next_to_1: int = _LOWEST_OCTAVE) -> NDArray[np.float64]:

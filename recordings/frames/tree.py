@@ -21,7 +21,7 @@ MAX_TREE_FRAMES = 1000
 """Limit of the frames of a recording; a robot with two arms has a hundred."""
 MAX_POSE_TOPICS, MAX_FAULTS = 100, 20
 MAX_FRAMES_ON_TOPIC, LASER_SHARE = 8, 0.1
-"""Limit of the frames of scans on one topic, and the share of its scans from which a frame is that of a laser."""
+"""Limit of the frames of scans on one topic, and the least share of its scans for the frame of a laser."""
 Judgement = Literal["near", "held", "confirmed", "restarted"]
 """`held`: far from the newest stamp. `confirmed`: close to the held stamp, or as far after it as that is after the
 stamps before, so that both are correct. `restarted`: both are correct, and the stamps before are not comparable,
