@@ -258,7 +258,7 @@ def collect(drives: Sequence[str], trackers: Sequence[str], out: Path, results: 
         ),
         "differences": difference_section(compared, trackers),
         "beyond the view": view_section(compared, trackers),
-        "told apart": pair_section(compared[0]),
+        "tracker pairs": pair_section(compared[0]),
     }
     for name, section in sections.items():
         write_section(results, name, section)
