@@ -1,7 +1,7 @@
 """All benchmarks that run with the packages of `make test`, one after the other (half an hour).
 
-`python -m benchmarks`. The first lines of the others, `follow`, `junction`, `report_size`, `scale` and `stone_soup`,
-name their requirements.
+`python -m benchmarks`. The first lines of the others, `follow`, `junction`, `scale` and `stone_soup`, name their
+requirements.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ def measure(stream: StreamSpec, frames: list[GridFrame], particles: int) -> NDAr
 
 
 def table_of(found: dict[int, NDArray[np.float64]]) -> ResultTable:
-    """Ratios of median times (4, N) to those of the default number of particles."""
+    """Ratios of median times (4, N) to the times with the default number of particles."""
     standard = np.median(found[DEFAULT], axis=1)
     rows = []
     for particles, times in found.items():

@@ -52,7 +52,7 @@ class Part:
 
 
 def tracker_on(name: str, stream: GridStream, moving: bool) -> Tracker:
-    """The tracker with its weights for the site; of a moving laser those of drives, or else general ones."""
+    """The tracker with its weights for the site; for a moving laser weights of drives, else general ones."""
     found = find_weights(name, stream.site, None, "general" if moving else "any")
     if moving and list((DRIVE_WEIGHTS / name).glob("*.toml")):
         found = weights_in(DRIVE_WEIGHTS, name, stream.site)

@@ -128,7 +128,7 @@ def observed(seed: int) -> Tensor:
 
 
 def assert_agreement(found: dict[str, Any]) -> dict[str, State]:
-    """The state of each after some frames, whose forecasts agree."""
+    """The state of each after some frames; their forecasts agree."""
     states, forecasts = {}, {}
     for name, network in found.items():
         states[name] = network.initial(1)
@@ -183,7 +183,7 @@ def compared(found: dict[str, Any], rounds: int) -> dict[str, dict[str, float]]:
 
 
 def table_of(name: str, medians_ms: dict[str, dict[str, float]]) -> ResultTable:
-    """Ratios of the medians to those of the first implementation, ours."""
+    """Ratios of the medians to the first implementation's, ours."""
     first, *_ = medians_ms.values()
     rows = [[label, *(f"{cases[case] / first[case]:.2f}" for case in CASES)] for label, cases in medians_ms.items()]
     return measured_table((f"{name}, times ours in float32", *CASES), rows)

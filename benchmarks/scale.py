@@ -1,10 +1,10 @@
 """Cost of a comparison as recordings become many: time, memory and disk, with each engine, and an estimate for more.
 
 `python -m benchmarks.scale [--engine ENGINE]... [--recordings COUNT]... [--out FILE]` (a minute for ten recordings with
-an engine on a free core; default: every engine with 1 and 10). Each recording is 20 s long, and two trackers forecast
-it that compute almost nothing, so that the cost beside the trackers is measured. `compare` starts the Ray cluster;
-Slurm is started for the measurement (Debian: apt install slurmctld slurmd slurm-client munge). The results file keeps
-earlier measurements, and the estimate is computed from all of them.
+an engine on a free core; default: every engine with 1 and 10). Each recording is 20 s long, and the two trackers
+compute almost nothing: this measures the cost beside the trackers. `compare` starts the Ray cluster; Slurm is started
+for the measurement (Debian: apt install slurmctld slurmd slurm-client munge). The results file keeps earlier
+measurements, and the estimate is computed from all of them.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ COLUMNS = (
 )
 SECTION = "cost"
 PLAN_RECORDINGS, PLAN_TRACKERS, PLAN_MACHINES, PLAN_CORES = 10_000, 20, 50, 16
-"""The plan to estimate; the cores are those of each machine."""
+"""The plan to estimate; cores per machine."""
 
 
 @dataclass(frozen=True, slots=True)

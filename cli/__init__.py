@@ -38,7 +38,7 @@ CRASHED = 3
 
 
 class LazyCommand(TyperCommand):
-    """A command whose module is imported when the command is used, and not for the help or the name of another one."""
+    """A command with a module that is imported when the command is used, not for the help of another one."""
 
     def load(self) -> Any:
         """The command itself, or the group of commands."""

@@ -27,7 +27,7 @@ DEBUG_OPTION = "--debug"
 """Read from the command line itself, so that it can follow the name of a command."""
 EXAMPLES = "For example demo.mcap@30s-90s, or s3://bucket/demo.mcap"
 COMPLETIONS = {"tracker": complete_row}
-"""Completions of options by name, beside those of fixed values."""
+"""Completions of options by name, beside fixed values."""
 
 
 def print_note(line: str) -> None:

@@ -82,7 +82,7 @@ def recording_import(
             **values,
         )
     except KeyboardInterrupt:
-        print_note(f"interrupted: {out} is as it was before, or written whole")
+        print_note(f"interrupted: {out} is unchanged, or complete")
         raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
     _print_overview(recording, as_json)
 

@@ -65,7 +65,7 @@ def regress_command(
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the verdict as JUnit XML")] = None,
     markdown: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the verdict as Markdown")] = None,
     confirm: Annotated[
-        bool, typer.Option("--confirm", help="Run what looks worse a second time; it is worse if it is worse again")
+        bool, typer.Option("--confirm", help="Run worse rows a second time; a row is worse if it is worse again")
     ] = False,
     speed_base: Annotated[
         list[str] | None,
@@ -150,7 +150,7 @@ class Past:
 
 
 def _update_baseline(runs: Sequence[Path], baseline: Path, settings: GateSettings, past: Past | None) -> None:
-    """Write `runs` as the baseline; print its content, what is worse than in the one that it replaces, and with a
+    """Write `runs` as the baseline; print its content, the scores worse than in the replaced one, and with a
     history the change since its first and its best entry."""
     if len({run.resolve() for run in runs}) < len(runs):
         raise ConfigurationError("a run is given twice: each run of a baseline is a training or a seed of its own")
@@ -177,7 +177,7 @@ def _update_baseline(runs: Sequence[Path], baseline: Path, settings: GateSetting
 
 
 def _replaced(baseline: Path) -> Baseline | str | None:
-    """The baseline that is replaced, or why it cannot be read; None where there is none."""
+    """The baseline that is replaced, or why it cannot be read; None if there is none."""
     try:
         return read_baseline(baseline) if baseline.exists() else None
     except (BaselineError, Unmeasured) as reason:
@@ -196,7 +196,7 @@ def _against_replaced(run: Path, stored: Baseline, settings: GateSettings) -> Ve
 class Starting:
     """The trackers that a check starts, with programs of the user's `trackers_toml` alone.
 
-    `confirm` repeats what looks worse; `bases`, by label, are trackers with times that are measured in turns with it.
+    `confirm` repeats worse rows; `bases`, by label, are trackers with times that are measured in turns with it.
     """
 
     confirm: bool = False
@@ -240,7 +240,7 @@ def _confirmed(
     run: Path,
     trackers_toml: Path | None,
 ) -> Verdict:
-    """The verdict after a second run of what looks worse."""
+    """The verdict after a second run of the worse rows."""
 
     def again(trials: Trials, timed: bool) -> list[Measurement]:
         with RunProgress() as progress:

@@ -42,7 +42,8 @@ def report_command(
     columns: Annotated[
         str,
         typer.Option(
-            metavar="SCORE STRATUM HORIZON,...", help="Columns of another format, e.g. 'f1 in-motion 1s, nll visible'"
+            metavar="SCORE STRATUM HORIZON,...",
+            help="Columns of another format: 'f1 in-motion 1s, log_loss visible'",
         ),
     ] = "",
     recordings: Annotated[

@@ -130,7 +130,7 @@ def check_command(
         str | None,
         typer.Option(
             metavar="RECORDING",
-            help="Check with the grid, rate and site of this recording; default: those of the site in --weights, else"
+            help="Check with the grid, rate and site of this recording; default: of the site in --weights, else"
             f" {DEFAULT_STREAM.grid} at {1 / DEFAULT_STREAM.period_s:g} Hz without a site",
         ),
     ] = None,

@@ -33,7 +33,7 @@ NO_JSON = {
     b"\xfe\xff": "it is UTF-16: save it as UTF-8",
     b"version https://git-lfs": "it is a Git LFS pointer: run `git lfs pull` in its repository",
 }
-"""Files that are no JSON, by their first bytes, and what to do."""
+"""Files that are no JSON, by their first bytes, with the remedy."""
 NOT_A_FILE = "a pipe, a socket or a device"
 NAME_RULE = (
     f"expected 1 to {MAX_NAME_BYTES} bytes of printable UTF-8 without / and \\, and no '.' or space at the beginning"
@@ -67,7 +67,7 @@ def replacing(path: Path, *, keep_on_error: bool = False) -> Iterator[Path]:
 
 
 def remove_partial_files(folder: Path) -> None:
-    """Remove the files that an earlier process, killed while it wrote, left beside those of `folder`."""
+    """Remove files that an earlier process, killed while it wrote, left in `folder`."""
     for partial in folder.glob(f"*{PARTIAL_SUFFIX}"):
         partial.unlink(missing_ok=True)
 
@@ -84,7 +84,7 @@ def open_regular(path: Path) -> BinaryIO:
 def refuse_links(folder: Path, error: type[GridtrackError], unread: str = "") -> None:
     """Raise `error` for the first link, pipe or device in `folder` or below, but for a folder `unread` in it.
 
-    Whoever made the folder could direct what is written in it to any file of the user.
+    Its maker could direct our output to any file of the user.
     """
     for entry in os.scandir(folder):
         if entry.is_dir(follow_symlinks=False):
@@ -135,7 +135,7 @@ def read_json(path: Path, max_bytes: int, error: type[GridtrackError]) -> dict[s
 
 
 def _why_no_json(text: bytes) -> str:
-    """What a file is that is no JSON, and what to do; empty where it is not known."""
+    """Kind of a file that is no JSON, and the remedy; empty if unknown."""
     if mark := CONFLICT_MARK.search(text):
         line = text.count(b"\n", 0, mark.start()) + 1
         return f"line {line} is the mark of a merge conflict: choose a side with `git checkout --ours` or `--theirs`"

@@ -182,7 +182,7 @@ def rolled(
     """The values of cells after the window moved by `shift`: each value stays at its place in the world.
 
     `axes` of `values` are row and column. New cells get `fill`, a scalar or an array that broadcasts to the result.
-    With `size` the result has `size` cells a side, cut from `values` of a larger area, such as a map, whose first cell
+    With `size` the result has `size` cells a side, cut from `values` of a larger area, such as a map; its first cell
     was the first cell of the window before the shift. The result is always a copy, written to `out` if given.
     """
     shape = list(values.shape)

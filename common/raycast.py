@@ -45,7 +45,7 @@ def cast_scan(scan: Scan, grid: GridSpec, grid_T_sensor: SE2, visible: Mask, occ
 def end_cells(scan: Scan, grid: GridSpec, grid_T_sensor: SE2) -> NDArray[np.int64]:
     """The cell (B,) of each beam's return, row * M + column; -1 for no return or a return outside the grid.
 
-    The cells are those that `cast_scan` marks occupied.
+    They are the occupied cells of `cast_scan`.
     """
     cells = np.empty(scan.ranges.size, np.int64)
     _ends(

@@ -1,6 +1,6 @@
 """Two lasers on one topic with one frame: their scans alternate between two views.
 
-Nothing in the messages tells them apart, but a scan is like the last one of its own laser.
+The messages do not distinguish them, but a scan is like the last one of its own laser.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MANY_ALTERNATING, FEWEST_ALTERNATING = 0.5, 20
 
 @dataclass(slots=True)
 class Alternation:
-    """Counts the scans of a sensor that are unlike the one before, and like the one before that."""
+    """Counts the scans of a sensor that differ from the last scan and resemble the last but one."""
 
     count: int = 0
     _last_two: list[NDArray[np.float32]] = field(default_factory=list)

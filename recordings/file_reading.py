@@ -115,7 +115,7 @@ class Growth:
 
 
 class GrowingFile:
-    """A file whose reads return all bytes asked for, and wait for them according to its Growth."""
+    """A file that grows: a read returns all requested bytes, and waits for them according to its Growth."""
 
     def __init__(self, path: Path, growth: Growth) -> None:
         self._file, self._growth = path.open("rb"), growth

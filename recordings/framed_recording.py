@@ -88,7 +88,7 @@ class FramedRecording(Recording):
 
     @property
     def pose_problem(self) -> str:
-        """Why the poses of the sensors cannot be used, and what to do; empty if they can."""
+        """Why the poses of the sensors cannot be used, and the remedy; empty if they can."""
         return self.chains.problem
 
     def topic_of(self, sensor: str) -> str:
@@ -100,7 +100,7 @@ class FramedRecording(Recording):
         return topic.strip("/") or "scan"
 
     def is_read(self, message: EncodedMessage) -> bool:
-        """Whether scans of a message's topic are read: all, or those of one laser (TOPIC@FRAME, TOPIC@1, TOPIC@2)."""
+        """Whether scans of a message's topic are read: all, or of one laser only (TOPIC@FRAME, TOPIC@1, TOPIC@2)."""
         topic = self.options.topic
         return topic in (None, message.topic) or topic.startswith(f"{message.topic}@")
 

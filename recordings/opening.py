@@ -129,7 +129,7 @@ OTHER_FILES = {
     b"\x75\x73\x74\x61\x72": "a tar archive: unpack it",
     **dict.fromkeys((b"#ROSBAG V1", b"#ROSRECORD V1"), "a ROS bag of format 1: convert it with `rosbag fix`"),
 }
-"""What a file is that no format reads, by its first bytes, and what to do."""
+"""Kind of a file that no format reads, by its first bytes, and the remedy."""
 
 
 def _why_unknown(path: Path, registry: FormatRegistry) -> str:

@@ -22,7 +22,7 @@ from gridtrack.common.scan import Scan
 
 MIN_JUMP_M, MIN_JUMP_RAD = 0.3, math.radians(20.0)
 MAX_ACCELERATION, MAX_TURN_ACCELERATION = 20.0, 40.0
-"""m/s^2 and rad/s^2: twice those of a braking car, and of a small robot that begins to turn."""
+"""m/s^2 and rad/s^2: twice the values of a braking car, and of a small robot that begins to turn."""
 MAX_FASTER = 2.0
 """Limit of a step at constant velocity, relative to the step before; stamps may be irregular."""
 PAIR_S, LONGEST_PAIR_S = 1.0, 2.0

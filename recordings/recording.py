@@ -102,21 +102,21 @@ class Recording(ABC):
         return sensor
 
     def mount_remedy(self, sensor: str, turn_deg: int) -> str:
-        """What to do about a sensor that is mounted turned by `turn_deg` from its recorded heading."""
+        """Remedy for a sensor that is mounted turned by `turn_deg` from its recorded heading."""
         return "correct its heading where its poses are recorded"
 
     def separate_lasers_with(self, sensor: str) -> str:
-        """What to do about two lasers in the scans of one sensor."""
+        """Remedy for two lasers in the scans of one sensor."""
         return "record each on a topic of its own"
 
     @property
     def stamp_remedy(self) -> str:
-        """What to do about many stamps that are alike or in disorder; empty if nothing."""
+        """Remedy for many stamps that are alike or in disorder; empty if there is none."""
         return ""
 
     @property
     def pose_problem(self) -> str:
-        """Why the poses of the sensors cannot be used, and what to do; empty if they can."""
+        """Why the poses of the sensors cannot be used, and the remedy; empty if they can."""
         return ""
 
     def import_command(self, words: Iterable[str]) -> str:
@@ -306,7 +306,7 @@ class Recording(ABC):
             self.warn(f"{damage}; the rest is left out")
 
     def why_no_scans(self, topics: Topics) -> str:
-        """Why no scan was found, and what to do."""
+        """Why no scan was found, and the remedy."""
         topic = self.options.topic
         present = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.types.items())) or "none"
         if self.warnings:

@@ -111,7 +111,7 @@ class Bearings(NamedTuple):
 
 
 def bearings_of(points: NDArray[np.float64], beams: int | None) -> Bearings:
-    """The bearings that a scan gets from points (N, 3): `beams` of them, or those of the points.
+    """The bearings of a scan made from points (N, 3): `beams` of them, or the bearings of the points.
 
     Points have bearings of their own if most of them lie on a regular grid that is coarser than FINE_BEAMS: a finer
     scan would have empty beams between them, which say that walls are free.
@@ -295,7 +295,7 @@ class RosRecording(FramedRecording):
             return FramedScan(message.topic, frame, scan)
 
     def _bearings_of(self, cloud: Any, cut: CloudSlice) -> Bearings:
-        """The bearings of all scans from clouds: those of the first cloud with enough points in the slice."""
+        """The bearings of all scans from clouds: from the first cloud with enough points in the slice."""
         if self._bearings is None:
             points = in_slice(cloud_points(cloud), cut)
             bearings = bearings_of(points, cut.beams)

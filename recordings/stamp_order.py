@@ -135,7 +135,7 @@ class StampOrder:
     """
 
     def __init__(self, warn: Callable[[str], None], remedy: Callable[[], str] = str) -> None:
-        """`remedy()`: what to do about many stamps that are alike or in disorder, asked at the end of the file."""
+        """`remedy()`: the remedy for many stamps that are alike or in disorder, asked at the end of the file."""
         self._warn, self._remedy = warn, remedy
         self._waiting: list[tuple[int, int, Scan]] = []
         self._numbers = itertools.count()

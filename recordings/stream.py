@@ -42,7 +42,7 @@ def open_stream(
     points: Points = "centres",
     **options: Any,
 ) -> GridStream:
-    """The stream of `RECORDING` or `RECORDING@STRETCH`; grid and rate default to those of the recording.
+    """The stream of `RECORDING` or `RECORDING@STRETCH`; grid and rate default to the recording's.
 
     `options` are those of open_recording. Raises RecordingError, PluginError and ConfigurationError.
     """
@@ -269,7 +269,7 @@ class GridStream:
 
 
 def default_grid(survey: Survey) -> GridSpec:
-    """The window of a recording that names none: that of GridSpec, with fewer cells where no sensor measures as far."""
+    """The window of a recording that names none: that of GridSpec, with fewer cells if no sensor measures as far."""
     usual, centre = GridSpec(), next(iter(survey.poses.values()))
     reach_m = max(
         sensor.first.range_max + math.hypot(pose.x - centre.x, pose.y - centre.y)

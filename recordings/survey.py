@@ -157,7 +157,7 @@ class SensorSurvey:
             )
 
     def nothing_measured(self) -> str:
-        """Why the ranges measure nothing, with the likely cause; empty where they do."""
+        """Why the ranges measure nothing, with the likely cause; empty if they do."""
         hits = self.readings - self.no_return - self.invalid
         low_m, high_m = self.first.range_min, self.first.range_max
         if hits > ENOUGH_ALIKE and self.nearest == self.farthest:
@@ -214,7 +214,7 @@ class Survey:
 
     @property
     def nothing_measured(self) -> str:
-        """Why no sensor measures anything, by the first of them; empty where one does."""
+        """Why no sensor measures anything, by the first of them; empty if one does."""
         found = [sensor.nothing_measured() for sensor in self.sensors.values()]
         return found[0] if found and all(found) else ""
 
@@ -275,7 +275,7 @@ class Survey:
 
 
 def _likely_unit(nearest: float, farthest: float, low_m: float, high_m: float) -> str:
-    """What to do about ranges outside the limits: by the unit that would make them fit, if there is one."""
+    """Remedy for ranges outside the limits: by the unit that would make them fit, if there is one."""
     for unit, factor in (("centimetres", 1e2), ("millimetres", 1e3)):
         if low_m <= farthest / factor <= high_m:
             return f"the ranges are probably {unit}: convert them, and let the driver write metres (ROS REP 117)"

@@ -19,7 +19,7 @@ from gridtrack.reports.table import HeadlineTable, TableRow, headline_tables, jo
 NAMED_ROWS = 2
 """Names of rows in the main result beyond this number are counted."""
 MOST_NAMES = 8
-"""Further names of a line are counted, where they are more than one."""
+"""Further names of a line are counted, if they are more than one."""
 MOST_CHARS = 300
 """A longer reason is cut."""
 WEIGHTS_WORDS = {"site": "of the site", "general": "general", "general, site": "general or of the site", "": "none"}
@@ -86,7 +86,7 @@ class _MainResult:
         return f"{self._best_score(value)}; {self._significance()}."
 
     def _best(self, rows: Sequence[TableRow]) -> tuple[TableRow, ...]:
-        """The rows with the best score; none where no row has one."""
+        """The rows with the best score; none if no row has one."""
         texts = [row.cells[self._at].text for row in rows if row.cells[self._at].value is not None]
         best = max(texts, key=lambda text: self._column.better * float(text), default="")
         return tuple(row for row in rows if row.cells[self._at].text == best)
@@ -146,7 +146,7 @@ class _MainResult:
         return f"the floor, {_names(self._floor)}, has {self._text(self._floor)}"
 
     def _significance(self) -> str:
-        """Which rows differ significantly from those at the top, and the names of those that do not."""
+        """Rows that differ significantly from the rows at the top, and the names of the others."""
         rest = [row for row in self._compared if row not in self._floor]
         different, alike, untested = (
             [row for row in rest if self._standings[row.key] == one] for one in ("different", "alike", "")
@@ -180,7 +180,7 @@ class _MainResult:
         return f"The order may be chance: {why}."
 
     def _why_none(self) -> str:
-        """The result where no tracker has a score to be ranked by."""
+        """The result if no tracker has a score to be ranked by."""
         table = self.table
         if table.rows_in("ranked"):
             return (
@@ -190,7 +190,7 @@ class _MainResult:
         if any(row.trial.complete for row in table.rows_in("unranked")):
             return f"No tracker is ranked on {table.recording}: each learned from its frames, or did not complete it."
         if table.rows_in("unranked"):
-            others = " but those of the floor" if table.rows_in("floor") else ""
+            others = " but the floors" if table.rows_in("floor") else ""
             return f"No tracker{others} completed {table.recording}."
         return f"Only trackers of the floor were run on {table.recording}."
 

@@ -1,4 +1,4 @@
-"""The tables of an exported report: the rows and the scores that a user chose, or those of the main table."""
+"""The tables of an exported report: the rows and scores that a user chose, or the main table's."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ScoreChoice:
     horizon_s: float
 
     def column(self, horizons_s: Sequence[float]) -> TableColumn:
-        """Its column, under the time of the step. Raises ConfigurationError where the run does not reach it."""
+        """Its column, under the time of the step. Raises ConfigurationError if the run does not reach it."""
         step = nearest_step(self.horizon_s, horizons_s[1] - horizons_s[0])
         if step >= len(horizons_s):
             raise ConfigurationError(f"--columns: {self.horizon_s:g} s is beyond the horizon of {horizons_s[-1]:g} s")
@@ -51,16 +51,16 @@ class ExportedTable:
 
     table: HeadlineTable
     lead: str
-    """The main result of the whole comparison in a sentence; empty where there is none."""
+    """The main result of the whole comparison in a sentence; empty if there is none."""
     differences: DifferenceTable | None
-    """The paired differences of the rows shown; None where there are none, or several runs."""
+    """The paired differences of the rows shown; None if there are none, or several runs."""
 
 
 def exported_tables(runs: Sequence[ReportedRun], rows: str = "", columns: str = "") -> tuple[ExportedTable, ...]:
     """The table of each recording, first of all pooled: the rows with labels that match one of `rows`, in `columns`.
 
     `rows`: patterns of labels as of file names, separated by commas; `columns`: as of parse_score_choices. Empty: those
-    of the main table. Raises ConfigurationError where nothing matches, RunError and ReportError.
+    of the main table. Raises ConfigurationError if nothing matches, RunError and ReportError.
     """
     choices = parse_score_choices(columns, runs) if columns else ()
     labels = names_matching(rows or "*", [label for run in runs for label in run.summary.trackers], "--rows", "row")

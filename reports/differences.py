@@ -28,7 +28,7 @@ SIGNIFICANT_VERDICTS = ("better", "worse")
 
 @dataclass(frozen=True)
 class DifferenceCell:
-    """One difference as text; empty texts where there is none."""
+    """One difference as text; empty texts if there is none."""
 
     value: str
     interval: str
@@ -71,7 +71,7 @@ class DifferenceTable:
 
 
 def difference_table(run: ReportedRun, recording: str) -> DifferenceTable | None:
-    """The table of one recording of a run; None where no tracker could be tested."""
+    """The table of one recording of a run; None if no tracker could be tested."""
     found = [one for one in run.differences_on(recording) if one.tests or one.interval]
     tested = [one for one in found if one.tests and not one.interval]
     if not tested:
@@ -91,7 +91,7 @@ def difference_table(run: ReportedRun, recording: str) -> DifferenceTable | None
 
 
 def _rows_of(run: ReportedRun, one: TrackerDifference, columns: Sequence[HeadlineTest]) -> Iterator[DifferenceRow]:
-    """The row of the headline score, and where there was a comparison those of the other tested scores of the run."""
+    """The row of the headline score, and rows of the run's other tested scores if there was a comparison."""
     name = name_in(run, one.tracker, one.recordings)
     score, output = run.summary.find(run.summary.headline)
     if one.interval:
@@ -118,12 +118,12 @@ def _uncorrected(estimates: Sequence[PointEstimate], output: OutputDescription) 
 
 
 def interval_text(found: PointEstimate, decimals: int) -> str:
-    """The interval of a difference with its signs; empty where there is none."""
+    """The interval of a difference with its signs; empty if there is none."""
     return "" if found.interval is None else "[{0:+.{2}f}, {1:+.{2}f}]".format(*found.interval, decimals)
 
 
 def p_text(p: float | None) -> str:
-    """A p-value with its letter; empty where there is none."""
+    """A p-value with its letter; empty if there is none."""
     if p is None:
         return ""
     return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
@@ -201,7 +201,7 @@ class TrainingsTable:
 
 
 def trainings_table(run: ReportedRun, recording: str) -> TrainingsTable | None:
-    """The table of one recording of a run; None where no tracker has several trainings."""
+    """The table of one recording of a run; None if no tracker has several trainings."""
     found = [one for one in run.summary.trainings if one.recordings == recording]
     if not found:
         return None
@@ -229,7 +229,7 @@ def _trainings_cell(score: TrainingsScore, decimals: int) -> TrainingsCell:
 
 
 def trainings_across(runs: Sequence[ReportedRun], table: HeadlineTable) -> TrainingsTable | None:
-    """The rows of several runs that differ in their weights alone; None where there are no two, or other frames."""
+    """The rows of several runs that differ in their weights alone; None if there are no two, or other frames."""
     by_run = {run.name: run for run in runs}
     trainings: dict[str, dict[str, TableRow]] = {}
     for row in table.rows if table.comparable else ():
@@ -264,7 +264,7 @@ def _name_of_all(rows: Sequence[TableRow]) -> str:
 
 
 def _weights_of(run: ReportedRun, label: str) -> str:
-    """The hashes of the weights of a row on all recordings; empty where it has none."""
+    """The hashes of the weights of a row on all recordings; empty if it has none."""
     used = run.record.weights
     return " ".join(used[name].sha256 for one in run.recordings if (name := f"{label}@{one}") in used)
 

@@ -60,7 +60,7 @@ def render_as(name: str, runs: Sequence[Path], rows: str = "", columns: str = ""
 
 
 def _main(exported: Sequence[ExportedTable]) -> Sequence[ExportedTable]:
-    """The table pooled over all recordings, where there is one; else all tables."""
+    """The table pooled over all recordings, if there is one; else all tables."""
     return [one for one in exported if one.table.pooled] or exported
 
 
@@ -82,7 +82,7 @@ def _of_table(one: ExportedTable, titled: bool) -> Iterator[str]:
     yield headline_markdown(one.table, escaped).rstrip("\n")
     if one.differences:
         yield (
-            f"Scores less those of {escaped(one.differences.reference)}, paired over {one.differences.units}; p of"
+            f"Scores less {escaped(one.differences.reference)}, paired over {one.differences.units}; p of"
             f" {one.differences.headline} corrected after Holm:"
         )
         yield difference_markdown(one.differences, escaped).rstrip("\n")
@@ -92,7 +92,7 @@ def csv_of_tables(exported: Sequence[ExportedTable]) -> str:
     """A row for each tracker on each recording, for spreadsheets and scripts.
 
     Columns: `recording`, `run` (empty for one), `tracker`, `outcome`, `frames_scored`, `frames_expected`, and each
-    score with the ends of its interval as `... low` and `... high`; empty where undefined. A name that begins as a
+    score with the ends of its interval as `... low` and `... high`; empty if undefined. A name that begins as a
     formula has an apostrophe before it. Columns that only some recordings have are empty for the others.
     """
     rows = [dict(_fields(one, row)) for one in exported for row in one.table.rows]

@@ -48,7 +48,7 @@ Panel = tuple[str, Mapping[str, Mapping[int, Point]]]
 
 def history_svg(entries: Sequence[HistoryEntry]) -> str:
     """A panel for each F1 of the middle step band, for each other score that was worse at any of the `entries`, the
-    oldest first, and for the time of each call. Raises ConfigurationError where matplotlib is not installed."""
+    oldest first, and for the time of each call. Raises ConfigurationError if matplotlib is not installed."""
     try:
         import matplotlib
         from matplotlib.figure import Figure
@@ -129,7 +129,7 @@ def _time_panels(entries: Sequence[HistoryEntry]) -> Iterator[Panel]:
 
 
 def _draw_verdicts(axis: Axes, entries: Sequence[HistoryEntry], titles: _Titles) -> None:
-    """A line from top to bottom in every panel where a run was worse; broken where nothing was measured."""
+    """A line from top to bottom in every panel where a run was worse; broken if nothing was measured."""
     for at, entry in enumerate(entries):
         if entry.verdict != "no worse":
             measured = entry.verdict == "worse"
@@ -153,7 +153,7 @@ def _worse_text(entry: HistoryEntry) -> str:
 def _draw_line(
     axis: Axes, line: Mapping[int, Point], name: str, colour: str, entries: Sequence[HistoryEntry], titles: _Titles
 ) -> None:
-    """One line, its intervals, and a mark for each entry: a disc, and a cross where the run was worse there."""
+    """One line, its intervals, and a mark for each entry: a disc, and a cross if the run was worse there."""
     axis.plot(list(line), [point.value for point in line.values()], color=colour, linewidth=1.2)
     for at, point in line.items():
         if point.low < point.high:
@@ -172,7 +172,7 @@ def _name_commits(axis: Axes, entries: Sequence[HistoryEntry]) -> None:
 
 
 def _name(entry: HistoryEntry) -> str:
-    """The commit in short, with a mark where tracked files differed from it; the day without a commit."""
+    """The commit in short, with a mark if tracked files differed from it; the day without a commit."""
     return f"{entry.commit[:SHORT_COMMIT]}{'+' if entry.changed else ''}" if entry.commit else entry.recorded[:8]
 
 

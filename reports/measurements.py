@@ -40,7 +40,7 @@ def times_of(trial: TrialSummary, period_ms: float) -> dict[str, Any] | None:
 
 
 def keeps_up_of(trial: TrialSummary, period_ms: float) -> str:
-    """`keeps_up` of a trial; empty where it was not timed."""
+    """`keeps_up` of a trial; empty if it was not timed."""
     measured = _measured(trial)
     return "" if measured is None else keeps_up(*measured, period_ms)
 

@@ -51,7 +51,7 @@ class FrameScore:
 
     @property
     def f1(self) -> float:
-        """F1 of this frame alone; 0 where no cell was occupied and none was forecast."""
+        """F1 of this frame alone; 0 if no cell was occupied and none was forecast."""
         return 2 * self.tp / max(2 * self.tp + self.fp + self.fn, 1)
 
 
@@ -145,6 +145,6 @@ def pack_moment(seen: Sample, trackers: Sequence[TrackerPlanes | None]) -> str:
 
 
 def level_colours() -> list[list[int]]:
-    """Colours (PACKED_LEVELS + 1, 3) sRGB: those of the levels, then that of a cell that is not visible."""
+    """Colours (PACKED_LEVELS + 1, 3) sRGB: of the levels, then of a cell that is not visible."""
     at = np.rint(np.linspace(0, SHADES - 1, PACKED_LEVELS)).astype(int)
     return [[int(value) for value in colour] for colour in palette()[[*at, SHADES]]]

@@ -17,7 +17,7 @@ MOST_RECORDINGS = 3
 
 @dataclass(frozen=True)
 class Notice:
-    """One notice; `serious` where a trial or a recording is not ranked because of it, or the run did not end."""
+    """One notice; `serious` if a trial or a recording is not ranked because of it, or the run did not end."""
 
     text: str
     serious: bool = False
@@ -30,7 +30,7 @@ def notices_of(runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable]) -> 
 
 
 def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
-    """A line for each row that is not ranked and each reason; where recordings are pooled, one for all of them."""
+    """A line for each row that is not ranked and each reason; if recordings are pooled, one for all of them."""
     known: set[str] = set()
     found: dict[tuple[str, str], list[str]] = defaultdict(list)
     for table in sorted(tables, key=lambda table: not table.pooled):
@@ -53,7 +53,7 @@ def _scored(row: TableRow) -> str:
 
 
 def failures_of(trials: Sequence[TrialSummary], most_chars: int = MAX_LINE_CHARS) -> Iterator[str]:
-    """Each outcome for which `trials` of a row are not ranked, on how many recordings where there are several, and the
+    """Each outcome for which `trials` of a row are not ranked, on how many recordings if there are several, and the
     first reason, cut to `most_chars` characters."""
     reasons: dict[str, list[str]] = defaultdict(list)
     for trial in (one for one in trials if not one.ranked):
@@ -70,7 +70,7 @@ def _of_ends(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
     for run in runs:
         if run.summary.interrupted:
             before = _before([run.name], runs)
-            yield Notice(f"{before}the run was interrupted: the page shows what was scored until then", serious=True)
+            yield Notice(f"{before}the run was interrupted: the page shows the scores until then", serious=True)
 
 
 def _of_parity(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
@@ -102,7 +102,7 @@ def _of_runs(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
 
 
 def _joined(texts: Iterable[str], names: Collection[str], of_run: int) -> Iterator[str]:
-    """`texts`, where texts that differ in one of the `names` are joined; the run has `of_run` recordings."""
+    """`texts`; texts that differ in one of the `names` alone are joined; the run has `of_run` recordings."""
     alike: dict[tuple[str, str], list[str]] = defaultdict(list)
     for text in texts:
         before, name, after = _around_name(text, names)
@@ -112,7 +112,7 @@ def _joined(texts: Iterable[str], names: Collection[str], of_run: int) -> Iterat
 
 
 def _around_name(text: str, names: Collection[str]) -> tuple[str, str, str]:
-    """A text as `RECORDING: ...` or `... on RECORDING ...` in three parts; all in the first where it names none."""
+    """A text as `RECORDING: ...` or `... on RECORDING ...` in three parts; all in the first if it names none."""
     name, colon, after = text.partition(": ")
     if colon and name in names:
         return "", name, colon + after
@@ -136,12 +136,12 @@ def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
 
 
 def _before(names: Sequence[str], runs: Sequence[ReportedRun]) -> str:
-    """The names of the runs that have a notice, before it; empty where there is one run alone."""
+    """The names of the runs that have a notice, before it; empty if there is one run alone."""
     return f"{' and '.join(names)}: " if len(runs) > 1 else ""
 
 
 def _counted(recordings: Sequence[str], of_run: int) -> str:
-    """Recordings by name where they are few, else by number: `of_run` is that of all."""
+    """Recordings by name if they are few, else by number: `of_run` is that of all."""
     if len(recordings) <= MOST_RECORDINGS:
         return joined_names(recordings)
     return f"{'all ' if len(recordings) == of_run else ''}{len(recordings)} recordings"

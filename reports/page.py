@@ -66,7 +66,7 @@ def render_report(runs: Sequence[Path], out: Path | None = None, recordings: str
 
 
 def render_page(runs: Sequence[ReportedRun]) -> str:
-    """The page as HTML. Raises ReportError where a trial's files do not fit the summary."""
+    """The page as HTML. Raises ReportError if a trial's files do not fit the summary."""
     every = headline_tables(runs)
     tables, left_out = tables_of_page(every)
     styles = styles_of(runs)

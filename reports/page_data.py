@@ -95,7 +95,7 @@ def _recording(
 
 
 def _strata(row: TableRow, steps: int) -> dict[str, Any]:
-    """The estimates by stratum, score and output, to five digits; without those that are defined nowhere."""
+    """The estimates by stratum, score and output, to five digits; without estimates that are defined nowhere."""
     found = {stratum: _scores(scores, steps) for stratum, scores in row.trial.strata.items()}
     return {stratum: scores for stratum, scores in found.items() if scores}
 
@@ -144,7 +144,7 @@ def _why_untested(runs: Sequence[ReportedRun], table: HeadlineTable) -> str:
 def _label_budget(runs: Sequence[ReportedRun], table: HeadlineTable, row: TableRow) -> dict[str, Any] | None:
     """The labelled `scans` that the weights of a row learned its classes from, and its `method`.
 
-    `method`: the tracker with its options and points, alike in rows that differ in their weights alone. None where the
+    `method`: the tracker with its options and points, alike in rows that differ in their weights alone. None if the
     number of scans is not known, or pooled recordings differ in it.
     """
     run = next(run for run in runs if row.run in (run.name, ""))

@@ -32,7 +32,7 @@ OBJECTS_SHOWN = 60
 
 @dataclass(frozen=True)
 class Picture:
-    """One grid as a PNG data address, and its description in words; `png` is empty where there is no picture."""
+    """One grid as a PNG data address, and its description in words; `png` is empty if there is no picture."""
 
     png: str
     words: str
@@ -91,10 +91,10 @@ def players_of(
 def player_of(
     table: HeadlineTable, folders: Mapping[str, Path], described: RecordingIdentity, budget: int
 ) -> tuple[Player | None, tuple[str, ...]]:
-    """The player of one recording, whose moments have `budget` bytes, and notices of samples that cannot be read.
+    """The player of one recording with moments of `budget` bytes, and notices of samples that cannot be read.
 
     `folders`: the folder of each trial by label. Moments are judged by the scores of cells in motion at the decisive
-    step; their times are seconds since the start of the recording. The player is None where no trial kept samples.
+    step; their times are seconds since the start of the recording. The player is None if no trial kept samples.
     Raises ReportError.
     """
     samples, notices = _kept_samples(table.rows, folders)
@@ -180,17 +180,16 @@ def _kept_samples(
 
 
 def _refuse_others(samples: Mapping[str, Mapping[int, Sample]], first: Sample) -> None:
-    """Raise ReportError for samples of another grid or other horizons than those of `first`."""
+    """Raise ReportError for samples of another grid or other horizons than `first`."""
     for label, kept in samples.items():
         if any(s.grid != first.grid or s.horizons_s != first.horizons_s for s in kept.values()):
             raise ReportError(
-                f"{label}: its samples are of another grid or other horizons than those of the other trackers: run it"
-                " again"
+                f"{label}: its samples have another grid or other horizons than the other trackers': run it again"
             )
 
 
 def _thresholds(row: TableRow, steps: Sequence[int]) -> list[float]:
-    """The threshold of cells in motion at each step; 0.5 where the trial has none."""
+    """The threshold of cells in motion at each step; 0.5 if the trial has none."""
     curve = row.trial.thresholds.get(MAIN_STRATUM)
     found = [None if curve is None else curve[step] for step in steps]
     return [0.5 if value is None else value for value in found]

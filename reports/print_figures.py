@@ -102,5 +102,5 @@ def _draw(
 
 
 def _later(curve: Curve, steps: int) -> list[float]:
-    """A curve at steps 1 to `steps`; NaN where it is undefined."""
+    """A curve at steps 1 to `steps`; NaN if it is undefined."""
     return [float("nan") if value is None else value for value in curve[1 : steps + 1]]

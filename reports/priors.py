@@ -1,4 +1,4 @@
-"""What trackers expect of a place before they see it, beside what the recording shows, packed for the page.
+"""The expectation of trackers for a place before their first frame, beside the recording, packed for the page.
 
 A plane is M x M bytes, rows from the bottom up, deflated, as base64: the logarithm of a probability from LEAST to 1 in
 PRIOR_LEVELS steps, 0 for LEAST and below, and NEVER_SEEN for a cell that was never visible.
@@ -98,7 +98,7 @@ def _is_of_grid(columns: Sequence[NDArray[Any]], size: int) -> bool:
 
 
 def pack(probability: NDArray[np.float32]) -> str:
-    """A plane (M, M) of probabilities, NaN where the cell was never visible."""
+    """A plane (M, M) of probabilities, NaN if the cell was never visible."""
     levels = np.rint(PRIOR_LEVELS * (1.0 - np.log(np.clip(probability, LEAST, 1.0)) / np.log(LEAST)))
     plane = np.where(np.isnan(probability), NEVER_SEEN, np.nan_to_num(levels)).astype(np.uint8)
     return base64.b64encode(zlib.compress(plane.tobytes(), 9)).decode()

@@ -33,7 +33,7 @@ WRITTEN = pytest.StashKey[dict[Path, str]]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option that writes baselines instead of comparing with them."""
     parser.getgroup("gridtrack").addoption(
-        UPDATE, action="store_true", help="write what tracker_regression measures as the new baseline"
+        UPDATE, action="store_true", help="write the measurements of tracker_regression as the new baseline"
     )
 
 
@@ -96,7 +96,7 @@ class TrackerRegression:
 
         Paths are relative to the test's folder. `margin` and `tolerance` are those of `gridtrack regress`; None: its
         defaults. `options` are the fields of `CompareSettings`: horizon_s, every_s, grid, rate_hz, seed, weights, ...
-        Returns the verdict; None where the baseline was written instead.
+        Returns the verdict; None if the baseline was written instead.
         """
         from gridtrack.common.errors import GridtrackError, printable
         from gridtrack.evaluation.regression.baseline import baseline_of, write_baseline

@@ -44,7 +44,7 @@ def rerun_scene(path: Path, name: str, identity: str) -> Iterator[RerunScene]:
     """A scene that becomes the file `path` when the block ends; when the block raises, there is no file.
 
     `name` is shown by the viewer, which takes files of one `identity` for one recording. Raises ConfigurationError
-    where rerun-sdk is not installed, OSError where the file cannot be written.
+    if rerun-sdk is not installed, OSError where the file cannot be written.
     """
     rerun = _library()
     stream = rerun.RecordingStream("gridtrack", recording_id=identity)
@@ -75,7 +75,7 @@ def _library() -> Any:
 
 
 class RerunScene:
-    """What is drawn, entity by entity; a name that the user gave is one part of an entity's path, escaped."""
+    """The drawing, entity by entity; a name that the user gave is one part of an entity's path, escaped."""
 
     def __init__(self, stream: rr.RecordingStream, library: Any) -> None:
         self._stream, self._rr = stream, library
@@ -149,7 +149,7 @@ class RerunScene:
         colours: Sequence[Rgb],
         labels: Sequence[str] = (),
     ) -> None:
-        """Closed outlines (N, 2), metres, world; they replace those of the time before."""
+        """Closed outlines (N, 2), metres, world; they replace earlier ones."""
         strips = [np.column_stack([ring, np.full(len(ring), OUTLINE_Z_M)]) for ring in map(_closed, outlines)]
         lines = self._rr.LineStrips3D(strips, colors=_bytes(colours), labels=list(labels) or None, radii=0.03)
         self.log(entity, lines)
@@ -201,7 +201,7 @@ class RerunScene:
 
 
 def colour_of_class(label: int) -> Rgb:
-    """The colour of a class by its index; grey where it is not known."""
+    """The colour of a class by its index; grey if it is not known."""
     return (0.5, 0.5, 0.5) if label == UNLABELLED else CLASS_COLOURS[label % len(CLASS_COLOURS)]
 
 

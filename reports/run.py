@@ -31,7 +31,7 @@ from gridtrack.evaluation.runs.summary import (
 from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 UNDEFINED = "–"
-"""Shown where a score is undefined."""
+"""Shown if a score is undefined."""
 THRESHOLD = ScoreDescription(
     name="threshold",
     title="Threshold",
@@ -70,7 +70,7 @@ class ReportedRun:
         return [one for one in self.summary.differences if one.recordings == recording]
 
     def identity_of(self, recording: str) -> Any:
-        """What decides the scores on one recording, its hash among them: equal for runs of the same frames."""
+        """Everything that decides the scores on one recording, its hash included: equal for runs of the same frames."""
         recordings = self.record.configuration.recordings
         return recordings if self.is_pooled(recording) else recordings.get(recording)
 
@@ -82,7 +82,7 @@ class ReportedRun:
         return folder
 
     def code_of(self, label: str) -> tuple[str, ...]:
-        """SHA-256 of the code of a tracker's trials, each once, in their order; none where it is not known.
+        """SHA-256 of the code of a tracker's trials, each once, in their order; none if it is not known.
 
         Raises RunError.
         """
@@ -107,7 +107,7 @@ class ReportedRun:
 
 
 def read_runs(paths: Sequence[Path]) -> tuple[ReportedRun, ...]:
-    """Read several runs' folders; each is named by its folder, or by its whole path where names collide.
+    """Read several runs' folders; each is named by its folder, or by its whole path if names collide.
 
     Raises RunError.
     """
@@ -142,7 +142,7 @@ def read_results(path: Path) -> tuple[RunRecord, RunSummary]:
 
 
 def shown_summary(summary: RunSummary) -> RunSummary:
-    """The summary with thresholds as one more score, and where recordings are pooled, with all of them together as the
+    """The summary with thresholds as one more score, and if recordings are pooled, with all of them together as the
     first of its recordings."""
     pooled = summary.has_pooled
     trackers = {label: _shown_row(row, pooled) for label, row in summary.trackers.items()}

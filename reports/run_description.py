@@ -135,7 +135,7 @@ def _missing(name: str, of_runs: Sequence[Sequence[str]]) -> Iterator[Change]:
 
 
 def _of_code(runs: Sequence[ReportedRun]) -> Iterator[Change]:
-    """The trackers that every run has and whose known code is not the same in all; a line for each."""
+    """A line for each tracker that every run has, if its known code is not the same in all."""
     for label in _in_every(runs):
         of_runs = [run.code_of(label) for run in runs]
         if len({frozenset(codes) for codes in of_runs if codes}) > 1:
@@ -167,7 +167,7 @@ def _of_trackers(runs: Sequence[ReportedRun]) -> list[Change]:
 
 
 def _with_defaults(change: Change, records: Sequence[FieldTexts]) -> Change:
-    """A change of an option, which has its default in a run that did not give it to the same tracker."""
+    """A change of an option; a run that did not give it has its default."""
     trackers = {record.get("tracker") for record in records}
     if not change.name.startswith(_OPTION) or len(trackers) > 1 or None in trackers:
         return change

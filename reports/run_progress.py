@@ -82,7 +82,7 @@ class RunProgress:
         self._all = self._bars.add_task(self._all_text(), total=self._total(), left="")
 
     def started(self, trial: str, frames: int) -> None:
-        """Show a bar for a trial of `frames` frames, which may start again where its machine was lost."""
+        """Show a bar for a trial of `frames` frames, which may start again if its machine was lost."""
         with self._lock:
             self._has_started(trial)
             if trial in self._tasks:

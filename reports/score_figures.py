@@ -118,7 +118,7 @@ class _TrialsOfRows:
         return self._all.together(trial for trial in trials if trial.complete) if table.pooled else trials
 
     def _rule(self, row: TableRow, trials: Sequence[FinishedTrial]) -> UnitRule:
-        """The rule of the scores of the row where they have intervals, else one unit."""
+        """The rule of the scores of the row if they have intervals, else one unit."""
         if not row.trial.interval:
             try:
                 return self._all.unit_rule([trial.record.recording for trial in trials])
@@ -128,7 +128,7 @@ class _TrialsOfRows:
 
 
 def _shown(points: NDArray[np.float64] | Ratio) -> Any:
-    """Points (N,) or (N, M), of ratios with their intervals where there are any."""
+    """Points (N,) or (N, M), of ratios with their intervals if there are any."""
     if not isinstance(points, Ratio):
         return _short(points)
     found = interval(ratio_replicates(points), "odds")

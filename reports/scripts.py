@@ -4,7 +4,7 @@ A script is an ES module in `reports/assets`. To add one:
 
 1. Write `assets/NAME.js`. It imports from its neighbours with lines such as `import { make } from "./drawing.js";`,
    and exports with `export` before a declaration. Names at the top level are unique over all modules.
-2. Import it in `main.js`, and call what it exports there.
+2. Import it in `main.js`, and call its exports there.
 3. What it needs to know of the run is one key of the page's data: add it in `page_data.py`, and read it from `pageData`
    of `page_data.js`. Texts of a run go into the page with `textContent`, never as HTML.
 
@@ -36,9 +36,9 @@ _EXPORT = re.compile(r"^export (?=(?:async )?(?:function|class|const|let)\b)", r
 
 
 def joined_script(folder: Path = ASSETS) -> Markup:
-    """`main.js` of `folder` and the modules that it imports as one module, each once and after those it imports itself.
+    """`main.js` of `folder` and its imports as one module, each once and after its own imports.
 
-    Raises ValueError where modules import each other in a circle, or in another form than the one described above, or
+    Raises ValueError if modules import each other in a circle, or in another form than the one described above, or
     declare a name twice.
     """
     parts: dict[str, str] = {}

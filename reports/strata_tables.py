@@ -23,17 +23,17 @@ from gridtrack.reports.table import (
 
 @dataclass(frozen=True)
 class StrataTable:
-    """Every tracker with a score in the columns, and where there is one, its difference from the reference."""
+    """Every tracker with a score in the columns, and if there is one, its difference from the reference."""
 
     title: str
     about: str
-    """What it shows."""
+    """Its caption."""
     columns: tuple[TableColumn, ...]
     rows: tuple[tuple[TableRow, tuple[tuple[TableCell, DifferenceCell | None], ...]], ...]
     reference: str
     """The row that the differences are taken from; empty without differences."""
     why_no_interval: str
-    """Why the scores have no interval; empty where they have one."""
+    """Why the scores have no interval; empty if they have one."""
     thresholds_matter: bool = False
     """Whether the ranked rows are in another order at another threshold."""
 
@@ -119,7 +119,7 @@ def _made(
 
 
 def _less(difference: TrackerDifference, column: TableColumn) -> DifferenceCell | None:
-    """The difference of a tracker in a column, with its uncorrected p-value; None where there is none."""
+    """The difference of a tracker in a column, with its uncorrected p-value; None if there is none."""
     found = difference.at(column.stratum, *column.key, column.step)
     return None if found.value is None else DifferenceCell.of(found, column.output.decimals, found.p, "")
 

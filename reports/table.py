@@ -25,7 +25,7 @@ STANDING = "standing"
 """A stratum outside the headline tests: the headline score at the detail horizon is a column beside the others."""
 
 LEAK = "learned from these frames"
-"""The mark of a row whose weights learned from frames that it is scored on."""
+"""The mark of a row with weights that learned from scored frames."""
 
 RowGroup = Literal["ceiling", "ranked", "floor", "unranked"]
 """The ceiling; complete trials of trackers; complete trials of the floor; trials that are not complete, or scored on
@@ -55,7 +55,7 @@ class TableColumn:
 
     @property
     def better(self) -> int:
-        """1 where a higher value is better, -1 where a lower one is, else 0."""
+        """1 if higher values are better, -1 if lower ones are, else 0."""
         return self.output.direction
 
     @property
@@ -85,22 +85,22 @@ class TableCell:
 
     @property
     def value(self) -> float | None:
-        """The value; None where it is undefined."""
+        """The value; None if it is undefined."""
         return self.estimate.value
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """The interval; None where there is none."""
+        """The interval; None if there is none."""
         return self.estimate.interval
 
     @property
     def text(self) -> str:
-        """The value to the score's decimals, or a dash where it is undefined."""
+        """The value to the score's decimals, or a dash if it is undefined."""
         return UNDEFINED if self.value is None else f"{self.value:.{self.decimals}f}"
 
     @property
     def interval_text(self) -> str:
-        """The interval in brackets; empty where there is none."""
+        """The interval in brackets; empty if there is none."""
         if self.interval is None:
             return ""
         low, high = (f"{end:.{self.decimals}f}" for end in self.interval)
@@ -123,12 +123,12 @@ def row_key(run: str, label: str) -> str:
 
 
 def name_of(label: str, trial: TrialSummary) -> str:
-    """The label as it is shown: with a word where the weights are general."""
+    """The label as it is shown: with a word if the weights are general."""
     return f"{label} (general)" if "general" in trial.card else label
 
 
 def name_in(run: ReportedRun, label: str, recording: str) -> str:
-    """The same of a row of a run on a recording, or of what is pooled."""
+    """The same of a row of a run on a recording, or pooled."""
     entry = run.summary.trackers.get(label)
     trial = entry.recordings.get(recording) if entry else None
     return name_of(label, trial) if trial else label
@@ -147,12 +147,12 @@ class TableRow:
 
     @property
     def key(self) -> str:
-        """What tells the row from all others on the page."""
+        """A key of the row, unique on the page."""
         return row_key(self.run, self.label)
 
     @property
     def name(self) -> str:
-        """The label as it is shown, and before it the name of the run where there are several."""
+        """The label as it is shown, and before it the name of the run if there are several."""
         return row_key(self.run, name_of(self.label, self.trial))
 
     @property
@@ -162,7 +162,7 @@ class TableRow:
 
     @property
     def outcome(self) -> str:
-        """The outcome of the trial; of a pooled row of which nothing was scored, those of its trials."""
+        """The outcome of the trial; of a pooled row without scores, the outcomes of its trials."""
         if self.trial.outcome == "partial" and not self.trial.frames_scored:
             return ", ".join(dict.fromkeys(map(outcome_words, self.trials)))
         return outcome_words(self.trial)
@@ -228,7 +228,7 @@ def headline_tables(runs: Sequence[ReportedRun]) -> tuple[HeadlineTable, ...]:
 
 
 def main_tables(tables: Sequence[HeadlineTable]) -> Sequence[HeadlineTable]:
-    """The table pooled over all recordings, where there is one; else all tables."""
+    """The table pooled over all recordings, if there is one; else all tables."""
     return [table for table in tables if table.pooled] or tables
 
 
@@ -280,7 +280,7 @@ def _headline_of(runs: Sequence[ReportedRun]) -> tuple[str, str]:
 
 
 def _common_horizons(runs: Sequence[ReportedRun], recording: str) -> tuple[float, ...]:
-    """The horizons that every run has. Raises ReportError where their rates differ."""
+    """The horizons that every run has. Raises ReportError if their rates differ."""
     stretches = [run.summary.recordings[recording] for run in runs]
     for run, stretch in zip(runs, stretches, strict=True):
         if abs(stretch.period_s - stretches[0].period_s) > 1e-6:
@@ -299,7 +299,7 @@ def _same_frames(runs: Sequence[ReportedRun], recording: str) -> bool:
 def _columns(
     runs: Sequence[ReportedRun], trials: Sequence[TrialSummary], horizons_s: Sequence[float]
 ) -> Iterator[TableColumn]:
-    """The headline score at the headline horizons (at the last horizon where the run reaches none), and at one horizon
+    """The headline score at the headline horizons (at the last horizon if the run reaches none), and at one horizon
     the lead of every other tested score.
 
     Without intervals a score that needs no threshold is first: few frames choose a threshold poorly.

@@ -1,4 +1,4 @@
-"""The result of a run on a terminal, as wide as it is and with whole names; Markdown where there is no terminal."""
+"""The result of a run on a terminal, as wide as it is and with whole names; Markdown if there is no terminal."""
 
 from __future__ import annotations
 

@@ -122,7 +122,7 @@ def data_of(verdict: Verdict) -> dict[str, Any]:
 
 
 def _second_data(look: SecondLook) -> dict[str, Any]:
-    """What looked worse, in both runs."""
+    """Rows that looked worse, in both runs."""
     second = look.second and _row_data(look.second, look.second.verdict)
     return {"confirmed": look.confirmed, "first": _row_data(look.first, look.first.verdict), "second": second}
 
@@ -134,7 +134,7 @@ def _row_data(row: AnyRow, standing: Standing) -> dict[str, Any]:
 
 
 def _section(title: str, headings: Sequence[str], rows: Sequence[Any], cells: Any) -> Iterator[str]:
-    """A heading and a table; nothing where there are no rows."""
+    """A heading and a table; nothing if there are no rows."""
     if not rows:
         return
     yield f"### {title}"

@@ -1,4 +1,4 @@
-"""The verdict of the regression gate in sentences: for a terminal, and for whatever else tells one of its rows."""
+"""The verdict of the regression gate in sentences, for a terminal and for other outputs with one of its rows."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ REASONS: dict[Criterion, str] = {
 
 
 def text_of(verdict: Verdict) -> str:
-    """The verdict for a terminal: what is worse, notes, the rule and the conclusion."""
+    """The verdict for a terminal: worse rows, notes, the rule and the conclusion."""
     looked_at = [look.first for look in verdict.second_looks]
     lines = second_lines(verdict)
     lines += [f"worse: {sentence_of(row)}" for row in verdict.worse if row not in looked_at]
@@ -107,7 +107,7 @@ def sentence_of(row: AnyRow) -> str:
 
 
 def second_text(verdict: Verdict, row: AnyRow) -> str:
-    """What a second run said of a row that was worse, to follow its sentence; empty where there was none."""
+    """The result of a second run for a worse row, to follow its sentence; empty without one."""
     for look in verdict.second_looks:
         if look.first == row:
             return f"; in a second run: {_change_text(look.second) if look.second else 'nothing of the kind'}"
@@ -115,7 +115,7 @@ def second_text(verdict: Verdict, row: AnyRow) -> str:
 
 
 def _change_text(row: AnyRow) -> str:
-    """What the baseline and the run have in a row, without its tracker and its place."""
+    """The values of baseline and run in a row, without its tracker and its place."""
     if isinstance(row, SpeedRow):
         return (
             f"{row.call} takes {row.ratio_run:.3g} times as long as {row.reference}'s, in the baseline"
@@ -154,7 +154,7 @@ def _worse_and_better(row: VerdictRow) -> tuple[str, str]:
 
 
 def _limit_text(row: VerdictRow) -> str:
-    """The smallest change that would have been worse, and the margin over all units where it is another."""
+    """The smallest change that would have been worse, and the margin over all units if it is another."""
     worse, _ = _worse_and_better(row)
     where = " on one recording" if row.recording else ""
     if not np.isfinite(row.smallest):
@@ -250,7 +250,7 @@ def _conclusion(verdict: Verdict) -> str:
 
 
 def unchanged_labels(verdict: Verdict) -> list[str]:
-    """The trackers whose every count is as in the baseline."""
+    """The trackers with exactly the counts of the baseline."""
     changed = {row.label for row in verdict.rows if row.verdict in {"worse", "no worse"}}
     return [label for label in dict.fromkeys(row.label for row in verdict.rows) if label not in changed]
 
@@ -261,7 +261,7 @@ def turns_texts(row: TurnsRow) -> list[str]:
 
 
 def amount_text(row: VerdictRow, value: float) -> str:
-    """A change as margins are given: of F1, or a share of a log loss; none where no change can be found."""
+    """A change as margins are given: of F1, or a share of a log loss; none if no change can be found."""
     if not np.isfinite(value):
         return "none"
     return f"{value:.{_decimals(value * 100, 1)}%}" if row.relative else number_text(value)

@@ -30,7 +30,7 @@ from gridtrack.reports.run import ReportedRun, ReportError, chosen_runs, read_ru
 LAYOUT_FILE = Path(__file__).parent / "assets" / "foxglove_layout.json"
 _INPUT, _SENSORS, _OBSERVED, _TRUTH = "input", "sensors", "observed", "truth"
 _FORECAST, _TRACKS, _OUTLINES, _OBJECTS = "forecast", "tracks", "outlines", "objects"
-"""Entities of `world`; static outlines, and those of the road users, are the ground truth of a recording."""
+"""Entities of `world`; static outlines and outlines of road users are the ground truth of a recording."""
 _HIDDEN = (2, 3)
 _CELL_OF_STATE = np.array([FREE_CELL, OCCUPIED_CELL, FREE_CELL, OCCUPIED_CELL, UNKNOWN_CELL], np.uint8)
 """Seen free, seen occupied, hidden and free, hidden and occupied, not scored: the states of a target."""
@@ -44,7 +44,7 @@ def foxglove_layout() -> str:
 def write_rerun_recording(stream: GridStream, path: Path, on_frame: Callable[[], None] = lambda: None) -> None:
     """Write the stretch of `stream` as a Rerun recording; `on_frame` is called after each frame.
 
-    Everything is in the world of ground truth. Raises ConfigurationError where rerun-sdk is not installed,
+    Everything is in the world of ground truth. Raises ConfigurationError if rerun-sdk is not installed,
     RecordingError and OSError.
     """
     with rerun_scene(path, stream.name, f"{stream.recording.sha256}@{stream.stretch_s}") as scene:
@@ -128,7 +128,7 @@ def write_rerun_run(
 
 
 class _RecordingOfRun:
-    """One recording: what came is drawn once, from the first tracker that kept a moment."""
+    """One recording: observed frames are drawn once, from the first tracker that kept a moment."""
 
     def __init__(self, run: ReportedRun, recording: str, labels: Sequence[str]) -> None:
         self._run, self._recording, self._labels = run, recording, labels
@@ -195,7 +195,7 @@ class _RecordingOfRun:
                 scene.clear(("world", _TRACKS, label))
 
     def _show(self, scene: RerunScene) -> None:
-        """A tab for each horizon: the input, what came and the truth, and a view of each tracker with its tracks."""
+        """A tab for each horizon: input, observed frame, truth, and a view of each tracker with its tracks."""
         from rerun import blueprint as rrb
 
         tabs = [rrb.Grid(*self._views(scene, horizon), name=horizon) for horizon in map(_seconds, self._horizons)]

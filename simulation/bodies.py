@@ -40,7 +40,7 @@ Companion = Literal["nothing", "bag", "trolley", "stroller", "wheelchair", "coat
 
 
 class Walker(Settings):
-    """A person's build, and what the person carries, wears, pushes or sits in."""
+    """A person's build and companion: something carried, worn, pushed or sat in."""
 
     height_m: float = Field(default=1.75, ge=0.8, le=2.2)
     apart_m: float = Field(default=0.12, ge=0.0, le=0.6)
@@ -196,7 +196,7 @@ def _ellipse(length_m: float, width_m: float, corners: int) -> Outline:
 
 @lru_cache(maxsize=1024)
 def _companion(companion: Companion, plane_m: float, size_m: tuple[float, float]) -> tuple[Outline, ...]:
-    """Outlines of the companion, body frame; those of a wheelchair include the sitting person."""
+    """Outlines of the companion, body frame; a wheelchair's include the sitting person."""
     side = size_m[1] / 2.0
     if companion == "wheelchair":
         return _wheelchair(plane_m)

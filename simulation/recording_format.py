@@ -32,7 +32,7 @@ def is_tracks(path: Path, head: bytes) -> bool:
 class RenderedRecording(Recording):
     """Simulated tracks: their scans are rendered into a native recording in the cache when they are first read.
 
-    Path, name and hash are those of the file of tracks, so that a run names its input.
+    Path, name and hash belong to the file of tracks, so that a run names its input.
     """
 
     @cached_property

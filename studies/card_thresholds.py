@@ -1,4 +1,4 @@
-"""Thresholds of the cards that ship, chosen again after a change of what is scored.
+"""Thresholds of the shipped cards, chosen again after a change of the scored cells.
 
 `python -m studies.card_thresholds [TRACKER/SITE...]` (half an hour; default: every card with thresholds) chooses them
 as `gridtrack train` does at its end: on the validation stretches of the recipe that writes the card.

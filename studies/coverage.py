@@ -158,7 +158,7 @@ def size_table(draws: int) -> ResultTable:
             significant = difference(ratio_replicates(one), ratio_replicates(other)).p < 0.05
             cells += [f"{np.median(freedom) + 1:.0f}", f"{100 * np.mean(significant):.1f}"]
         rows.append([f"{spread:g}", *cells])
-    columns = [f"{units} recordings: {one}" for units in SIZED_UNITS for one in ("effective", "told apart, %")]
+    columns = [f"{units} recordings: {one}" for units in SIZED_UNITS for one in ("effective", "significant, %")]
     return measured_table(("spread of log size", *columns), rows)
 
 
@@ -212,7 +212,7 @@ def training_table(draws: int) -> ResultTable:
 
 
 def counted_twice_table(draws: int) -> ResultTable:
-    """Coverage, and length relative to intervals over recordings alone, where only trainings on recordings differ."""
+    """Coverage, and length relative to intervals over recordings alone, if only trainings on recordings differ."""
     rows = []
     for trainings in TRAININGS:
         rng, held, longer = np.random.default_rng(trainings), 0, []

@@ -5,6 +5,7 @@
     <!-- value: junction: kalman: f1 dynamic 1 s -->0.693<!-- /value -->
     <!-- value: trackers/dogma.json: time: processor time -->13<!-- /value -->
     <!-- table: trackers/dogma.json: velocity: table -->...<!-- /table -->
+    <!-- table: moving/drives.json: scores: dynamic: rows *, perfect -->...<!-- /table -->
     <!-- table: junction: F1: kalman, dogma: f1 dynamic 1 s, f1 visible 1 s: intervals, best -->...<!-- /table -->
     <!-- table: junction: confusion: kalman: visible -->...<!-- /table -->
     <!-- table: junction: trainings: in-motion 1 s, dynamic 1 s -->...<!-- /table -->
@@ -20,6 +21,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
@@ -86,6 +88,8 @@ def _value(address: list[str]) -> str:
 
 def _table(address: list[str]) -> ResultTable:
     match address:
+        case [source, section, *name, rows] if source.endswith(".json") and rows.startswith("rows "):
+            return _chosen_rows(_section(source, section).tables[": ".join(name)], rows.removeprefix("rows "))
         case [source, section, *name] if source.endswith(".json"):
             return _section(source, section).tables[": ".join(name)]
         case [place, "trainings", columns]:
@@ -96,6 +100,14 @@ def _table(address: list[str]) -> ResultTable:
             given = [one for text in options for one in _names(text)]
             return _scores(place).table(corner, _names(rows), _names(columns), given)
     raise KeyError(f"no table '{': '.join(address)}'")
+
+
+def _chosen_rows(table: ResultTable, pattern: str) -> ResultTable:
+    """The rows whose first cell matches the pattern of `fnmatch`."""
+    rows = tuple(row for row in table.rows if fnmatchcase(row[0], pattern))
+    if not rows:
+        raise KeyError(f"no rows '{pattern}'")
+    return table.model_copy(update={"rows": rows})
 
 
 def _names(text: str) -> list[str]:

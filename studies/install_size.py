@@ -1,4 +1,4 @@
-"""Size on disk of gridtrack's requirements, and of what each extra adds.
+"""Size on disk of gridtrack's requirements, and of the additions of each extra.
 
 `python -m studies.install_size --out docs/results/install_size.json` (seconds) adds up the files of the installed
 distributions that an extra needs and gridtrack alone does not. Which build of PyTorch is installed is part of the row.
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def closure(name: str, extra: str) -> frozenset[str]:
-    """The installed distributions that `name` with `extra` requires, and those that they require."""
+    """The installed requirements of `name` with `extra`, and their requirements."""
     found: set[tuple[str, str]] = set()
     waiting = [(name, extra)]
     while waiting:
@@ -45,7 +45,7 @@ def closure(name: str, extra: str) -> frozenset[str]:
 
 
 def _required(name: str, extra: str) -> Iterator[tuple[str, str]]:
-    """What a distribution requires here, with each of the extras that it asks for; nothing if it is not installed."""
+    """The requirements of a distribution here, with each requested extra; none if it is not installed."""
     try:
         lines = metadata.requires(name) or []
     except metadata.PackageNotFoundError:

@@ -6,10 +6,10 @@ training of each tracker; the spread between trainings is in `trainings`. Pairs 
 
 A number has an address, a row and a column. The row is a tracker, `TRACKER less REFERENCE` (a paired difference) or
 `TRACKER over OTHER` (a ratio). The column is a score, a stratum and a horizon, such as `f1 dynamic 1 s`. Scores: `f1`,
-`f1_at_visible` (at the threshold of all visible cells), `pr_auc`, `nll`, `class nll` (nats per scan), `share_of_oracle`
-(of the way from the best floor to the oracle), `lead` (F1 above the best floor) and `p` (a difference,
-corrected by Holm's method). `visible cyclist as car` is a share of the class's cells now, from confusion.json, which is
-kept beside the summary.
+`f1_at_visible` (at the threshold of all visible cells), `pr_auc`, `log_loss`, `class_log_loss` (nats per scan),
+`share_of_oracle` (of the way from the best floor to the oracle), `lead` (F1 above the best floor) and `p` (of a
+difference, corrected by Holm's method). `visible cyclist as car` is a share of the class's cells now, from
+confusion.json, which is kept beside the summary.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from studies.support.results_file import ResultTable, chance_marked, score_text,
 
 RESULTS = Path("docs/results")
 COLUMN = re.compile(
-    r"(?P<score>f1|f1_at_visible|pr_auc|nll|share_of_oracle|lead|p|class nll) "
+    r"(?P<score>f1|f1_at_visible|pr_auc|log_loss|share_of_oracle|lead|p|class_log_loss) "
     r"(?P<stratum>.+?) (?P<horizon>now|[\d.]+ s)"
 )
 CONFUSION_FILE = "confusion.json"
@@ -41,8 +41,8 @@ TITLES = {
     "f1": "",
     "f1_at_visible": "threshold of visible, ",
     "pr_auc": "PR-AUC, ",
-    "nll": "log loss, ",
-    "class nll": "class log loss, ",
+    "log_loss": "log loss, ",
+    "class_log_loss": "class log loss, ",
 }
 SHOWN = (
     "f1 in-motion 0.5 s",
@@ -58,12 +58,12 @@ OUTPUTS = {
     "f1": ("f1", "f1"),
     "f1_at_visible": ("f1", "at_visible"),
     "pr_auc": ("pr_auc", "area"),
-    "nll": ("log_loss", "mean"),
+    "log_loss": ("log_loss", "mean"),
     "share_of_oracle": ("f1", "oracle_share"),
-    "class nll": ("class_log_loss", "per_scan"),
+    "class_log_loss": ("class_log_loss", "per_scan"),
 }
 """Score and output of each score of an address."""
-LOSSES = ("nll", "class nll")
+LOSSES = ("log_loss", "class_log_loss")
 """Scores that are better if lower."""
 
 

@@ -63,7 +63,7 @@ def counted(stream: GridStream) -> Counts:
 
 
 def _pairs(called: Mask, expected: Mask, returns: Mask, dynamic: Mask, grid: GridSpec) -> Iterator[tuple[Mask, Mask]]:
-    """What is called in motion and what is: dynamic returns, then dynamic cells near them."""
+    """Called and true motion: of dynamic returns, then of dynamic cells near them."""
     yield called & dynamic, expected & dynamic
     near = PARTS.index("in-motion")
     yield parts_of(called, returns, dynamic, grid) == near, parts_of(expected, returns, dynamic, grid) == near

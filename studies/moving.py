@@ -52,7 +52,7 @@ EVERY_S = 2.0
 TABLE_S = 1.0
 """The horizon of the scores by carrier, of the differences between trackers, and of the pictures."""
 APART = 20
-"""Scans between two poses whose relative error is measured: 2.5 s, the longest forecast."""
+"""Scans between two poses with a measured relative error: 2.5 s, the longest forecast."""
 COMMAND = "python -m studies.moving"
 MOMENTS = (("car-202", 46.0), ("robot-201", 30.0))
 """A drive, and seconds since its beginning; the nearest of the kept forecasts is drawn."""
@@ -258,7 +258,7 @@ def collect(drives: Sequence[str], trackers: Sequence[str], out: Path, results: 
         ),
         "differences": difference_section(compared, trackers),
         "beyond the view": view_section(compared, trackers),
-        "told apart": pair_section(compared[0]),
+        "tracker pairs": pair_section(compared[0]),
     }
     for name, section in sections.items():
         write_section(results, name, section)

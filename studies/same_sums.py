@@ -31,7 +31,7 @@ ADDITIONS = 1e-12
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print one line for each trial; exit with 1 where any differs."""
+    """Print one line for each trial; exit with 1 if any differs."""
     parser = study_parser(__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("other", type=Path)

@@ -71,7 +71,7 @@ def rows_of(tracker: str, out: Path) -> dict[str, str]:
 
 
 def run(trackers: Sequence[str], out: Path) -> dict[str, float]:
-    """Train what is missing and compare on both stretches; the ratio of both training times, by tracker trained now."""
+    """Train missing weights and compare on both stretches; the ratio of both training times, by tracker trained now."""
     took = {}
     for tracker in trackers:
         times_s = [train_one_way(tracker, way, out) for way in WAYS]

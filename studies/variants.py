@@ -22,7 +22,7 @@ from studies.support.results_file import ResultSection, study_parser, write_sect
 RECIPES = Path("studies/recipes/ablations")
 WHOLE, FLOOR = "whole", "persistence"
 ABLATIONS, OF_ABLATIONS = Path("docs/results/junction/ablations.json"), Path("runs/ablations")
-ABLATED_COLUMNS = (*SHOWN[:5], "f1 visible 0.5 s", "f1 visible 2.5 s", "nll visible 1 s")
+ABLATED_COLUMNS = (*SHOWN[:5], "f1 visible 0.5 s", "f1 visible 2.5 s", "log_loss visible 1 s")
 """The columns of differences from the whole network."""
 
 KALMAN = {

@@ -169,7 +169,7 @@ def drift_table(drivers: Mapping[str, Path], refined: Mapping[str, Path]) -> Res
 def poses_section(
     recorded: PlaceScores, refined: PlaceScores, lasers: Mapping[str, str], drift: ResultTable
 ) -> ResultSection:
-    """The cost of wheel odometry: `recorded` are the scores on all worlds, `refined` on those with odometry."""
+    """The cost of wheel odometry: `recorded` are the scores on all worlds, `refined` on worlds with odometry."""
     names = {kind: [name for name, laser in lasers.items() if laser == kind] for kind in (STANDS, DRIVES, ODOMETRY)}
     groups = {kind: recorded.of(found) for kind, found in names.items() if len(found) >= FEWEST_POOLED}
     counted = {f"{kind} ({len(names[kind])})": scores for kind, scores in groups.items()}

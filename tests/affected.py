@@ -1,4 +1,4 @@
-"""What a change affects: lint of the changed files, and the tests of the changed modules and their importers.
+"""Check of a change: lint of the changed files, and the tests of the changed modules and their importers.
 
 `PYTHONPATH=tests python -m affected [--since REV]` (`make check`) looks at the working tree against REV, by default the
 last commit. Tests that import a changed module run first, then tests of its importers. After a minute the other tests
@@ -71,7 +71,7 @@ def pytest_runtest_setup() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Lint and test what a change affects. Returns the exit code."""
+    """Lint and test the affected files. Returns the exit code."""
     parser = argparse.ArgumentParser(prog="affected", description=__doc__.partition("\n")[0])
     parser.add_argument("--since", metavar="REV", default="HEAD", help="compare with this revision")
     changed = changed_files(parser.parse_args(arguments).since)

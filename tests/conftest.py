@@ -80,9 +80,9 @@ def burglar(install: Install) -> None:
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
-    """Chromium, one for all tests; they are skipped where there is none.
+    """Chromium, one for all tests; they are skipped if there is none.
 
-    Its driver runs an event loop in this thread: what needs a loop of its own runs in another thread.
+    Its driver runs an event loop in this thread: code with a loop of its own runs in another thread.
     """
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra dev, is not installed")
     if (program := shutil.which("chromium")) is None:
@@ -95,7 +95,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def bucket() -> Iterator[Any]:
-    """The store of fsspec in memory; what a test puts below /bucket is removed after it."""
+    """The store of fsspec in memory; files of a test below /bucket are removed after it."""
     fsspec = pytest.importorskip("fsspec", reason="fsspec, of the extra remote, is not installed")
     files = fsspec.filesystem("memory")
     yield files
@@ -104,7 +104,7 @@ def bucket() -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def serious_findings() -> Callable[[Any], list[tuple[str, str]]]:
-    """What axe-core finds on an open page that is serious or critical: (rule, HTML of the first element)."""
+    """Serious and critical findings of axe-core on an open page: (rule, HTML of the first element)."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe, of the extra dev, is not installed")
 
     def found(page: Any) -> list[tuple[str, str]]:

@@ -6,7 +6,7 @@ from affected import affected_tests
 
 
 def test_the_nearest_tests_of_a_change_come_first():
-    """A changed test, those that import the changed module, those that import an importer of it; no others."""
+    """A changed test, tests that import the changed module, tests that import an importer of it; no others."""
     chosen = affected_tests(["recordings/resample.py", "tests/common/test_files.py"])
     assert chosen[:2] == ["tests/common/test_files.py", "tests/recordings/test_resample.py"]
     assert "tests/recordings/test_stream.py" in chosen

@@ -162,7 +162,7 @@ def test_the_help_of_all_commands_is_that_of_each():
 
 
 @pytest.mark.parametrize(("command", "model"), [("compare", CompareSettings), ("train", Recipe)])
-def test_the_defaults_in_the_help_are_those_of_the_settings_and_the_command_has_none_of_its_own(
+def test_the_defaults_in_the_help_come_from_the_settings_and_the_command_has_none_of_its_own(
     command, model, monkeypatch
 ):
     monkeypatch.setenv("COLUMNS", "240")
@@ -277,7 +277,7 @@ def test_a_check_gives_a_verdict_on_each_clause_and_exit_code_1_for_a_violation(
     assert lines[-1].startswith("counts-predictions does not keep the contract: 13 passed, 2 not applicable, 1 failed")
 
 
-def test_an_import_gives_the_content_of_what_it_wrote_as_json(tmp_path):
+def test_an_import_prints_the_content_of_its_file_as_json(tmp_path):
     imported = gridtrack("recording", "import", DEMO, "--out", tmp_path / "again.mcap", "--json").stdout
     info = json.loads(gridtrack("recording", "info", tmp_path / "again.mcap", "--json").stdout)
     assert json.loads(imported) == info
@@ -302,7 +302,7 @@ def test_a_tracker_is_trained_compared_and_reported(tmp_path):
     assert str(run) in gridtrack("report", run).stdout
 
 
-def test_a_training_whose_weights_cannot_be_written_does_not_start(tmp_path):
+def test_a_training_without_a_writable_place_for_weights_does_not_start(tmp_path):
     (tmp_path / "file").write_text("not a folder")
     done = gridtrack("train", "kalman", DEMO, "--out", tmp_path / "file", code=2)
     assert f"{tmp_path / 'file' / 'kalman'}: cannot be made (Not a directory); name a folder" in done.stderr

@@ -34,7 +34,7 @@ ABSOLUTE_ERROR = ScoreDefinition(
     title="Absolute error",
     position=1000,
     outputs=(Output("mean", "Absolute error", better="lower", scale="odds", tested=True, margin=0.01),),
-    about="Mean distance of the probability from what came, over visible cells.",
+    about="Mean distance of the probability from the observation, over visible cells.",
     strata=lambda facts: ("visible",),
     parts=lambda facts: ("error", "cells"),
     count=count,

@@ -14,7 +14,7 @@ from fuzz.readers import READERS
 from fuzz.rule import Inputs, finding
 
 CASES = 300
-"""Damaged files of the corpus: made anew from their seeds, each seed for the reader whose turn it is."""
+"""Damaged files of the corpus: made anew from their seeds, each seed for the next reader."""
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""General weights: trained on recordings of unlike places, used where there are none of the site, and named so."""
+"""General weights: trained on recordings of unlike places, used if there are none of the site, and named so."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def weights(tmp_path_factory):
     return folder
 
 
-def test_a_general_card_has_no_place_and_says_what_it_was_trained_on(weights):
+def test_a_general_card_has_no_place_and_names_its_training_recordings(weights):
     """No map, no grid and no period; the ranges of cell and period."""
     card = read_card(weights / "static-map" / "general.toml")
     assert card.general
@@ -139,7 +139,7 @@ def dogma_of_the_hall(general_dogma, tmp_path_factory):
 
 
 def test_a_training_at_a_site_starts_from_the_general_weights_and_says_so(general_dogma, dogma_of_the_hall):
-    """Settings that are not searched are theirs, options are the user's; what belongs to the place is learned there."""
+    """Settings that are not searched are theirs, options are the user's; the place is learned there."""
     folder, text, card = dogma_of_the_hall
     general = general_dogma / "dogma" / "general.toml"
     assert (card.started_from.name, card.started_from.sha256) == ("dogma/general.toml", sha256_of(general))
@@ -149,7 +149,7 @@ def test_a_training_at_a_site_starts_from_the_general_weights_and_says_so(genera
     assert shlex.split(card.command)[-4:] == ["--weights", str(general_dogma), "--out", str(folder)]
 
 
-def test_a_card_names_what_its_general_weights_learned_from(dogma_of_the_hall, tmp_path):
+def test_a_card_names_the_training_recordings_of_its_general_weights(dogma_of_the_hall, tmp_path):
     """So that nothing of it is scored with the weights of the site."""
     folder, _, card = dogma_of_the_hall
     assert [data.recording for data in card.train] == [
@@ -160,7 +160,7 @@ def test_a_card_names_what_its_general_weights_learned_from(dogma_of_the_hall, t
 
 
 def test_a_general_training_goes_on_from_general_weights_that_are_named(general_dogma, tmp_path):
-    """With recordings of further places: what the weights learned from before stays on the card."""
+    """With recordings of further places: earlier training recordings stay on the card."""
     text = gridtrack(
         *("train", "dogma:acceleration=0.3", f"{HALL}@30s-40s", f"{STREET}@10s-20s"),
         *("--validation", f"{STREET}@20s-26s", "--general", "--weights", general_dogma, "--out", tmp_path),
@@ -178,16 +178,18 @@ def test_a_general_training_goes_on_from_general_weights_that_are_named(general_
 
 
 def test_a_general_training_that_names_no_weights_is_from_scratch(tmp_path):
-    told = []
-    assert general_start(Recipe(tracker="dogma", general=True), [], tmp_path, told.append, can_start=True) is None
-    assert told == ["from scratch: a general training starts from general weights only if --weights names their folder"]
+    reported = []
+    assert general_start(Recipe(tracker="dogma", general=True), [], tmp_path, reported.append, can_start=True) is None
+    assert reported == [
+        "from scratch: a general training starts from general weights only if --weights names their folder"
+    ]
 
 
 def test_weights_for_a_tracker_that_starts_from_none_are_not_ignored_in_silence(tmp_path):
-    told = []
+    reported = []
     recipe = Recipe(tracker="static-map", weights=str(tmp_path))
-    assert general_start(recipe, [], tmp_path, told.append, can_start=False) is None
-    assert told == ["from scratch: a training of static-map does not start from weights; --weights has no effect"]
+    assert general_start(recipe, [], tmp_path, reported.append, can_start=False) is None
+    assert reported == ["from scratch: a training of static-map does not start from weights; --weights has no effect"]
 
 
 def test_without_general_weights_a_training_is_from_scratch_and_its_command_says_so(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""gridtrack from Python: what somebody in a notebook does, on the shipped demo recording."""
+"""gridtrack from Python, as in a notebook, on the shipped demo recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the shell completes, asked as bash asks: it ends a word at each of : = @ and replaces what follows the last."""
+"""Completions of the shell, asked as bash asks: it ends a word at each of : = @ and replaces the rest."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def asked_by_bash(*typed: str) -> dict[str, str]:
 
 @pytest.fixture
 def completed_in_bash(monkeypatch: pytest.MonkeyPatch) -> Complete:
-    """`completed_in_bash(*words)`: what bash is offered in place of the end of the last word."""
+    """`completed_in_bash(*words)`: the offers to bash for the end of the last word."""
 
     def completed(*typed: str) -> list[str]:
         for name, value in asked_by_bash(*typed).items():
@@ -65,17 +65,6 @@ def completed_in_bash(monkeypatch: pytest.MonkeyPatch) -> Complete:
         (["compare", "a.mcap", "--degrade", "beam-dropout=0"], []),
         (["compare", "a.mcap", "--slurm", "pa"], ["partition="]),
         (["recording", "import", "a.bag", "--cloud-slice", "low_m=0.2,hi"], ["0.2,high_m="]),
-    ],
-)
-def test_commands_trackers_and_values_of_a_fixed_set(
-    completed_in_bash: Complete, typed: list[str], completed: list[str]
-) -> None:
-    assert completed_in_bash(*typed) == completed
-
-
-@pytest.mark.parametrize(
-    ("typed", "completed"),
-    [
         (["compare", "a.mcap", "--tracker", "slow=kalman:association=j"], ["jcbb"]),
         (["compare", "a.mcap", "--tracker", "kalman:association="], ["hungarian", "jcbb"]),
         (["compare", "a.mcap", "--tracker", "static-map:prior_frames=9,"], ["9,points=", "9,card=", "9,weights="]),
@@ -85,7 +74,7 @@ def test_commands_trackers_and_values_of_a_fixed_set(
         (["train", "static-map:pr"], ["prior_frames="]),
     ],
 )
-def test_the_options_of_a_tracker_and_their_values(
+def test_commands_trackers_and_their_options_are_completed(
     completed_in_bash: Complete, typed: list[str], completed: list[str]
 ) -> None:
     assert completed_in_bash(*typed) == completed

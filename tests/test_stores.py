@@ -1,4 +1,4 @@
-"""Weights and runs in a store: commands take URLs, run on local copies, and lose nothing where the store fails."""
+"""Weights and runs in a store: commands take URLs, run on local copies, and lose nothing if the store fails."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def json_in(path):
     return json.loads(path.read_text())
 
 
-def test_weights_in_a_store_are_those_of_a_run_and_the_command_is_what_was_typed(folder):
+def test_a_run_uses_weights_in_a_store_and_records_the_command_as_typed(folder):
     shutil.copytree(SHIPPED, folder / "store" / "weights" / "static-map")
     url = f"file://{folder}/store/weights"
     rows = ("--tracker", f"new=static-map:weights={url}", "--tracker", "static-map:points=centres")
@@ -56,7 +56,7 @@ def test_a_row_may_name_its_weights_in_a_store_that_is_not_there(folder):
     assert failed.stderr == f"gridtrack: file://{folder}/none: there is no such folder, or no file in it\n"
 
 
-def test_the_card_of_a_training_names_what_was_typed(folder):
+def test_the_card_of_a_training_has_the_command_as_typed(folder):
     """Whoever repeats the command has the store, and not this machine's cache."""
     shutil.copytree(SHIPPED, folder / "store" / "weights" / "static-map")
     shutil.copy(packaged_recording("leg_tracker"), folder / "store")
@@ -127,7 +127,7 @@ def test_a_run_is_made_in_a_store_and_continued_from_there(folder):
     assert kept_runs(folder) == []
 
 
-def test_what_cannot_be_uploaded_stays_here_and_is_uploaded_by_the_command_that_is_told(folder):
+def test_a_run_that_cannot_be_uploaded_stays_here_until_the_suggested_command_uploads_it(folder):
     blocking = folder / "store" / "hall" / "report"
     blocking.parent.mkdir(parents=True)
     blocking.write_text("a file where the folder of the report should be")
@@ -135,9 +135,11 @@ def test_what_cannot_be_uploaded_stays_here_and_is_uploaded_by_the_command_that_
     command = ("compare", "--no-floors", RECORDING, *ROW, *SHORT, "--out", url)
     failed = gridtrack(*command, code=2)
     (kept,) = kept_runs(folder)
-    told, reason = failed.stderr.splitlines()[-2:]
-    assert told.startswith(f"gridtrack: {kept} keeps the run, which {url} does not have in this state: run `gridtrack")
-    assert "--resume`" in told
+    reported, reason = failed.stderr.splitlines()[-2:]
+    assert reported.startswith(
+        f"gridtrack: {kept} keeps the run, which {url} does not have in this state: run `gridtrack"
+    )
+    assert "--resume`" in reported
     assert reason.startswith(f"gridtrack: {url}: cannot be uploaded to (")
     assert not (folder / "store" / "hall" / "run.json").exists()
     blocking.unlink()

@@ -82,12 +82,14 @@ def test_the_start_on_the_command_line_overrides_that_of_the_recipe(asked, tmp_p
 
 def test_a_training_from_scratch_looks_for_no_general_weights(monkeypatch, tmp_path):
     monkeypatch.setattr("gridtrack.evaluation.runs.train.find_weights", None)
-    told = []
-    assert general_start(Recipe(tracker="dogma", from_scratch=True), [], tmp_path, told.append, can_start=True) is None
-    assert told == ["from scratch, not from general weights"]
+    reported = []
+    assert (
+        general_start(Recipe(tracker="dogma", from_scratch=True), [], tmp_path, reported.append, can_start=True) is None
+    )
+    assert reported == ["from scratch, not from general weights"]
 
 
-def test_regions_for_the_thresholds_are_those_of_the_training_and_not_of_the_rest_of_the_recording(
+def test_regions_for_the_thresholds_come_from_the_training_and_not_from_the_rest_of_the_recording(
     monkeypatch, tmp_path
 ):
     monkeypatch.setattr(GridStream, "all_observations", None)
@@ -95,11 +97,11 @@ def test_regions_for_the_thresholds_are_those_of_the_training_and_not_of_the_res
     assert read_card(tmp_path / "static-map" / "leg_tracker.toml").thresholds is not None
 
 
-def test_choosing_thresholds_tells_how_far_it_is(monkeypatch, tmp_path):
+def test_choosing_thresholds_reports_its_progress(monkeypatch, tmp_path):
     often = partial(ProgressLines, every_s=0.02)
     monkeypatch.setattr("gridtrack.evaluation.runs.train.ProgressLines", often)
-    told: list[str] = []
+    reported: list[str] = []
     recipe = {"recordings": [f"{DEMO}@0s-20s"], "validation": [f"{DEMO}@75s-81s", f"{DEMO}@81s-90s"], "out": tmp_path}
-    train_tracker(Recipe(tracker="static-map", from_scratch=True, **recipe), told.append)
-    thresholds = [line.split(",")[0] for line in told if line.startswith("thresholds on recording")]
+    train_tracker(Recipe(tracker="static-map", from_scratch=True, **recipe), reported.append)
+    thresholds = [line.split(",")[0] for line in reported if line.startswith("thresholds on recording")]
     assert set(thresholds) == {"thresholds on recording 1 of 2", "thresholds on recording 2 of 2"}

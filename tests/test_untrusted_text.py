@@ -31,7 +31,7 @@ def hostile_recording(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_a_recording_says_of_itself_is_printable(hostile_recording: Path) -> None:
+def test_the_metadata_of_a_recording_are_printable(hostile_recording: Path) -> None:
     lines = str(open_recording(hostile_recording).overview()).split("\n")
     assert any("evil" in line for line in lines)
     assert all(line.isprintable() and len(line) <= MAX_LINE_CHARS for line in lines)
@@ -46,7 +46,7 @@ def test_the_warnings_of_a_recording_are_printable_and_bounded(hostile_recording
     assert all(line.isprintable() and len(line) <= MAX_LINE_CHARS for line in recording.warnings)
 
 
-def test_topics_are_counted_up_to_a_limit_but_for_those_with_scans() -> None:
+def test_topics_without_scans_are_counted_up_to_a_limit() -> None:
     topics = Topics()
     for number in range(2 * MAX_LISTED_TOPICS):
         topics.add(f"/{number}", "other", False)

@@ -22,7 +22,7 @@ class AdvectionOptions(Settings):
     the validation recording of the junction."""
 
     lookback_s: float = Field(0.5, gt=0.0, le=10.0)
-    """Time between the two frames whose flow is found; a longer one finds slower motion."""
+    """Time between the two frames of the flow; a longer one finds slower motion."""
     smoothing_m: float = Field(0.2, ge=0.0, le=10.0)
     """Standard deviation of the blur of both frames: occupied cells alone have no gradient to follow."""
     attachment: float = Field(15.0, gt=0.0, le=1000.0)
@@ -83,7 +83,7 @@ class AdvectionTracker(Tracker):
         return Forecast(forecast)
 
     def _way_back(self) -> NDArray[np.float32]:
-        """Rows and columns (2, M, M) from each cell back to the place, one step earlier, of what is in it."""
+        """Rows and columns (2, M, M) from each cell back to the place of its content one step earlier."""
         before, now = self._recent[0], self._recent[-1]
         if before.stamp_ns == now.stamp_ns:
             return np.zeros((2, *now.state.shape), np.float32)

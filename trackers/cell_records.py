@@ -40,7 +40,7 @@ class FadingRecord:
         self._lost = -math.expm1(-period_s / memory_s)
 
     def observe(self, visible: Mask, marked: Mask, periods: int) -> None:
-        """Update with the `visible` cells of a frame, `periods` after the previous one, and those with a mark."""
+        """Update with the `visible` and the marked cells of a frame, `periods` after the previous one."""
         kept = (1.0 - self._lost) ** periods
         keep, counts = np.where(visible, np.float32(kept), np.float32(1.0)), np.float32((1.0 - kept) / self._lost)
         self.visible = self.visible * keep + counts * visible.astype(np.float32)
@@ -61,7 +61,7 @@ def open_cells(frame: GridFrame) -> Mask:
 
 
 class OpenSpace:
-    """For each cell (M, M), in which share of the recent frames in which it was visible it was open (`open_cells`).
+    """For each cell (M, M), the share of open frames (`open_cells`) among recent frames that saw it.
 
     Walls that come into view were hidden before, and noise moves returns by a cell only: there no cell is ever open. A
     walker enters cells that were open before. An object that has stood in a cell for about three time constants is no

@@ -176,7 +176,7 @@ def _attribute_breach(found: type[Tracker]) -> str:
 def code_sha256(tracker: type[Tracker]) -> str:
     """The hash of the code of a tracker, which shows whether it was edited between two runs.
 
-    It covers the loaded source files of its package, and those below the folder of its module except installed
+    It covers the loaded source files of its package, and files below the folder of its module except installed
     libraries. "" for a class without a file, as in a notebook.
     """
     files = dict(sorted(_source_files(tracker.__module__.partition(".")[0])))

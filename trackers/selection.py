@@ -23,7 +23,7 @@ from gridtrack.common.untrusted import parse_toml
 from gridtrack.trackers import registry
 
 CardKind = Literal["any", "site", "general"]
-"""The weights that a row may use: of the site, general, or any: those of the site if it has some, else general."""
+"""The weights that a row may use: of the site, general, or any (of the site if there are some, else general)."""
 MAX_TOML_BYTES = 1 << 20
 LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._ -]{0,62}[A-Za-z0-9_-])?")
 

@@ -28,7 +28,7 @@ DISTANCE_ENDS_M = np.array([0.05, 0.25, 0.45, 0.65, 0.85, 1.1, 1.5, 2.0, 3.0, 5.
 AGE_ENDS_S = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 1e6])
 """Upper ends of the bins of the time since a cell was visible; one more has the cells that were never visible."""
 TABLE_BINS = len(RATE_ENDS) + 1, len(DISTANCE_ENDS_M) + 1, len(AGE_ENDS_S) + 1
-"""Numbers of bins of rate, distance and age: those of the table at one horizon."""
+"""Numbers of bins of rate, distance and age in the table at one horizon."""
 STATIC_RATE = 0.5
 """A return is static in a cell that was occupied in more than this share of its visible frames."""
 LEARN_AFTER, LEARN_EVERY_S = 20, 0.5
@@ -75,7 +75,7 @@ class StationaryTracker(Tracker):
 
     @classmethod
     def fit(cls, task: FitTask) -> None:
-        """Count in `task.train` how often the cells of each bin are occupied at each horizon, where they are visible.
+        """Count in `task.train` how often the cells of each bin are occupied at each horizon, if they are visible.
 
         Raises ConfigurationError for a training at a site: the table has nothing of a place.
         """
@@ -95,7 +95,7 @@ class StationaryTracker(Tracker):
 
 
 class CellPasts:
-    """What the stream showed of each cell of the window so far; each cell keeps its place in the world."""
+    """Observations of each cell of the window so far; each cell keeps its place in the world."""
 
     def __init__(self, grid: GridSpec) -> None:
         self._grid = grid

@@ -1,6 +1,6 @@
 """The wire: length-prefixed messages between the referee and a tracker process (docs/wire.md describes them).
 
-A message is a fixed prefix, a small JSON header and a body of raw little-endian arrays whose names, types and shapes
+A message is a fixed prefix, a small JSON header and a body of raw little-endian arrays; their names, types and shapes
 the header declares. Nothing is unpickled, and every size is checked before memory is taken for it.
 """
 
@@ -112,7 +112,7 @@ def encode(message: Message) -> list[memoryview]:
 
 
 def receive(fill: Fill, max_body: int) -> Message:
-    """Read one message whose body is at most `max_body` bytes.
+    """Read one message with a body of at most `max_body` bytes.
 
     Raises TooLargeError, WireError, and the errors of `fill`.
     """

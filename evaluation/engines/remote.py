@@ -227,7 +227,7 @@ class RemoteEngine(Generic[Task]):
             entry.future.set_exception(EngineError(reply.error))
 
     def _retry(self, entry: _Submitted, reason: str) -> None:
-        """Start a job again whose machine was lost, or end it after RETRIES."""
+        """Start the job of a lost machine again, or end it after RETRIES."""
         shutil.rmtree(entry.folder.path, ignore_errors=True)
         if entry.starts > RETRIES:
             error = f"lost by the engine {entry.starts} times, the last time because {reason}: compare with --resume"

@@ -156,7 +156,7 @@ class TrackerUnderTest:
         self._running.close()
 
     def process(self) -> TrackerProcess:
-        """The running process, started where there is none."""
+        """The running process, started if there is none."""
         if self._process is None:
             self._process = self._running.enter_context(self.process_on(self.stream))
         return self._process
@@ -422,7 +422,7 @@ def _works_on(subject: TrackerUnderTest, stream: StreamSpec, what: str) -> str:
 
 
 def require_equal(one: Forecasts, other: Forecasts, what: str) -> None:
-    """Raise ContractViolationError where two series of forecasts differ."""
+    """Raise ContractViolationError if two series of forecasts differ."""
     for (count, a), (_, b) in zip(one, other, strict=True):
         difference = _difference(a, b)
         if difference > FORECAST_TOLERANCE:

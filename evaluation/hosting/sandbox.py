@@ -45,7 +45,7 @@ GRIDTRACK_DATA = "data"
 GRIDTRACK_CODE = ("__init__.py", "common", "trackers")
 """The parts of gridtrack that a tracker imports. In an editable installation recordings and runs lie beside them."""
 KEY_CALLS = ("add_key", "request_key", "keyctl")
-"""System calls of the kernel's keyrings, in which a program could leave what it saw for its next start."""
+"""System calls of the kernel's keyrings, in which a program could store data for its next start."""
 CACHES, CACHE_ROOM = "/run/caches", 1 << 20
 COPY = f'n=0; while [ "$1" != -- ]; do cp {CACHES}/$n/* "$1"/; n=$((n+1)); shift; done; shift; exec "$@"'
 
@@ -83,7 +83,7 @@ class SandboxView:
 
 
 def check_sandbox() -> None:
-    """Raise ConfigurationError, with what to do, where this machine cannot confine a program."""
+    """Raise ConfigurationError, with the remedy, if this machine cannot confine a program."""
     problem = _problem()
     if problem:
         raise ConfigurationError(f"--sandbox: {problem}")

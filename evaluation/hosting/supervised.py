@@ -32,7 +32,7 @@ KILL_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class ProcessExit:
-    """Exit of a supervised program: `status` as of `os.waitpid`, None where unknown; `peak_kb` resident memory, KiB."""
+    """Exit of a supervised program: `status` as of `os.waitpid`, None if unknown; `peak_kb` resident memory, KiB."""
 
     status: int | None = None
     peak_kb: int = 0
@@ -99,7 +99,7 @@ class SupervisedProgram:
         """Start the program. Its stderr goes to `log`, in bounded size, or to the stderr of this process.
 
         With `memory_mb` it ends when the resident memory of all its processes exceeds it. It has the descriptors
-        `inherited`, too. Raises OSError where the log cannot be opened.
+        `inherited`, too. Raises OSError if the log cannot be opened.
         """
         self._folder = mkdtemp(prefix="gridtrack-")
         control, supervisors_end = socket.socketpair()

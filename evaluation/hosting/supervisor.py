@@ -356,7 +356,7 @@ def proportional_kb(sizes: dict[int, tuple[int, int]], files_kb: int) -> int:
 
 
 def allocated(path: str) -> dict[tuple[int, int], int]:
-    """Device, inode and size of a file, bytes; nothing where it is gone."""
+    """Device, inode and size of a file, bytes; nothing if it is gone."""
     try:
         found = pathlib.Path(path).stat()
     except OSError:
@@ -365,7 +365,7 @@ def allocated(path: str) -> dict[tuple[int, int], int]:
 
 
 def used(folder: str) -> dict[tuple[int, int], int]:
-    """Device and size of all files of the file system at `folder`, bytes; nothing where it is gone."""
+    """Device and size of all files of the file system at `folder`, bytes; nothing if it is gone."""
     try:
         system = os.statvfs(folder)
         return {(pathlib.Path(folder).stat().st_dev, 0): system.f_frsize * (system.f_blocks - system.f_bfree)}
@@ -374,7 +374,7 @@ def used(folder: str) -> dict[tuple[int, int], int]:
 
 
 def link_target(path: str) -> str:
-    """The target of a link in /proc; "" where it is gone."""
+    """The target of a link in /proc; "" if it is gone."""
     try:
         return str(pathlib.Path(path).readlink())
     except OSError:

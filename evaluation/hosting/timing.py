@@ -43,7 +43,7 @@ class Latencies:
         return int(self.counts.sum())
 
     def percentile(self, percent: float) -> float:
-        """Percentile of the call durations, ms; NaN where there was no call."""
+        """Percentile of the call durations, ms; NaN if there was no call."""
         if not len(self):
             return math.nan
         rank = max(1, math.ceil(percent / 100.0 * len(self)))

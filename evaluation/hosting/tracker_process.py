@@ -51,13 +51,13 @@ class TrackerDescription:
     learns: bool
     options: Mapping[str, Any]
     options_schema: Mapping[str, Any]
-    """JSON schema of its options; empty where it has none."""
+    """JSON schema of its options; empty if it has none."""
     about: str
     role: Role = "tracker"
     reference_for: frozenset[ComparedPart] = frozenset()
     """The comparisons in which the other rows are compared with this tracker by default."""
     code_sha256: str = ""
-    """Hash of the code that runs; empty where it is not known, as without a stream."""
+    """Hash of the code that runs; empty if it is not known, as without a stream."""
 
 
 class HeldForecasts:
@@ -194,7 +194,7 @@ class TrackerProcess:
             return forecast
 
     def _refuse_other_parts(self, forecast: Forecast) -> None:
-        """Raises WireError where some forecasts have sampled futures and others have none."""
+        """Raises WireError if some forecasts have sampled futures and others have none."""
         has_futures = forecast.futures is not None
         if self._has_futures not in (None, has_futures):
             found = "futures" if has_futures else "no futures"
@@ -291,7 +291,7 @@ def _folders_of_run(log: Path) -> tuple[Path, ...]:
 
 
 def _nanoseconds(answer: Message, name: str) -> int:
-    """A duration by the tracker's own clock, ns. Raises WireError where it is negative or too large."""
+    """A duration by the tracker's own clock, ns. Raises WireError if it is negative or too large."""
     span = answer.value(name, int)
     if not 0 <= span < 1 << 63:
         raise WireError(f"'{name}' is no duration; expected nanoseconds from 0 to 2^63 - 1")

@@ -59,7 +59,7 @@ class Timeline:
         return int((~self.accepted).sum())
 
     def lasting(self, frames: int) -> Timeline:
-        """The same for `frames` frames or more: the tracker receives none of those that are added."""
+        """The same for `frames` frames or more: the tracker receives none of the added frames."""
         added = max(0, frames - len(self.newest))
         newest = np.pad(self.newest, (0, added), "edge") if len(self.newest) else np.full(added, -1, np.int64)
         return Timeline(np.pad(self.accepted, (0, added)), newest)
@@ -68,7 +68,7 @@ class Timeline:
 def timeline(frames: int, period_ms: float, costs: Costs) -> Timeline:
     """The timeline of `frames` frames at `period_ms`; the k-th accepted frame takes as long as the k-th measured one.
 
-    The measured durations are repeated where they are fewer. A forecast delivered, or a tracker free, exactly at the
+    The measured durations are repeated if they are fewer. A forecast delivered, or a tracker free, exactly at the
     stamp of a frame is in time for it. Times are integer nanoseconds.
     """
     period_ns = round(period_ms * 1e6)

@@ -21,7 +21,7 @@ from gridtrack.recordings.truth import static_cells
 class Regions:
     """The regions of a stretch, in the window of any of its frames; `strata` are the names of those scored.
 
-    Bands of range are about the sensors at the frame whose window it is, the one that a forecast is made at.
+    Bands of range are about the sensors at the frame of the window, at which a forecast is made.
     """
 
     def __init__(self, grid: GridSpec, kinds: CellKinds, strata: tuple[str, ...] = STRATA) -> None:
@@ -66,7 +66,7 @@ CellPlace = tuple[int, int]
 
 
 class WorldCells:
-    """Layers of values of all cells of the world; 0 where nothing was added."""
+    """Layers of values of all cells of the world; 0 if nothing was added."""
 
     def __init__(self, layers: int, dtype: DTypeLike) -> None:
         self.tiles: dict[CellPlace, NDArray[Any]] = {}
@@ -184,9 +184,9 @@ def kinds_of_outlines(scene: Scene, windows: Iterable[SE2], grid: GridSpec) -> K
 
 
 MIN_HITS = 0.1
-"""Where the sensor moves: share of the frames in which a static cell is itself occupied, of those that show it."""
+"""For a moving sensor: share of the frames showing a static cell in which the cell itself is occupied."""
 BLOCK_NS = 30_000_000_000
-"""Where the sensor moves: a block of time; the cells of a block are judged by it and the blocks before and after."""
+"""If the sensor moves: a block of time; the cells of a block are judged by it and the blocks before and after."""
 StaticTiles = dict[CellPlace, NDArray[np.uint8]]
 """The static cells of a time, a bit each: (TILE_CELLS * TILE_CELLS / 8,) by the place of the tile."""
 
@@ -211,11 +211,11 @@ def observed_kinds(observations: Iterable[Observation], grid: GridSpec) -> Kinds
     """The kinds that the observations of a recording show, in the order of their stamps.
 
     Of a sensor at rest a cell is static where it is occupied in more than half of the frames in which it is visible.
-    Where the sensor moves, an error of its pose puts a wall into another cell from frame to frame: a cell is static
+    If the sensor moves, an error of its pose puts a wall into another cell from frame to frame: a cell is static
     where it or a neighbour is occupied in more than half of the frames that show it, and the cell itself in more than
     MIN_HITS of them. Over minutes the errors grow to several cells, so that only frames of the same block of time and
     of those beside it count. The ring is the eight neighbours of a static cell, where range noise flickers; all others
-    are dynamic. Raises RecordingError where the windows cover too much.
+    are dynamic. Raises RecordingError if the windows cover too much.
     """
     counts = ObservedCounts(grid)
     for observation in observations:
@@ -254,7 +254,7 @@ class ObservedCounts:
         self._counts[2] += frame.visible & with_neighbours(frame.occupied)
 
     def kinds(self) -> KindsOfWindow | KindsOfTimes:
-        """The kinds, by the rule for a sensor at rest where there was only one window."""
+        """The kinds, by the rule for a sensor at rest if there was only one window."""
         if self._at_rest is not None:
             seen, hits, _ = self._at_rest + self._counts
             return KindsOfWindow(cell_kinds_around(2 * hits > seen))
@@ -263,7 +263,7 @@ class ObservedCounts:
         return KindsOfTimes(self._judged | still_open, self._grid)
 
     def _flush(self) -> None:
-        """Add the counts of the window to those of its block: the window moves now, or another block begins."""
+        """Add the counts of the window to its block: the window moves now, or another block begins."""
         if self._window is None:
             return
         if self._at_rest is not None:
@@ -273,7 +273,7 @@ class ObservedCounts:
         self._counts[:] = 0
 
     def _judge(self, newest: int) -> None:
-        """Judge each block whose neighbours are over when `newest` begins, and drop what no other block needs."""
+        """Judge each block with neighbours that are over when `newest` begins, and drop counts no other block needs."""
         for block in sorted(self._open):
             if block + 1 < newest and block not in self._judged:
                 self._judged[block] = self._static(block)

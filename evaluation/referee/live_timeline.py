@@ -38,7 +38,7 @@ class Delivered(NamedTuple):
 
 
 class LiveTimeline:
-    """What one tracker receives and delivers in real time.
+    """The frames that one tracker receives, and its forecasts, in real time.
 
     One thread presents the frames and closes the deadlines; the tracker's thread takes the frames, delivers the
     forecasts, and leaves when it cannot go on.
@@ -115,7 +115,7 @@ class LiveTimeline:
 
     @property
     def frames(self) -> int:
-        """Number of frames whose deadline is over."""
+        """Number of frames with a deadline in the past."""
         return len(self._newest)
 
     @property
@@ -144,7 +144,7 @@ class LiveTimeline:
 
 
 class _Place(NamedTuple):
-    """Where an array is in the file, and what it is."""
+    """Place, type and shape of an array in the file."""
 
     at: int
     size: int

@@ -37,11 +37,11 @@ _OPEN, _STANDING, _IN_MOTION = range(len(PARTS))
 
 
 class ReturnsInMotion(Protocol):
-    """What decides which returns of one observation are in motion, in any window."""
+    """Decides which returns of one observation are in motion, in any window."""
 
     @property
     def bodies(self) -> BodyMotions | None:
-        """The motions of the bodies of the true scene; None where it is not known."""
+        """The motions of the bodies of the true scene; None if it is not known."""
         ...
 
     def among(self, observation: Observation, grid: GridSpec) -> Mask:
@@ -50,7 +50,7 @@ class ReturnsInMotion(Protocol):
 
 
 class MotionFinder(Protocol):
-    """Finds what is in motion, observation by observation."""
+    """Finds returns in motion, observation by observation."""
 
     def of(self, observation: Observation) -> ReturnsInMotion:
         """The returns in motion of the next observation of the stretch."""
@@ -58,7 +58,7 @@ class MotionFinder(Protocol):
 
 
 def parts_of(moving: Mask, returns: Mask, dynamic: Mask, grid: GridSpec) -> NDArray[np.uint8]:
-    """`motion` (M, M) uint8 of a frame with these `returns` (M, M), of which those in `moving` are in motion.
+    """`motion` (M, M) uint8 of a frame with these `returns` (M, M), of which `moving` are in motion.
 
     In motion: `dynamic` cells within NEAR_M of a return in motion in a dynamic cell. Standing: those of the others that
     are within NEAR_M of another dynamic return.
@@ -71,7 +71,7 @@ def parts_of(moving: Mask, returns: Mask, dynamic: Mask, grid: GridSpec) -> NDAr
 
 
 def _offsets(grid: GridSpec) -> NDArray[np.int64]:
-    """Rows and columns (N, 2) to the cells whose centres are within NEAR_M."""
+    """Rows and columns (N, 2) to the cells with centres within NEAR_M."""
     reach = int(NEAR_M / grid.cell_m)
     rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     near = np.hypot(rows, columns) * grid.cell_m <= NEAR_M + 1e-9
@@ -90,9 +90,9 @@ def _mark(cells, offsets, dynamic, part, motion):  # type: ignore[no-untyped-def
 
 
 class ObservedMotion:
-    """Motion in a stretch: with truth by the speed of objects, without truth by what was free one second before.
+    """Motion in a stretch: with truth by the speed of objects, else by the cells that were free one second before.
 
-    Observations are given in their order, every one of the stretch. A return whose past is not recorded stands.
+    Observations are given in their order, every one of the stretch. A return without a recorded past stands.
     """
 
     def __init__(self, stream: FrameSource) -> None:

@@ -108,7 +108,7 @@ def scored_forecasts(
 ) -> Iterator[ScoredForecast]:
     """Stream `stream` through the tracker, and yield each scheduled forecast when its last frame is observed.
 
-    Raises RecordingError where a target cannot be made.
+    Raises RecordingError if a target cannot be made.
     """
     tracker.reset(seed)
     recent: deque[Moment] = deque(maxlen=schedule.steps + 1)
@@ -138,9 +138,9 @@ class Delivery:
         regions: Regions,
         motion: MotionFinder | None = None,
     ) -> None:
-        """`on_frame()` is called before each frame; what it raises ends the delivery.
+        """`on_frame()` is called before each frame; an error that it raises ends the delivery.
 
-        `motion` finds what is in motion; None: from the observations of the stream.
+        `motion` finds returns in motion; None: from the observations of the stream.
         """
         self.frames = 0
         self._stream = stream
@@ -164,7 +164,7 @@ class Delivery:
 
 
 def refuse_moving(stream: GridStream, tracker: str) -> None:
-    """Raise RecordingError where the sensor moves in the stretch: `tracker` follows only a sensor at rest."""
+    """Raise RecordingError if the sensor moves in the stretch: `tracker` follows only a sensor at rest."""
     if stream.first_move_s is None:
         return
     rest = stream.recording.survey.longest_rest_s(2.0 * stream.period_s)
@@ -209,7 +209,7 @@ class Moment:
         return self._regions.of(self._observation)
 
     def target_in(self, window: SE2, region_maps: RegionMaps) -> Target:
-        """The target in the window of a forecast, whose cells have these regions. Raises RecordingError."""
+        """The target in the window of a forecast with these regions of cells. Raises RecordingError."""
         newest = self._newest
         # the regions of a window change with time too (`observed_kinds.BLOCK_NS`)
         if newest is None or newest[0] != window or newest[1] is not region_maps:

@@ -2,7 +2,7 @@
 
 The log time of a sample is the stamp of frame t: `/window` is the pose of its window in the world, `/input` x_t,
 `/sensors` the positions of the sensors in it, `/tracks` the tracker's objects at t, `/came/1s` the frame observed one
-second later, `/scored/1s` what was known of every cell then, and `/forecast/1s` the forecast of it. Probabilities have
+second later, `/scored/1s` the known state of every cell then, and `/forecast/1s` the forecast of it. Probabilities have
 255 steps.
 """
 
@@ -45,7 +45,7 @@ KEPT = 40
 HORIZONS_S = (0.5, 1.0, 2.0)
 MAX_TOPICS = 64
 BUDGET = ReadBudget(bytes_per_byte=2000, free_records=2 * KEPT * MAX_TOPICS)
-"""Limits of what a file of samples may unpack to: most cells of a large grid are never seen, and compress well."""
+"""Limits of an unpacked file of samples: most cells of a large grid are never seen, and compress well."""
 SENSORS_TOPIC, TRACKS_TOPIC, WINDOW_TOPIC = "/sensors", "/tracks", "/window"
 
 _MESSAGES: dict[str, Any] = {SENSORS_TOPIC: PosesInFrame, TRACKS_TOPIC: SceneUpdate, WINDOW_TOPIC: FrameTransform}
@@ -157,7 +157,7 @@ def _sensor_poses(origins: NDArray[np.float32], stamp_ns: int) -> Any:
 def read_samples(path: Path) -> Iterator[Sample]:
     """The samples of a trial in the order of their stamps, one at a time in memory.
 
-    Raises SamplesError where the file is damaged or not of this form, after the samples before the damage.
+    Raises SamplesError if the file is damaged or not of this form, after the samples before the damage.
     """
     stamp_ns: int | None = None
     topics: dict[str, Any] = {}
@@ -212,7 +212,7 @@ def _sample(stamp_ns: int, topics: dict[str, Any]) -> Sample:
 
 
 def _window_of(message: Any) -> SE2:
-    """The pose of the window. Raises ValueError where it is not finite."""
+    """The pose of the window. Raises ValueError if it is not finite."""
     at, turned = message.translation, message.rotation
     pose = SE2(at.x, at.y, 2 * math.atan2(turned.z, turned.w))
     if not math.isfinite(pose.x + pose.y + pose.theta):
@@ -223,7 +223,7 @@ def _window_of(message: Any) -> SE2:
 def _scored(
     topics: dict[str, Any], grid: GridSpec, horizons: tuple[float, ...]
 ) -> tuple[NDArray[np.uint8] | None, Mask | None]:
-    """The states (H, M, M) and the cells in motion (H, M, M); None where the file has none."""
+    """The states (H, M, M) and the cells in motion (H, M, M); None if the file has none."""
     if not all(f"/scored/{h:g}s" in topics for h in horizons):
         return None, None
     planes = [planes_in(topics[f"/scored/{h:g}s"], grid, SCORED_FIELDS) for h in horizons]
@@ -247,7 +247,7 @@ OCCUPANCY_FIELDS = ("visible", "occupied")
 SCORED_FIELDS = ("state", "in_motion")
 PROBABILITY_FIELDS = ("probability",)
 SHADE = "shade"
-"""The field that a viewer colours by, the last one: 0 where nothing is known, small where free, 255 where occupied."""
+"""The field that a viewer colours by, the last one: 0 if nothing is known, small where free, 255 where occupied."""
 FREE_SHADE = 64
 _SHADE_OF_STATE = np.array([FREE_SHADE, 255, FREE_SHADE // 2, 191, 0], np.uint8)
 """Seen free, seen occupied, hidden and free, hidden and occupied, not scored: the states of `target.py`."""
@@ -318,7 +318,7 @@ class KeptObject:
 
 
 def objects_message(objects: Sequence[TrackedObject], stamp_ns: int) -> Any:
-    """The objects as a message, which replaces all those of the message before."""
+    """The objects as a message, which replaces all objects of the message before."""
     message = SceneUpdate()
     message.deletions.add(type=SceneEntityDeletion.ALL).timestamp.FromNanoseconds(stamp_ns)
     for one in objects:
@@ -342,7 +342,7 @@ def objects_message(objects: Sequence[TrackedObject], stamp_ns: int) -> Any:
 
 
 def objects_of(message: Any) -> tuple[KeptObject, ...]:
-    """The objects of a message of `objects_message`. Raises ValueError where one has another form."""
+    """The objects of a message of `objects_message`. Raises ValueError if one has another form."""
     objects = []
     for entity in message.entities:
         if len(entity.cubes) != 1 or len(entity.arrows) != 1:

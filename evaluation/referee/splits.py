@@ -21,12 +21,12 @@ from gridtrack.recordings.stretches import RecordedTime, parse_stretch
 from gridtrack.trackers.training.card import TrainingData
 
 ORACLE = "oracle"
-"""Label of the ceiling, which the referee computes where there is truth; no tracker may have it."""
+"""Label of the ceiling, which the referee computes if there is truth; no tracker may have it."""
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
 """Names of stretches in a recording that have a use here."""
 _OF_CARD = (
     ", so the thresholds of a tracker are those of its weights' card (chosen on the validation stretches of its"
-    " training), and 0.5 where there is none; name a stretch with --validation"
+    " training), and 0.5 if there is none; name a stretch with --validation"
 )
 USUAL_EVERY_S, LEAST_FORECASTS = 1.0, 30
 """Time between scored forecasts by default, and the least number of forecasts for which it is shortened."""
@@ -50,7 +50,7 @@ class Sampling:
 
 @dataclass(frozen=True, slots=True)
 class SplitRegions:
-    """Regions of the test and of the validation stretch: the same where both are of one recording."""
+    """Regions of the test and of the validation stretch: the same if both are of one recording."""
 
     test: Regions
     validation: Regions
@@ -76,7 +76,7 @@ class EvaluationSplit:
 
     @property
     def whole(self) -> str:
-        """The name of the split that it is a segment of, else its own: regions are those of the whole."""
+        """The name of the whole split of a segment, else its own: regions belong to the whole."""
         return self.segment_of or self.name
 
     @property
@@ -103,7 +103,7 @@ class EvaluationSplit:
         return Schedule(frames, self.steps, min(self.every, enough))
 
     def regions(self, check: Callable[[], None] = lambda: None) -> SplitRegions:
-        """Regions of both stretches, each as of `regions_of`; a single pass where both are of one recording."""
+        """Regions of both stretches, each as of `regions_of`; a single pass if both are of one recording."""
         test = regions_of(self.test, self.strata, check)
         if self.validation is None or self.validation.sha256 == self.test.sha256:
             return SplitRegions(test, test)
@@ -233,7 +233,7 @@ def _validation_stretch(
 
 
 def own_validation(stream: GridStream) -> GridStream:
-    """The stretch named `validation` of the recording. Raises RecordingError where there is none."""
+    """The stretch named `validation` of the recording. Raises RecordingError if there is none."""
     try:
         return like(stream, VALIDATION)
     except RecordingError as error:
@@ -286,7 +286,7 @@ def _common_by_name(test: GridStream, seen: TrainingData) -> RecordedTime | None
 
 
 def segments_of(split: EvaluationSplit, segment_s: float, warm_up_s: float) -> Iterator[EvaluationSplit]:
-    """`split` as equal segments of at most `segment_s`; itself where it is not longer.
+    """`split` as equal segments of at most `segment_s`; itself if it is not longer.
 
     Together they are scored at the frames at which the whole is. Each begins `warm_up_s` before its first scored
     forecast, but not before the test stretch, and ends with the horizon of its last one.

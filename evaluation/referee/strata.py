@@ -67,12 +67,12 @@ _REGIONS_OF: Mapping[str, list[int]] = {
 STRATA = ("visible", "dynamic", "static", "in-motion", "standing")
 """Strata of a recording without truth. The ring round static cells is part of `visible` only."""
 STRATA_WITH_TRUTH = tuple(_REGIONS_OF)
-"""Strata of a recording with truth: first those of STRATA, so that indices agree."""
+"""Strata of a recording with truth: first STRATA, so that indices agree."""
 THRESHOLD_OF = {
     name: "visible" if name.startswith("visible ") else "occluded" if name.startswith("occluded ") else name
     for name in STRATA_WITH_TRUTH
 }
-"""By stratum the one whose threshold it uses: bands use the threshold of the whole."""
+"""By stratum the stratum of its threshold: bands use the threshold of the whole."""
 SUMS_OF_REGIONS = np.array([np.bincount(regions, minlength=REGIONS) for regions in _REGIONS_OF.values()])
 """(strata with truth, regions): 1 where the region is part of the stratum."""
 
@@ -81,9 +81,9 @@ SUMS_OF_REGIONS = np.array([np.bincount(regions, minlength=REGIONS) for regions 
 class RegionMaps:
     """The region of each cell of a window.
 
-    `visible` (M, M) uint8: the region of a cell while it is visible; a dynamic cell's is that of an open one, to which
-    RANGES times the index of its part is added. `hidden` (M, M) uint8: its region while it is hidden, at age 0; the
-    index of its age band is added. `cell_kinds` (M, M) uint8; `strata`: names of those scored.
+    `visible` (M, M) uint8: the region of a cell while it is visible; a dynamic cell's is an open cell's plus RANGES
+    times the index of its part. `hidden` (M, M) uint8: its region while it is hidden, at age 0; the index of its age
+    band is added. `cell_kinds` (M, M) uint8; `strata`: names of those scored.
     """
 
     visible: NDArray[np.uint8]

@@ -67,7 +67,7 @@ class Target:
     `state` (M, M) uint8 of the states above; without truth no hidden cell is scored. `motion` (M, M) uint8: the part of
     each dynamic cell, an index into PARTS. `cells` (N,) int64, row * M +
     column: the occupied cells with a known class, visible and hidden; `labels` (N,) uint8: their classes, indices into
-    the recording's classes. `beams` are those that cross the window. `flow()`: the true velocities, found when they
+    the recording's classes. `beams` cross the window. `flow()`: the true velocities, found when they
     are first asked for.
     """
 
@@ -95,7 +95,7 @@ def target_of(
 ) -> Target:
     """The target of an observation in its window, with the truth and labels that it has. Raises RecordingError.
 
-    `bodies` are the true motions, where they are known.
+    `bodies` are the true motions, if they are known.
     """
     frame = observation.frame
     truth = _truth(observation, grid)
@@ -120,7 +120,7 @@ def _truth(observation: Observation, grid: GridSpec) -> TruthGrid | None:
 
 
 def crossing_beams(observation: Observation, grid: GridSpec) -> CrossingBeams:
-    """The beams of an observation that cross its window before they return; none where it has no scans.
+    """The beams of an observation that cross its window before they return; none if it has no scans.
 
     An invalid range says nothing of its beam, which is left out.
     """

@@ -36,7 +36,7 @@ def baseline_of(runs: Sequence[Measurement]) -> Baseline:
 def write_baseline(path: Path, baseline: Baseline) -> None:
     """Write a baseline to `path`, with one line for each unit and stratum, so that git can compare versions.
 
-    Raises BaselineError where the file is something else than a baseline or cannot be written.
+    Raises BaselineError if the file is something else than a baseline or cannot be written.
     """
     _refuse_other_content(path)
     text = json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=0, allow_nan=False)
@@ -93,7 +93,7 @@ def _read_content(path: Path) -> dict[str, Any]:
 
 
 def _refuse_other_content(path: Path) -> None:
-    """Raises BaselineError where a file that is there is no baseline, of any version."""
+    """Raises BaselineError if a file that is there is no baseline, of any version."""
     why = f"{path}: is not a baseline"
     try:
         if _is_baseline(read_json(path, MAX_BASELINE_BYTES, BaselineError)):

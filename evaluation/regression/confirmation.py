@@ -1,4 +1,4 @@
-"""Confirmation: what looks worse is judged a second time, on a second run of the same trials."""
+"""Confirmation: worse rows are judged a second time, on a second run of the same trials."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def confirmed(
     """`verdict` on `run`, where a row is worse only if it is worse in a second run of its trials too.
 
     The rows that were worse are then the whole family of comparisons: the correction is for them alone. Nothing runs
-    where no row is worse. Raises Unmeasured where the second run cannot be measured or is not of the same frames.
+    where no row is worse. Raises Unmeasured if the second run cannot be measured or is not of the same frames.
     """
     suspects = verdict.worse
     if not suspects:

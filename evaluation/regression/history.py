@@ -31,7 +31,7 @@ class HistoryError(GridtrackError):
 
 
 class HistoryScore(Settings):
-    """One score of a run, over all units; `value` is None where no cell was occupied."""
+    """One score of a run, over all units; `value` is None if no cell was occupied."""
 
     label: Text
     score: Text
@@ -67,7 +67,7 @@ class HistoryEntry(Settings):
     changed: bool
     """Whether a tracked file differed from the commit."""
     baseline: Text
-    """SHA-256 of the baseline's file; empty where there is none."""
+    """SHA-256 of the baseline's file; empty if there is none."""
     frames: Text = ""
     """Of the recordings and the rules of scoring: only entries with the same one are compared. Empty in entries of
     earlier versions, and where nothing was measured."""
@@ -92,7 +92,7 @@ History = list[tuple[str, HistoryEntry]]
 
 
 def read_history(folder: Path) -> History:
-    """The entries in `folder`, checked; none where there is no such folder. Raises HistoryError."""
+    """The entries in `folder`, checked; none if there is no such folder. Raises HistoryError."""
     history = [_read(path) for path in sorted(folder.glob("*.json"))]
     known = {digest for digest, _ in history}
     for _, entry in history:
@@ -104,7 +104,7 @@ def read_history(folder: Path) -> History:
 
 
 def require_newest(folder: Path, history: History, baseline: Baseline) -> None:
-    """Raise HistoryError where the entry that was the newest when `baseline` was made is missing."""
+    """Raise HistoryError if the entry that was the newest when `baseline` was made is missing."""
     if baseline.history and baseline.history not in {digest for digest, _ in history}:
         raise HistoryError(
             f"{folder}: the entry that was the newest when the baseline was made is missing: restore it, or begin"
@@ -120,13 +120,13 @@ def digest_of_frames(baseline: Baseline) -> str:
 
 
 def since_first(history: History, frames: str, row: VerdictRow) -> VerdictRow | None:
-    """The row against the first entry of these frames that has it; None where there is none."""
+    """The row against the first entry of these frames that has it; None if there is none."""
     found = _values_of(history, frames, row)
     return judged_since(row, found[0][0], f"the first entry of the history ({found[0][1]})") if found else None
 
 
 def since_best(history: History, frames: str, row: VerdictRow) -> VerdictRow | None:
-    """The row against the entry of these frames in which its score was best; None where there is none."""
+    """The row against the entry of these frames in which its score was best; None if there is none."""
     found = _values_of(history, frames, row)
     if not found:
         return None

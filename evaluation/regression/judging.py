@@ -46,13 +46,13 @@ ROUNDING, RELATIVE_ROUNDING = 1e-9, 1e-4
 
 @dataclass(frozen=True, slots=True)
 class VerdictRow:
-    """One tracker, score, stratum and step band over all units, or over those of `recording` where it is not empty.
+    """One tracker, score, stratum and step band over all units, or over those of `recording` if it is not empty.
 
     `score` is SCORE.OUTPUT, `title` its name. `baseline` and `run` are the score pooled over steps and frames, None
-    where it is undefined; of several runs of the baseline, that of the mean. `fall`, `margin` and `smallest` are as
+    if it is undefined; of several runs of the baseline, that of the mean. `fall`, `margin` and `smallest` are as
     margins are given, a share of the baseline's value where `relative`. `p`: the p-value of the fall, corrected over
     all rows; None with too few units, and for a single recording. `spread`: the standard deviation of the score between
-    trainings; None where it is not known. `smallest`: the smallest fall that would have been found; infinite where the
+    trainings; None if it is not known. `smallest`: the smallest fall that would have been found; infinite where the
     score cannot fall by as much.
     """
 

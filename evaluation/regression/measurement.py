@@ -36,7 +36,7 @@ class Unmeasured(GridtrackError):
 
 
 class SplitKey(Settings):
-    """What must be equal on a recording for the frames and thresholds of two runs to pair."""
+    """Everything that must be equal on a recording for the frames and thresholds of two runs to pair."""
 
     sha256: str
     source_sha256: str

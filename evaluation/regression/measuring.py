@@ -69,7 +69,7 @@ def measure_run(run: Path, like: Measurement | None = None, foreign: Sequence[st
 
     `foreign`: names of scores of other packages. A score is judged by those of its outputs that have a margin.
 
-    Raises Unmeasured where the run is not complete: a trial failed, is partial or missing, nothing was scored, no cell
+    Raises Unmeasured if the run is not complete: a trial failed, is partial or missing, nothing was scored, no cell
     was occupied, or a requested measurement is missing; RunError where `run` is not a run's folder.
     """
     record = _read_run_record(run)
@@ -263,7 +263,7 @@ def _beside_scores(record: TrialRecord) -> dict[str, Any]:
 
 
 def _identity(trials: Mapping[str, TrialIdentity], label: str) -> dict[str, Any]:
-    """What ran under a label."""
+    """The tracker of a label."""
     trial = next(trial for name, trial in trials.items() if name.partition("@")[0] == label)
     return {
         "tracker": trial.tracker,

@@ -21,7 +21,7 @@ from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 CELLS = "cells"
 """The part of a score that counts cells whatever the forecast: it is equal for the same frames and rules."""
 _SAME_ROW = ("tracker", "options", "points", "program")
-"""What is one tracker under a label; its weights and its seed may be another training's."""
+"""Fields that identify the tracker of a label; weights and seed may be another training's."""
 
 
 def require_paired(baseline: Baseline, run: Measurement) -> None:
@@ -35,7 +35,7 @@ def require_paired(baseline: Baseline, run: Measurement) -> None:
 def require_comparable(runs: Sequence[Measurement]) -> None:
     """Check that `runs` can be one baseline: trainings or seeds of the same trackers, on the same frames.
 
-    Raises Unmeasured where they do not pair, ConfigurationError for other options or too few units.
+    Raises Unmeasured if they do not pair, ConfigurationError for other options or too few units.
     """
     first, *others = runs
     for other in others:
@@ -173,7 +173,7 @@ def _other_measurements(baseline: Measurement, run: Measurement) -> Iterator[str
 
 
 def _unit_mismatch(then: MeasuredTrial, now: MeasuredTrial, cells: Mapping[str, int]) -> str:
-    """The reason why the units of two trials do not pair; empty where they do. `cells`: the place of CELLS by score."""
+    """The reason why the units of two trials do not pair; empty if they do. `cells`: the place of CELLS by score."""
     if len(then.units) != len(now.units):
         return f"{len(then.units)} units in the baseline, {len(now.units)} in the run"
     for one, other in zip(then.units, now.units, strict=True):

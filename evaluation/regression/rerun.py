@@ -38,7 +38,7 @@ def run_again(
     """Run `trials` of the run in `folder` again, with their times where `latency`; one measurement for each set of
     recordings, in the units of `like`, with the `foreign` scores of other packages. What is written is removed.
 
-    Programs are those of `trackers_toml`. Raises Unmeasured where a trial cannot be run as it was, or fails.
+    Programs are those of `trackers_toml`. Raises Unmeasured if a trial cannot be run as it was, or fails.
     """
     record = read_run_record(folder)
     with TemporaryDirectory(prefix="gridtrack-again-") as scratch:
@@ -61,7 +61,7 @@ def run_again(
 def plan_again(folder: Path, scratch: Path, trackers_toml: Path | None) -> ComparisonPlan:
     """The plan of the run in `folder`, whose files go to `scratch`, with the programs of `trackers_toml`.
 
-    Raises Unmeasured where something changed.
+    Raises Unmeasured if something changed.
     """
     record = read_run_record(folder)
     plan = _plan(folder, record, scratch, latency=False, foreign=(), trackers_toml=trackers_toml)
@@ -70,7 +70,7 @@ def plan_again(folder: Path, scratch: Path, trackers_toml: Path | None) -> Compa
 
 
 def why_edited(label: str, *sha256s: str) -> str:
-    """Why a tracker is not the one that ran, by hashes of its code; empty where it is."""
+    """Why a tracker is not the one that ran, by hashes of its code; empty if it is."""
     return f"{label}: the tracker's code was edited since the run: compare again" if code_differs(*sha256s) else ""
 
 

@@ -58,7 +58,7 @@ class PairedRow:
         return mean
 
     def value(self, sums: Floats) -> Floats:
-        """The output (...) of sums (..., N); NaN where it is undefined."""
+        """The output (...) of sums (..., N); NaN if it is undefined."""
         return value_of(self.score.value(Sums(sums, self.parts))[self.output.name])
 
     def by_unit(self, sums: Floats) -> Floats:

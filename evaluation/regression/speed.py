@@ -60,7 +60,7 @@ def compare_speed(
 ) -> tuple[tuple[SpeedRow, ...], tuple[str, ...]]:
     """The rows of every tracker except the reference; and, where speed is not judged, a note with the reason.
 
-    Raises Unmeasured where a reference is given and a trial of either side has no latency.
+    Raises Unmeasured if a reference is given and a trial of either side has no latency.
     """
     first = baseline.first
     without = [reason for then in baseline.runs for reason in _without_speed(first, then, "baseline")]

@@ -99,7 +99,7 @@ def _round(pair: tuple[Trial, Trial], number: int, folder: Path, scratch: Path) 
 
 
 def _require_same_code(process: TrackerProcess, trial: Trial, folder: Path) -> None:
-    """Raise Unmeasured where the tracker was edited since the run."""
+    """Raise Unmeasured if the tracker was edited since the run."""
     then = read_trial_record(folder / trial.name)
     if why := why_edited(trial.label, process.description.code_sha256, then.code_sha256 if then else ""):
         raise Unmeasured([why])

@@ -24,7 +24,7 @@ AnyRow = VerdictRow | RecoveryRow | SpeedRow | TurnsRow
 
 @dataclass(frozen=True, slots=True)
 class SecondLook:
-    """A row that was worse, and the same of a second run of its trials; None where that has no such row, as without
+    """A row that was worse, and the same of a second run of its trials; None if that has no such row, as without
     any recovery."""
 
     first: AnyRow
@@ -91,7 +91,7 @@ def compare_with_baseline(
 ) -> Verdict:
     """The verdict on `run`, paired with `baseline` by units.
 
-    Raises Unmeasured where they do not pair, ConfigurationError for an unknown label.
+    Raises Unmeasured if they do not pair, ConfigurationError for an unknown label.
     """
     settings = settings or GateSettings()
     for label in (*settings.tolerance, *filter(None, [settings.speed_reference])):

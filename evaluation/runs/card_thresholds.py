@@ -38,7 +38,7 @@ def choose_card_thresholds(
     """The thresholds with the best F1 of `tracker` with the weights at `path`, on all `validation` stretches together.
 
     Each with the kinds of its cells, which the training found on its own stretches: nothing is found on the rest of a
-    recording, which may be scored later. None where all of them are too short. Raises TrialEnded where the tracker
+    recording, which may be scored later. None if all of them are too short. Raises TrialEnded if the tracker
     fails, RecordingError.
     """
     validation = [(stream, kinds) for stream, kinds in validation if _steps(stream)]
@@ -84,7 +84,7 @@ def _add(total: Tally, counted: Tally, period_s: float) -> None:
 
 
 def _filled(bins: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The `bins` (S, K), those that are not `known` (S, K) taken from the nearest known step; 0.5 without any."""
+    """The `bins` (S, K); bins that are not `known` (S, K) come from the nearest known step; 0.5 without any."""
     filled = np.full_like(bins, HALF)
     for k in range(bins.shape[1]):
         steps = np.flatnonzero(known[:, k])

@@ -68,7 +68,7 @@ class Comparisons:
         self._estimated: dict[tuple[object, ...], dict[str, Estimated]] = {}
 
     def differences(self) -> list[TrackerDifference]:
-        """Each tracker against the reference: over all recordings where they are pooled, else on each.
+        """Each tracker against the reference: over all recordings if they are pooled, else on each.
 
         Class scores have a reference of their own. The tests of the headline score are one family of Holm's correction.
         Raises ScoresError.
@@ -215,7 +215,7 @@ class Comparisons:
                     yield family, known
 
     def trainings(self) -> list[TrackerTrainings]:
-        """Every tracker with its trainings, where a tracker has several: over all recordings if pooled, else on each.
+        """Every tracker with its trainings, if a tracker has several: over all recordings if pooled, else on each.
 
         Rows of the same tracker, options and points that differ in their weights are trainings of one tracker. Raises
         ScoresError.
@@ -353,7 +353,7 @@ def _differences(
 
 
 def _difference_in(own: Estimated, reference: Estimated, output: str, stratum: str) -> IntervalEstimate:
-    """The difference (S,) in one stratum; without intervals where there are too few units."""
+    """The difference (S,) in one stratum; without intervals if there are too few units."""
     k, n = own.strata.index(stratum), reference.strata.index(stratum)
     if output in own.replicates and output in reference.replicates:
         return difference(_column(own.replicates[output], k), _column(reference.replicates[output], n))
@@ -367,7 +367,7 @@ def _column(found: Replicates, k: int) -> Replicates:
 
 
 def _at(found: Mapping[str, Estimated], score: ScoreDefinition, output: Output, place: Place) -> Replicates | None:
-    """The replicates of a score at one place; None where the row has none."""
+    """The replicates of a score at one place; None if the row has none."""
     one = found.get(score.name)
     if one is None or place.stratum not in one.strata or output.name not in one.replicates:
         return None
@@ -414,7 +414,7 @@ _ByWeights = dict[tuple[str, ...], list[FinishedTrial]]
 
 @dataclass(frozen=True, slots=True)
 class _Tracker:
-    """What all trainings of one tracker have in common."""
+    """The common properties of all trainings of one tracker."""
 
     name: str
     options: str
@@ -427,7 +427,7 @@ class _Tracker:
 
 @dataclass(frozen=True, slots=True)
 class TrainingRows:
-    """The rows of one tracker on the recordings `names`, and those of the reference: the trials of each training.
+    """The rows of one tracker and of the reference on the recordings `names`: the trials of each training.
 
     `why_partial`: one of the two has trainings that did not complete these recordings, and they may be its worse ones.
     """
@@ -439,7 +439,7 @@ class TrainingRows:
 
 
 def training_rows(run: RunTrials, names: Sequence[str]) -> list[TrainingRows]:
-    """The trackers on these recordings by their trainings; none where no tracker has several."""
+    """The trackers on these recordings by their trainings; none if no tracker has several."""
     groups: dict[tuple[_Tracker, str], _ByWeights] = {}
     group_of: dict[str | None, tuple[_Tracker, str]] = {}
     for label in run.labels:
@@ -461,7 +461,7 @@ def training_rows(run: RunTrials, names: Sequence[str]) -> list[TrainingRows]:
 
 
 def _why_partial(tracker: str, complete: int, failed: int) -> str:
-    """Why a tracker with `failed` trainings is not compared; empty where all are complete."""
+    """Why a tracker with `failed` trainings is not compared; empty if all are complete."""
     if not failed:
         return ""
     return f"{complete} of {complete + failed} trainings of {tracker} are complete, and the others may be worse"

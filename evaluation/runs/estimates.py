@@ -54,7 +54,7 @@ def selected(run: RunTrials, trials: Sequence[FinishedTrial], rule: UnitRule) ->
 
 
 def estimated(run: RunTrials, chosen: Selected, score: ScoreDefinition) -> Estimated | None:
-    """A score over the chosen frames; None where a trial has no sums of it. Raises ScoresError."""
+    """A score over the chosen frames; None if a trial has no sums of it. Raises ScoresError."""
     sums = [run.sums(trial) for trial in chosen.trials]
     layouts = [one.layouts[score.name] for one in sums if score.name in one.scores]
     if len(layouts) < len(sums) or not layouts or len({one.parts for one in layouts}) > 1:
@@ -149,7 +149,7 @@ def estimate_of(found: jackknife.IntervalEstimate) -> Estimate:
 
 
 def thresholds_of_scope(trials: Sequence[FinishedTrial]) -> dict[str, tuple[float | None, ...]]:
-    """The threshold of each step by stratum; None where the trials differ."""
+    """The threshold of each step by stratum; None if the trials differ."""
     found = {}
     for stratum in common_strata(trials):
         values = [np.array(trial.record.thresholds.values[stratum])[trial.steps] for trial in trials]

@@ -35,7 +35,7 @@ tracker."""
 DETAIL_HORIZON_S = 1.0
 """The horizon of the scores beside the headline, and of the order of rows."""
 POOLED_EVERY_S = 0.5
-"""Spacing of the common horizons, seconds: those of the headline are multiples of it."""
+"""Spacing of the common horizons, seconds: headline horizons are multiples of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class FinishedTrial:
 
     @property
     def comparable(self) -> bool:
-        """Whether it is complete, and its weights learned from no frame that it is scored on."""
+        """Whether it is complete, with weights that learned from no scored frame."""
         return self.complete and not self.record.leak
 
     @property
@@ -116,7 +116,7 @@ class RunTrials:
     def reference_for(self, part: ComparedPart, among: Iterable[str] | None = None) -> str | None:
         """Label of the row that others are compared with: as requested, by its description, or the first row.
 
-        `among`: the rows that may be it; None: all but the oracle. None where there is none.
+        `among`: the rows that may be it; None: all but the oracle. None if there is none.
         """
         rows = [t for t in self.all if t.tracker != ORACLE]
         labels = list(dict.fromkeys(t.record.label for t in rows)) if among is None else list(among)
@@ -175,7 +175,7 @@ class RunTrials:
         return self.together(trials) if len(names) > 1 else trials
 
     def why_not_compared(self, label: str | None, names: Sequence[str]) -> str:
-        """Why the row is not comparable on all of these recordings; empty where it is."""
+        """Why the row is not comparable on all of these recordings; empty if it is."""
         trials = self.of(label, names)
         complete = sum(trial.complete for trial in trials)
         if complete < len(names):
@@ -191,7 +191,7 @@ class RunTrials:
 
     @cached_property
     def horizons_s(self) -> tuple[float, ...]:
-        """The horizons of the pooled scores, seconds; empty where the recordings have none in common."""
+        """The horizons of the pooled scores, seconds; empty if the recordings have none in common."""
         return common_horizons(self.recordings.values())
 
     def horizons_of(self, names: Sequence[str]) -> tuple[float, ...]:
@@ -207,7 +207,7 @@ class RunTrials:
 
     @property
     def groups(self) -> list[list[str]]:
-        """The recordings that trackers are compared on together: all of them where they are pooled, else each."""
+        """The recordings that trackers are compared on together: all of them if they are pooled, else each."""
         return [list(self.recordings)] if self.pools else [[name] for name in self.recordings]
 
     def unit_rule(self, names: Sequence[str], among: Sequence[str] | None = None) -> UnitRule:
@@ -255,7 +255,7 @@ class RunTrials:
 
 
 def common_horizons(recordings: Iterable[RecordingDescription]) -> tuple[float, ...]:
-    """The horizons, seconds, of the scores of `recordings` together, 0 first; empty where they have none in common.
+    """The horizons, seconds, of the scores of `recordings` together, 0 first; empty if they have none in common.
 
     Recordings of one period and horizon share their steps. Else a step is another time in each, and the counts are
     added up at horizons in seconds: the multiples of POOLED_EVERY_S that every one reaches, each by the nearest step of
@@ -286,7 +286,7 @@ def steps_at(horizons_s: Sequence[float], described: RecordingDescription) -> tu
 
 
 def unlike_recordings(recordings: Mapping[str, RecordingDescription]) -> list[str]:
-    """Notices of differences among recordings whose scores are pooled."""
+    """Notices of differences among pooled recordings."""
     described = list(recordings.values())
     notices, horizons_s = [], common_horizons(described)
     if any(one.horizons_s != horizons_s for one in described):

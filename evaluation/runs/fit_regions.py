@@ -1,4 +1,4 @@
-"""Regions for the score of a training: those of the referee, for whole stretches, as files.
+"""Regions for the score of a training: the referee's, for whole stretches, as files.
 
 The command finds them, because static outlines and speeds are truth that `fit` does not receive. They are found once
 for each scored stretch, so every tracker, and every part of a stretch, is scored on the same cells.
@@ -54,7 +54,7 @@ def cell_kinds_for(stream: GridStream, streams: Iterable[GridStream]) -> StoredK
 
 
 def _each_frame_once(streams: Iterable[GridStream]) -> Iterator[Observation]:
-    """The frames of stretches of one recording in the order of their stamps, also where stretches overlap."""
+    """The frames of stretches of one recording in the order of their stamps, also if stretches overlap."""
     newest_ns = None
     for stream in sorted(streams, key=lambda one: one.stretch_s[0]):
         for observation in stream.observations():

@@ -15,10 +15,10 @@ from gridtrack.evaluation.referee.deadline import DeadlineTracker, spare_steps
 from gridtrack.evaluation.referee.live_timeline import ForecastStore, LiveTimeline, Presented, StoredForecasts
 from gridtrack.evaluation.referee.referee import WARM_UP, Delivery, Schedule, TrackerLike
 from gridtrack.evaluation.referee.splits import SplitRegions
-from gridtrack.evaluation.runs.deadline_pass import TRIAL_FORECASTS
 from gridtrack.evaluation.runs.passes import Followed, Quantiles
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
+from gridtrack.evaluation.runs.timed_passes import TRIAL_FORECASTS
 from gridtrack.evaluation.runs.trial import OnFrame, TrialRun
 from gridtrack.evaluation.runs.trial_record import TrialEnding, TrialRecord
 from gridtrack.evaluation.scores.thresholds import Thresholds

@@ -344,4 +344,4 @@ def _about_a_trial(record: TrialRecord, ending: Ending) -> Iterator[str]:
             f" in time was {followed.age_frames.p99:g} frames old at the 99th percentile"
         )
     if record.complete and record.delivered != ending.delivered:
-        yield f"{record.label} received different frames from those that it was scored on"
+        yield f"{record.label} received other frames than it was scored on"

@@ -86,7 +86,7 @@ class _Interruptible(Protocol):
 
 
 class _RunJob:
-    """A job with the name of a trial, whose result is the record in the trial's folder."""
+    """A job with the name of a trial; its result is the record in the trial's folder."""
 
     kind: JobKind
     replaces: tuple[str, ...] = ()
@@ -350,7 +350,7 @@ class JobOrder(Settings):
         try:
             return cls.model_validate_json(text)
         except ValidationError as error:
-            raise EngineError(f"not an order of this version of gridtrack ({error.error_count()} errors)") from None
+            raise EngineError(f"not a job of this version of gridtrack ({error.error_count()} errors)") from None
 
     def split(self) -> EvaluationSplit:
         """The recording on this machine. Raises a GridtrackError if it, or a library, is a different one here."""

@@ -93,13 +93,13 @@ def weights_in(folder: Path, tracker: str, site: str, kind: CardKind = "any") ->
 
 
 def _require_folder(folder: Path, remedy: str = "") -> None:
-    """Raise WeightsError, whose line ends with `remedy`, if the folder does not exist."""
+    """Raise WeightsError, with a line that ends with `remedy`, if the folder does not exist."""
     if not folder.is_dir():
         raise WeightsError(f"{folder}: no such folder of weights{remedy}")
 
 
 def _names(site: str, kind: CardKind) -> tuple[str, ...]:
-    """The names of the cards that may be used at `site`, the best first, where they are valid file names."""
+    """The names of the cards that may be used at `site`, the best first, if they are valid file names."""
     names = {"site": (site,), "general": (GENERAL,), "any": (site, GENERAL)}[kind]
     return tuple(name for name in names if SITE_NAME.fullmatch(name))
 

@@ -1,4 +1,4 @@
-"""Scores so far of trackers that follow a recording: what is static is judged by what was observed until then."""
+"""Scores so far of trackers that follow a recording: static cells are judged by the observations until then."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class LiveRow:
 
 
 class LiveStatus(NamedTuple):
-    """What the live table shows: seconds of recording presented, seconds that are read and not yet presented."""
+    """State of the live table: seconds of recording presented, seconds that are read and not yet presented."""
 
     time_s: float
     behind_s: float
@@ -83,7 +83,7 @@ class ScoresSoFar:
         self._counts = ObservedCounts(self._grid)
         self._motion = ObservedMotion(split.test)
         self._unknown = Regions(self._grid, KindsOfWindow(np.zeros(self._grid.shape, np.uint8)))
-        """Of a moment: what is static is judged at the end of its horizon."""
+        """Of a moment: static cells are judged at the end of its horizon."""
         self._seen = LastSeen()
         self._recent: deque[tuple[Observation, Moment]] = deque(maxlen=split.steps + 1)
         self._windows: deque[SE2] = deque(maxlen=MAX_AGE)
@@ -131,7 +131,7 @@ class LiveScores:
         self._runs = {run.trial.label: run for run in runs}
         self._scores = ScoresSoFar(split, self._runs)
         self.step = min(split.steps, max(1, nearest_step(SHOWN_S, split.test.period_s)))
-        """The step whose score is shown."""
+        """The step of the shown score."""
         self._waiting: deque[tuple[Observation, Mapping[str, int]]] = deque()
         self._changed = threading.Condition()
         self._over = False
@@ -144,7 +144,7 @@ class LiveScores:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread; what waits is left out."""
+        """End the thread; waiting forecasts are left out."""
         with self._changed:
             self._over = True
             self._changed.notify_all()
@@ -152,7 +152,7 @@ class LiveScores:
             self._thread.join()
 
     def add(self, observation: Observation) -> None:
-        """Add the next observation, whose deadline is over for every tracker."""
+        """Add the next observation, after its deadline for every tracker."""
         newest = {label: run.live.newest for label, run in self._runs.items()}
         with self._changed:
             self._waiting.append((observation, newest))

@@ -23,7 +23,7 @@ def score_in_process(
     """Stream `source` through the tracker and score its forecasts with the referee's counts, on its regions.
 
     `motion` is that of Delivery. Thresholds are chosen on the same stretch: a score for choosing parameters, not for
-    reports. Raises RecordingError where the stretch is too short to score a forecast.
+    reports. Raises RecordingError if the stretch is too short to score a forecast.
     """
     schedule = Schedule(len(source), steps, FIT_FORECAST_EVERY)
     if not schedule.expected:

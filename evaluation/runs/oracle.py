@@ -53,7 +53,7 @@ class Oracle:
         self._grids: dict[tuple[int, SE2], NDArray[np.float32]] = {}
 
     def update(self, frame: GridFrame) -> None:
-        """Discard what is earlier than `frame`."""
+        """Discard everything earlier than `frame`."""
         while not self._ahead or self._ahead[0].frame.stamp_ns < frame.stamp_ns:
             if self._ahead:
                 self._ahead.popleft()
@@ -118,8 +118,8 @@ def run_oracle(
 ) -> TrialRecord:
     """Score the oracle on the test stretch of a split like a tracker, by `scores`, and write its record to `folder`.
 
-    Its thresholds are chosen like a tracker's; `shared` holds those that are chosen already. `on_frame` is called
-    before each frame. Raises what `on_frame` raises, RecordingError and OSError; no record is written then.
+    Its thresholds are chosen like a tracker's; `shared` holds the already chosen ones. `on_frame` is called
+    before each frame. Raises errors of `on_frame`, RecordingError and OSError; no record is written then.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for stale in ORACLE_REPLACES:
@@ -148,7 +148,7 @@ def run_oracle(
 
 
 def oracle_validation(split: EvaluationSplit) -> GridStream | None:
-    """The stretch on which the oracle's thresholds are chosen; None where there is none, or where it has no truth."""
+    """The stretch on which the oracle's thresholds are chosen; None if there is none, or if it has no truth."""
     return split.validation if split.validation and split.validation.has_truth else None
 
 

@@ -1,4 +1,4 @@
-"""What is measured of a tracker beside its scores: latencies, scores under deadlines, scores on degraded input."""
+"""Measurements of a tracker beside its scores: latencies, scores under deadlines, scores on degraded input."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Latency(ResultModel):
 
 
 class AtRate(ResultModel):
-    """Scores of a trial whose frames arrive at `rate` times the rate of the stream."""
+    """Scores of a trial with frames at `rate` times the rate of the stream."""
 
     rate: float = Field(gt=0.0, le=HIGHEST)
     rate_hz: float = Field(gt=0.0, le=HIGHEST)
@@ -87,11 +87,11 @@ class Followed(ResultModel):
     """A trial that followed its recording while it was written: its deadlines are real ones."""
 
     frames: int
-    """Frames with a deadline: those that were written after the following began."""
+    """Frames with a deadline: written after the following began."""
     missed: int
-    """Those of them that the tracker was not given, because it was busy."""
+    """Frames among them that the busy tracker did not receive."""
     age_frames: Quantiles | None
-    """Age of the newest forecast in time at each of them, in frames; null where there are none."""
+    """Age of the newest forecast in time at each of them, in frames; null if there are none."""
     forecast_steps: int
     """How many steps ahead the forecasts reach, for delays to be covered."""
 

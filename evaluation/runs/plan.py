@@ -105,7 +105,7 @@ class Trial:
 
     @property
     def leaks(self) -> tuple[str, ...]:
-        """Frames that its weights learned from and that it is scored on, or its thresholds are chosen on."""
+        """Scored frames, and frames for thresholds, that its weights learned from."""
         return leaks_of(self.split, self.weights)
 
     def tracker_process(self, log: Path, *, scored: bool = False) -> TrackerProcess:
@@ -315,7 +315,7 @@ def _beside_gridtrack(label: str) -> str:
 
 
 def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
-    """Names of all trackers but the floors; `gridtrack trackers list` reports those that cannot be selected."""
+    """Names of all trackers but the floors; `gridtrack trackers list` reports trackers that cannot be selected."""
     floors = registry.floors()
     return (*(name for name in registry.entries() if VALID_NAME.fullmatch(name) and name not in floors), *external)
 
@@ -405,14 +405,14 @@ def _refuse_thresholds_of_another_site(trial: Trial) -> None:
 
 
 def _place_of(split: EvaluationSplit) -> tuple[str, str, int]:
-    """What the weights of a row depend on: site, grid and period."""
+    """Site, grid and period, on which the weights of a row depend."""
     return split.test.site, str(split.test.grid), split.test.period_ns
 
 
 def _fitting_weights(
     selection: Selection, split: EvaluationSplit, override: Path | None
 ) -> tuple[LearnedWeights | None, str]:
-    """The weights of a row, and a notice where those of the site do not fit grid or rate and general ones are used.
+    """The weights of a row, and a notice if general ones replace weights of the site that do not fit grid or rate.
 
     Raises WeightsError if the row's own folder has none.
     """

@@ -1,4 +1,4 @@
-"""The prior pass: what a tracker expects of a place before it sees it, beside what the recording shows there."""
+"""The prior pass: a tracker's expectation of a place before its first frame, beside the recording."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PRIOR_COLUMNS: dict[str, tuple[Any, str]] = {
 
 
 def trials_with_priors(trials: Iterable[Trial], records: Mapping[str, TrialRecord]) -> list[Trial]:
-    """Those of the complete `trials` whose prior is to be measured: of each row the first at each place.
+    """The complete `trials` with a prior to measure: of each row the first at each place.
 
     A tracker without weights expects nothing of a place, and one with general weights the same everywhere. The window
     of a sensor that moves is no place.
@@ -43,7 +43,7 @@ def trials_with_priors(trials: Iterable[Trial], records: Mapping[str, TrialRecor
 
 
 class PriorRun:
-    """The prior of one trial, from a process of its own: one that has seen the stream could remember it."""
+    """The prior of one trial, from a fresh process: one that has seen the stream could remember it."""
 
     def __init__(self, trial: Trial, folder: Path) -> None:
         """The log of the process and the table go to `folder`."""

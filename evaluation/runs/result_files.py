@@ -38,9 +38,9 @@ def _each_defined(values: Any) -> Any:
 Line = Annotated[str, AfterValidator(bounded_line)]
 """A sentence for people, which may quote untrusted input: one printable line of bounded length."""
 Number = Annotated[float | None, BeforeValidator(_defined)]
-"""A score; None where it is undefined (NaN and infinities are read as None)."""
+"""A score; None if it is undefined (NaN and infinities are read as None)."""
 Curve = Annotated[tuple[float | None, ...], BeforeValidator(_each_defined)]
-"""One score at every step 0..n; None where it is undefined, as in a stratum without cells."""
+"""One score at every step 0..n; None if it is undefined, as in a stratum without cells."""
 Curves = dict[str, Curve]
 """A curve for each stratum."""
 CellCounts = tuple[int, ...]
@@ -85,9 +85,9 @@ def write_model(path: Path, content: ResultModel) -> None:
 
 
 def read_model(path: Path, model: type[_Model], schema: int, max_bytes: int, remedy: str) -> _Model:
-    """The content of a result file, validated; `remedy` ends every error message: what to do about it.
+    """The content of a result file, validated; `remedy` ends every error message.
 
-    Raises FileNotFoundError, for the caller to report what is missing, and RunError for a file that is larger than
+    Raises FileNotFoundError, for the caller to report the missing file, and RunError for a file that is larger than
     `max_bytes`, is no JSON object, has another schema number than `schema`, or does not fit the model.
     """
     content = read_json(path, max_bytes, RunError)

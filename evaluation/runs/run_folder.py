@@ -50,7 +50,7 @@ DISTRIBUTIONS = (
     "gridtrack", "numpy", "numba", "pydantic", "polars", "pyarrow", "mcap", "safetensors",
     "torch", "filterpy", "scipy", "scikit-learn", "gtsam",
 )  # fmt: skip
-"""Distributions whose version can change a score."""
+"""Distributions with versions that can change a score."""
 
 
 @contextmanager

@@ -21,13 +21,13 @@ RunStatus = Literal["running", "complete", "interrupted"]
 
 
 LONGEST_S, SHORTEST_STEP_S = 3600.0, 1e-5
-"""Longest horizon and shortest period that are read, seconds: far beyond those of any comparison."""
+"""Longest horizon and shortest period that are read, seconds: far beyond any comparison."""
 StretchSeconds = tuple[float, float | None]
 """Start and end of a stretch, seconds since the start of its recording; None: to the end."""
 
 
 class RecordingDescription(ResultModel):
-    """What was compared on one recording."""
+    """The comparison on one recording."""
 
     horizons_s: tuple[Annotated[float, Field(ge=0.0, le=LONGEST_S)], ...] = Field(min_length=2)
     """Of steps 0..n, seconds."""
@@ -45,7 +45,7 @@ class RecordingDescription(ResultModel):
     warm_up_frames: int = 0
     forecast_every_frames: int = 0
     cycle_s: float | None = None
-    """The longest cycle of the place, such as that of its traffic signals, seconds; null where none is known."""
+    """The longest cycle of the place, such as that of its traffic signals, seconds; null if none is known."""
     source_sha256: str = ""
     """Of the file that the recording was imported from, else of its own file. Recordings and stretches of one source
     are one recording for the statistical units; empty: not known, and no other is of the same source."""
@@ -68,7 +68,7 @@ def refuse_unordered(horizons_s: Sequence[float]) -> None:
 
 
 class RecordingIdentity(RecordingDescription):
-    """What decides the scores on a recording: equal for runs of the same frames, steps and validation stretch."""
+    """Everything that decides the scores on a recording: equal for runs of the same frames, steps and validation."""
 
     stretch_s: StretchSeconds
     sha256: str
@@ -117,15 +117,15 @@ class RecordingSummary(RecordingDescription):
     """A recording in summary.json."""
 
     parity: bool = True
-    """Whether every tracker was delivered the same frames: trackers are ranked only where it holds."""
+    """Whether every tracker was delivered the same frames: trackers are ranked only if it holds."""
 
 
 class TrialIdentity(ResultModel):
-    """What decides a trial's scores beside its recording and its weights."""
+    """Everything that decides a trial's scores beside its recording and its weights."""
 
     tracker: str
     options: dict[str, Any]
-    """As given; what is not given has the tracker's default."""
+    """As given; other options have the tracker's default."""
     points: str = "centres"
     """The returns in each frame: `centres` of occupied cells, or `raw`."""
     argv: tuple[str, ...] = ()
@@ -160,7 +160,7 @@ class WeightsUsed(ResultModel):
     name: str
     sha256: str
     labelled_scans: int | None = None
-    """Labelled scans that their classes were learned from; null where there are no classes, and in an earlier run."""
+    """Labelled scans that their classes were learned from; null if there are no classes, and in an earlier run."""
 
 
 class Machine(ResultModel):
@@ -174,7 +174,7 @@ class Machine(ResultModel):
 
 
 class RunRecord(ResultModel):
-    """A run: what was requested, with which inputs and versions, and how far it is."""
+    """A run: its request, inputs, versions and progress."""
 
     schema_version: Literal[3] = Field(default=RUN_SCHEMA, alias="schema")
     command: tuple[str, ...]
@@ -200,6 +200,6 @@ class RunRecord(ResultModel):
 
 
 def read_run_record(folder: Path) -> RunRecord:
-    """The record in a run's folder. Raises FileNotFoundError where it has none, and RunError."""
+    """The record in a run's folder. Raises FileNotFoundError if it has none, and RunError."""
     remedy = "compare again, into another folder (--out)"
     return read_model(folder / RUN_FILE, RunRecord, RUN_SCHEMA, MAX_RUN_BYTES, remedy)

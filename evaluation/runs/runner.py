@@ -14,7 +14,6 @@ from gridtrack.evaluation.engines.local import LocalEngine
 from gridtrack.evaluation.engines.ray_cluster import RayCluster
 from gridtrack.evaluation.engines.remote import RemoteEngine
 from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmSettings
-from gridtrack.evaluation.runs.deadline_pass import measure_deadline
 from gridtrack.evaluation.runs.jobs import (
     OracleJob,
     PriorJob,
@@ -25,12 +24,12 @@ from gridtrack.evaluation.runs.jobs import (
     execute,
     not_measured,
 )
-from gridtrack.evaluation.runs.latency_pass import measure_latency
 from gridtrack.evaluation.runs.plan import ComparisonPlan, Trial, with_copied_weights
 from gridtrack.evaluation.runs.prior_pass import trials_with_priors
 from gridtrack.evaluation.runs.run_folder import RunFolder, refuse_other_files, run_lock, usable_cores, without_edited
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.summary import RunSummary
+from gridtrack.evaluation.runs.timed_passes import measure_deadline, measure_latency
 from gridtrack.evaluation.runs.trial import unstarted
 from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, TrialRecord
 

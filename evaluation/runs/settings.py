@@ -28,7 +28,7 @@ class CompareSettings(Settings):
     trackers: Annotated[tuple[str, ...], Option("tracker", "[LABEL=]NAME[:OPTIONS]")] = ()
     """Tracker, and its options as KEY=VALUE,...; repeat for several; default: every tracker"""
     no_floors: bool = False
-    """Leave out the floors, which every tracker must beat, but for those that --tracker names"""
+    """Leave out the floors, which every tracker must beat, except floors named by --tracker"""
     out: Annotated[Path, Option(metavar="FOLDER")] = Path("runs/latest")
     """Folder of the run, or its URL"""
     validation: Annotated[str | None, Option(metavar="RECORDING[@RANGE]")] = None

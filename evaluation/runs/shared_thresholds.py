@@ -22,7 +22,7 @@ from gridtrack.evaluation.scores.thresholds import Thresholds, bins_of
 class SharedThresholds:
     """The thresholds chosen so far in a run. Thread-safe: one thread chooses while the others wait.
 
-    In `folder` other processes of the run find those that `learn` was told of.
+    In `folder` other processes of the run find the thresholds given to `learn`.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -36,7 +36,7 @@ class SharedThresholds:
         return key in self._chosen or self._path(key).is_file()
 
     def of(self, key: str, choose: Callable[[], Thresholds]) -> Thresholds:
-        """The thresholds of `key`, by `choose()` where they have not been chosen yet. Raises what `choose` raises."""
+        """The thresholds of `key`, by `choose()` if they have not been chosen yet. Raises errors of `choose`."""
         with self._guard:
             choosing = self._choosing.setdefault(key, threading.Lock())
         with choosing:
@@ -45,7 +45,7 @@ class SharedThresholds:
             return self._chosen[key]
 
     def learn(self, key: str, used: ThresholdsUsed) -> None:
-        """Keep the thresholds that another process has chosen, where none are known. Raises OSError."""
+        """Keep the thresholds that another process has chosen, if none are known. Raises OSError."""
         if not self.known(key):
             write_text(self._path(key), used.model_dump_json())
 
@@ -83,7 +83,7 @@ def oracle_key(split: EvaluationSplit) -> str:
 
 
 def _validation_frames(split: EvaluationSplit) -> list[Any]:
-    """The frames on which thresholds are chosen, and what is counted there; the returns in them apart."""
+    """The frames on which thresholds are chosen, and the counts there; the returns in them apart."""
     validation = split.validation
     stretch = validation and {
         "sha256": validation.sha256,

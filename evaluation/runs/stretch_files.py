@@ -1,6 +1,6 @@
 """The files of the stretches of one training: frames with labels, and regions; most are kept from an earlier training.
 
-What is kept: the survey of each recording, and the frames with labels and the regions of each stretch. A training gets
+Kept are the survey of each recording, and the frames with labels and the regions of each stretch. A training gets
 copies in its own folder, so its `fit` reaches no other stretch, and cannot damage the kept files.
 """
 

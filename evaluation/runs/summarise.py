@@ -148,7 +148,7 @@ class _Summary:
         return summary.model_copy(update={"robustness": degraded})
 
     def _pooled(self, label: str, trials: Sequence[FinishedTrial]) -> PooledSummary:
-        """One tracker over all recordings together, of those that it completed.
+        """One tracker over all recordings that it completed, together.
 
         In the units of all recordings, also where the one with the longest blocks is not among them.
         """
@@ -291,7 +291,7 @@ def _with_relations(
 
 
 def _lead_of(scope: ScopeSummary | None, score: ScoreDefinition) -> CurvesByStratum | None:
-    """The leading output of a scope that may be the floor or the ceiling of others; None where it is none."""
+    """The leading output of a scope that may be the floor or the ceiling of others; None if it is none."""
     return _curves(scope, score) if scope is not None and _may_bound(scope) else None
 
 
@@ -336,7 +336,7 @@ def _notices(run: RunTrials) -> Iterator[str]:
 
 
 def _unknown_classes(record: TrialRecord, recording: RecordingDescription) -> str:
-    """A notice of the recording's classes that the tracker does not have; empty where there are none."""
+    """A notice of the recording's classes that the tracker does not have; empty if there are none."""
     missing = [name for name in recording.classes if name not in record.classes]
     if not record.classes or not missing:
         return ""
@@ -380,7 +380,7 @@ def _reversed_rankings(
     """A line for each headline stratum in which the ranking by F1 reverses between the chosen thresholds and 0.5, and
     one where it is not that of the score without a threshold that stands beside it.
 
-    Over all recordings at the horizons of their pooled scores, on each where there are none. Ranked rows count, and the
+    Over all recordings at the horizons of their pooled scores, on each if there are none. Ranked rows count, and the
     floors; not the ceiling.
     """
     chosen, half = (

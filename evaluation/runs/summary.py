@@ -36,7 +36,7 @@ class OutputDescription(ResultModel):
 
     @property
     def direction(self) -> int:
-        """1 where a higher value is better, -1 where a lower one is, else 0."""
+        """1 if higher values are better, -1 if lower ones are, else 0."""
         return {"higher": 1, "lower": -1, "": 0}[self.better]
 
     @property
@@ -109,7 +109,7 @@ class PointEstimate(ResultModel):
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """The interval; None where there is none."""
+        """The interval; None if there is none."""
         return None if self.low is None or self.high is None else (self.low, self.high)
 
 
@@ -125,19 +125,19 @@ class ScopeSummary(ResultModel):
     """That of the record; of pooled recordings `ok` or `partial`."""
     reason: Line = ""
     card: str = ""
-    """Whether the weights used are those of the `site` or `general` ones; "general, site" where recordings differ."""
+    """Whether the weights used are those of the `site` or `general` ones; "general, site" if recordings differ."""
     leak: Line = ""
-    """The frames that its weights learned from and that it is scored on, or thresholds are chosen on: not ranked."""
+    """Scored frames, and frames for thresholds, that its weights learned from: not ranked."""
     frames_scored: int = 0
     frames_expected: int = 0
     threshold_chosen_on: str = ""
-    """The validation stretch; empty without one, or where recordings differ in it."""
+    """The validation stretch; empty without one, or if recordings differ in it."""
     thresholds: dict[str, Curve] = Field(default_factory=dict)
-    """By stratum; null where recordings differ."""
+    """By stratum; null if recordings differ."""
     strata: dict[str, Estimates] = Field(default_factory=dict)
-    """By stratum, score and output; empty where nothing was scored."""
+    """By stratum, score and output; empty if nothing was scored."""
     interval: Line = ""
-    """Why there are no intervals; empty where there are."""
+    """Why there are no intervals; empty if there are."""
     best_floor: Line = ""
     """Label of the floor with the best headline score, from which shares of the oracle are; empty if not known."""
     below_floor: bool = False
@@ -150,15 +150,15 @@ class ScopeSummary(ResultModel):
 
     @property
     def ranked(self) -> bool:
-        """Whether it is complete, and its weights learned from no frame that it is scored on."""
+        """Whether it is complete, with weights that learned from no scored frame."""
         return self.complete and not self.leak
 
     def estimate(self, stratum: str, score: str, output: str) -> Estimate | None:
-        """An estimate; None where there is none."""
+        """An estimate; None if there is none."""
         return self.strata.get(stratum, {}).get(score, {}).get(output)
 
     def at(self, stratum: str, score: str, output: str, step: int) -> PointEstimate:
-        """An estimate at one step; of None where it is not known."""
+        """An estimate at one step; of None if it is not known."""
         found = self.estimate(stratum, score, output)
         return NO_ESTIMATE if found is None else found.at(step)
 
@@ -191,7 +191,7 @@ class TrialSummary(ScopeSummary):
 
 
 class PooledSummary(ScopeSummary):
-    """One tracker on all recordings together, of those that it completed."""
+    """One tracker on all recordings that it completed, together."""
 
     recordings_complete: int = 0
     recordings_expected: int = 0
@@ -208,7 +208,7 @@ class TrackerSummary(ResultModel):
     """The returns in each frame: `centres` of occupied cells, or `raw`."""
     recordings: dict[str, TrialSummary]
     pooled: PooledSummary | None = None
-    """Over all recordings; null for a single one, or where rate, horizon or grid differ."""
+    """Over all recordings; null for a single one, or if rate, horizon or grid differ."""
 
     @property
     def ceiling(self) -> bool:
@@ -245,14 +245,14 @@ class TrackerDifference(ResultModel):
     frames: int = 0
     """Scored frames that both have."""
     interval: Line = ""
-    """Why there is no interval or no comparison; empty where there is."""
+    """Why there is no interval or no comparison; empty if there is."""
     strata: dict[str, Estimates] = Field(default_factory=dict)
     """By stratum, score and output."""
     tests: tuple[HeadlineTest, ...] = Field(default=(), max_length=100)
     """Of the headline score; empty for the differences of class scores."""
 
     def at(self, stratum: str, score: str, output: str, step: int) -> PointEstimate:
-        """A difference at one step; of None where it is not known."""
+        """A difference at one step; of None if it is not known."""
         found = self.strata.get(stratum, {}).get(score, {}).get(output)
         return NO_ESTIMATE if found is None else found.at(step)
 
@@ -290,7 +290,7 @@ class TrackerTrainings(ResultModel):
     """The first label of the reference."""
     units: int = 0
     interval: Line = ""
-    """Why there is no interval; empty where there is."""
+    """Why there is no interval; empty if there is."""
     scores: tuple[TrainingsScore, ...] = Field(default=(), max_length=100)
 
 
@@ -332,7 +332,7 @@ class RunSummary(ResultModel):
     """SCORE.OUTPUT of the headline score."""
     recordings: dict[str, RecordingSummary] = Field(min_length=1)
     pooled_horizons_s: tuple[Annotated[float, Field(ge=0.0, le=LONGEST_S)], ...] = ()
-    """Of the scores of all recordings together; empty where there are none."""
+    """Of the scores of all recordings together; empty if there are none."""
     trackers: dict[str, TrackerSummary]
     """By label."""
     reference: str | None = None
@@ -343,7 +343,7 @@ class RunSummary(ResultModel):
     false_differences: dict[str, Annotated[float, Field(ge=0.0, le=1.0)]] = Field(default_factory=dict)
     """How often at least one family of `pairs` has a difference between equal trackers, by their recordings."""
     trainings: tuple[TrackerTrainings, ...] = ()
-    """Where a tracker has several trainings: every tracker, with the spread between its trainings."""
+    """If a tracker has several trainings: every tracker, with the spread between its trainings."""
 
     @property
     def has_pooled(self) -> bool:
@@ -398,6 +398,6 @@ def _refuse_other_lengths(where: str, curves: Iterator[tuple[str, Sequence[float
 
 
 def read_summary(folder: Path) -> RunSummary:
-    """The summary in a run's folder. Raises FileNotFoundError where it has none, and RunError."""
+    """The summary in a run's folder. Raises FileNotFoundError if it has none, and RunError."""
     remedy = "read it with gridtrack 0.2, which wrote it, or compare again"
     return read_model(folder / SUMMARY_FILE, RunSummary, SUMMARY_SCHEMA, MAX_SUMMARY_BYTES, remedy)

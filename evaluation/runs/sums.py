@@ -171,7 +171,7 @@ class TrialSums:
 
     @cached_property
     def frames(self) -> ScoredFrames:
-        """The scored frames; none where nothing was scored."""
+        """The scored frames; none if nothing was scored."""
         for score in self.scores:
             return self._frames_of(score)
         return ScoredFrames(np.zeros(0, np.int64), np.zeros(0, np.str_))

@@ -140,7 +140,7 @@ def _complete(
 
 
 def _site_of(stream: GridStream) -> str:
-    """The site whose weights a training writes. Raises ConfigurationError for the name of general weights."""
+    """The site of the weights that a training writes. Raises ConfigurationError for the name of general weights."""
     if stream.site == GENERAL:
         raise ConfigurationError(
             f"{stream.name}: its site is '{GENERAL}', the name of weights for any place: import it again with another"
@@ -158,7 +158,7 @@ def _what_is_kept(path: Path, *, written: bool) -> str:
     if reached:
         return f"interrupted at {reached}; {path} has the best so far; {again}"
     if written:
-        return f"interrupted; {path} has the weights, but not what is learned after them, such as classes; {again}"
+        return f"interrupted; {path} has the weights without later stages, such as classes; {again}"
     return f"interrupted; {path} keeps the weights of an earlier training; {again}"
 
 

@@ -98,7 +98,7 @@ class TrialRun:
         return "ok", ""
 
     def _refuse_moving(self, description: TrackerDescription) -> None:
-        """Raise RecordingError where the sensor moves and the tracker cannot follow it."""
+        """Raise RecordingError if the sensor moves and the tracker cannot follow it."""
         if not description.moving_sensor:
             for stretch in filter(None, (self.trial.validation, self.trial.test)):
                 refuse_moving(stretch, self.trial.label)
@@ -126,7 +126,7 @@ class TrialRun:
     def _choose_thresholds(self) -> Thresholds:
         """Stream the validation stretch and choose the thresholds on it.
 
-        Without such a stretch they are those of the card, and 0.5 where it has none.
+        Without such a stretch they come from the card, and are 0.5 if it has none.
         """
         stretch = self.trial.validation
         if stretch is None:
@@ -149,7 +149,7 @@ class TrialRun:
                 self._scored = scorekeeper.scored
 
     def _tracker(self) -> TrackerLike:
-        """What forecasts the test stretch."""
+        """The forecaster of the test stretch."""
         return self._process
 
     def _has_scores(self) -> bool:
@@ -183,7 +183,7 @@ class TrialRun:
         )
 
     def _reported_fields(self) -> dict[str, Any]:
-        """The fields of the record that the tracker reports of itself; the defaults where it did not start."""
+        """The fields of the record that the tracker reports of itself; the defaults if it did not start."""
         description = self._description
         if description is None:
             return {}

@@ -21,7 +21,7 @@ OUTCOME_FILE = "outcome.json"
 MAX_OUTCOME_BYTES = 1 << 24
 
 TrialEnding = Outcome | Literal["interrupted", "failed"]
-"""How a trial ended; `interrupted` with its run, `failed` where the scoring failed and not the tracker."""
+"""How a trial ended; `interrupted` with its run, `failed` if the scoring failed and not the tracker."""
 
 
 class ThresholdsUsed(ResultModel):
@@ -29,7 +29,7 @@ class ThresholdsUsed(ResultModel):
 
     values: dict[str, tuple[float, ...]] = Field(default_factory=dict)
     chosen_on: str = ""
-    """The validation stretch, or the card; empty where there is neither, and every threshold is 0.5."""
+    """The validation stretch, or the card; empty if there is neither, and every threshold is 0.5."""
 
     @classmethod
     def of(cls, thresholds: Thresholds) -> ThresholdsUsed:
@@ -57,7 +57,7 @@ class Times(ResultModel):
 
 
 class TrialRecord(ResultModel):
-    """One trial: its outcome, the number of frames, the thresholds, and what was measured."""
+    """One trial: its outcome, number of frames, thresholds and measurements."""
 
     schema_version: Literal[3] = Field(default=TRIAL_SCHEMA, alias="schema")
     label: str
@@ -77,17 +77,17 @@ class TrialRecord(ResultModel):
     classes: tuple[str, ...] = ()
     """The classes that the tracker gives probabilities for."""
     role: Role = "tracker"
-    """By the tracker's own description; `tracker` where it did not start."""
+    """By the tracker's own description; `tracker` if it did not start."""
     reference_for: tuple[ComparedPart, ...] = ()
     """The comparisons in which the other rows are compared with this tracker by default."""
     code_sha256: str = ""
-    """Of the tracker's code: of the loaded files of its package, or of its program; empty where it is not known."""
+    """Of the tracker's code: of the loaded files of its package, or of its program; empty if it is not known."""
     weights_sha256: str = ""
     """Of the card of the weights used; empty without weights."""
     card: Literal["", "site", "general"] = ""
     """Whether the weights used are those of the site or general ones; empty without weights."""
     leak: Line = ""
-    """What its weights learned from frames of its test or validation stretch; empty where nothing."""
+    """Frames of its test or validation stretch that its weights learned from; empty if none."""
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the trial's other files, by name, when the trial ended."""
     recoveries: int = 0
@@ -115,7 +115,7 @@ class TrialRecord(ResultModel):
         return None
 
     def require_own_files(self, folder: Path) -> None:
-        """Raise RunError where a file in the trial's folder is not the one that the trial wrote."""
+        """Raise RunError if a file in the trial's folder is not the one that the trial wrote."""
         if changed := self.changed_file(folder):
             raise RunError(
                 f"{changed}: changed since the trial wrote it (its sha256 is not the one in {OUTCOME_FILE}): compare"
@@ -138,7 +138,7 @@ def hashes_of(folder: Path, names: Iterable[str]) -> dict[str, str]:
 
 
 def read_trial_record(folder: Path) -> TrialRecord | None:
-    """The record in a trial's folder; None where the trial has not ended. Raises RunError."""
+    """The record in a trial's folder; None if the trial has not ended. Raises RunError."""
     path = folder / OUTCOME_FILE
     try:
         return read_model(

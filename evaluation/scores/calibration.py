@@ -12,7 +12,7 @@ from gridtrack.evaluation.scores.cells import CALIBRATION_BINS, CALIBRATION_EDGE
 from gridtrack.evaluation.scores.definition import Floats, Output, ScoreDefinition, Sums, TrialFacts, block, divided
 
 POSSIBLY_OCCUPIED = 10 / 1024
-"""Cells with at least this probability, about 1 %, are those that a tracker considers possibly occupied."""
+"""A tracker considers cells with at least this probability, about 1 %, possibly occupied."""
 LEAST_CELLS = 50
 """A bin of fewer cells has no share of occupied cells in the figure: it is mostly noise."""
 

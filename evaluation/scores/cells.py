@@ -21,7 +21,7 @@ _LOWEST_OCTAVE = 12
 _COARSENING, _LOWEST_OCTAVE_NEXT_TO_1 = 8, 7
 """Of the bins for calibration."""
 MASSES = (0.0, 0.5, 1.0)
-"""Probabilities that many cells may have: a bin of their own, so that cells beside them are not mixed with them."""
+"""Probabilities that many cells may have: each is a bin of its own, without neighbouring values."""
 
 
 def _edges(coarsening: int = 1, lowest_next_to_1: int = _LOWEST_OCTAVE) -> NDArray[np.float64]:
@@ -50,7 +50,7 @@ CALIBRATION_EDGES = _edges(_COARSENING, _LOWEST_OCTAVE_NEXT_TO_1)
 the share of occupied cells is mostly noise, which adds to every calibration error."""
 CALIBRATION_BINS = len(CALIBRATION_EDGES) - 1
 HALF = int(np.searchsorted(PROBABILITY_EDGES, 0.5))
-"""The bin of 0.5, whose lower edge it is."""
+"""The bin with the lower edge 0.5."""
 FIRST_OF_CALIBRATION_BIN = np.searchsorted(PROBABILITY_EDGES, CALIBRATION_EDGES[:-1])
 """The first bin (C,) of each bin for calibration."""
 _CALIBRATION_BIN = np.searchsorted(FIRST_OF_CALIBRATION_BIN, np.arange(PROBABILITY_BINS), side="right") - 1
@@ -67,7 +67,7 @@ CLIP = 1e-3
 class Tally:
     """Counts over cells, per step S = steps+1, stratum K and probability bin; tallies add up.
 
-    `cells`, `positives` (S, K, B) int64: cells scored and those of them occupied; `p_sum` (S, K, C) float64: sum of the
+    `cells`, `positives` (S, K, B) int64: scored cells and the occupied ones; `p_sum` (S, K, C) float64: sum of the
     forecast probability in each bin for calibration; `squared_error`, `log_loss` (S, K) float64: sums over cells, log
     loss in nats. `strata` names the K strata.
     """

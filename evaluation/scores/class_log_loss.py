@@ -130,7 +130,7 @@ def _value(sums: Sums) -> Mapping[str, Ratio | Floats]:
 
 
 def _figure(sums: Sums) -> dict[str, Floats | Ratio]:
-    """The confusion matrix (K, K+1) of sums (U, P), where any cell was counted."""
+    """The confusion matrix (K, K+1) of sums (U, P), if any cell was counted."""
     confusion = confusion_of(sums).sum(axis=0)
     return {"confusion": confusion} if confusion.any() else {}
 

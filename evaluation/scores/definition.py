@@ -1,4 +1,4 @@
-"""What a score is: how it counts a forecast, and what values follow from the counts.
+"""Definition of a score: how it counts a forecast, and its values from the counts.
 
 A score is one object. Storage, pooling, intervals, paired tests, the gate, tables, pages and exports ask it for its
 title, unit and direction, and for its values; they name no score. Counts are additive sums, so that scores of several
@@ -51,18 +51,13 @@ class Output:
 
     @property
     def direction(self) -> int:
-        """1 where a higher value is better, -1 where a lower one is, else 0."""
+        """1 if higher values are better, -1 if lower ones are, else 0."""
         return {"higher": 1, "lower": -1, "": 0}[self.better]
-
-    @property
-    def heading(self) -> str:
-        """The title, with the unit."""
-        return f"{self.title}, {self.unit}" if self.unit else self.title
 
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """A value (...) that is `part` / `whole`, both sums; undefined where the sum of `support` is 0 (None: of `whole`).
+    """A value (...) that is `part` / `whole`, both sums; undefined if the sum of `support` is 0 (None: of `whole`).
 
     `counted`: both sums are counts of cells, so that half a count is added before a logarithm.
     """
@@ -114,8 +109,8 @@ def block(name: str, size: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class TrialFacts:
-    """What a score may know of a trial: cells of `cell_m` metres, steps 0..`steps`, the strata that are scored, the
-    classes of the recording and those of the tracker, its thresholds, and whether there is ground truth."""
+    """A trial as scores see it: cells of `cell_m` metres, steps 0..`steps`, the strata that are scored, the
+    classes of the recording and of the tracker, its thresholds, and whether there is ground truth."""
 
     cell_m: float
     steps: int
@@ -134,7 +129,7 @@ class ScoreDefinition:
     """A score.
 
     `count(forecast, facts, memory)` gives the sums (S, K, P) of one forecast, per step 0..steps, stratum and part, or
-    None where the forecast has nothing to count. `memory` is made by `new_memory` for each trial and kept between its
+    None if the forecast has nothing to count. `memory` is made by `new_memory` for each trial and kept between its
     forecasts. `value(sums)` gives every output that follows from sums (..., P), pooled, of units, or without one of
     them: intervals, differences and tests are made from it. The first output leads. `strata` and `parts` of a trial
     follow from its facts; a score without strata does not apply to the trial. `relate` gives outputs (S,) by stratum
@@ -178,7 +173,7 @@ class ScoreDefinition:
 
 
 def divided(part: NDArray[Any], whole: NDArray[Any], defined: NDArray[np.bool_] | None = None) -> Floats:
-    """part / whole, broadcast; NaN where `whole` is 0 or the ratio is not `defined`."""
+    """part / whole, broadcast; NaN if `whole` is 0 or the ratio is not `defined`."""
     divisible = whole > 0 if defined is None else defined & (whole > 0)
     found = np.full(np.broadcast_shapes(part.shape, whole.shape), np.nan)
     np.divide(part, whole, out=found, where=divisible)
@@ -186,7 +181,7 @@ def divided(part: NDArray[Any], whole: NDArray[Any], defined: NDArray[np.bool_] 
 
 
 def value_of(found: Ratio | Measure | Floats) -> Floats:
-    """The value (...) of what `ScoreDefinition.value` gives of pooled sums; NaN where it is undefined."""
+    """The value (...) of what `ScoreDefinition.value` gives of pooled sums; NaN if it is undefined."""
     if isinstance(found, Ratio):
         return divided(found.part, found.whole, None if found.support is None else found.support > 0)
     return found.value if isinstance(found, Measure) else found

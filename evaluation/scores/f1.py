@@ -27,7 +27,7 @@ COUNTS = ("tp", "fp", "fn", "tn")
 THRESHOLDS = ("chosen", "half", "visible", "label-free")
 """The threshold of the step and stratum, 0.5, the threshold of all visible cells, and the threshold without labels."""
 LEAST_F1_GAP = 0.01
-"""No share is computed where the oracle's F1 is less than this above that of the best floor: it would be noise."""
+"""No share is computed if the oracle's F1 is less than this above that of the best floor: it would be noise."""
 
 
 def _parts(facts: TrialFacts) -> tuple[str, ...]:
@@ -59,7 +59,7 @@ _AT_OTHER_THRESHOLDS = {"at_half": "half", "at_visible": "visible", "label_free"
 
 
 def _f1(sums: Sums, threshold: str) -> Ratio:
-    """2 TP / (2 TP + FP + FN); undefined where no cell was occupied."""
+    """2 TP / (2 TP + FP + FN); undefined if no cell was occupied."""
     tp, fp, fn = (sums[f"{count} {threshold}"] for count in COUNTS[:3])
     return Ratio(2 * tp, 2 * tp + fp + fn, support=tp + fn, counted=True)
 

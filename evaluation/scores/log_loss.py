@@ -20,7 +20,7 @@ from gridtrack.evaluation.scores.definition import (
 from gridtrack.evaluation.scores.relations import share_of_oracle
 
 LEAST_LOSS_GAP = 0.01
-"""No share is computed where the oracle's log loss is less than this share of the best floor's below it."""
+"""No share is computed if the oracle's log loss is less than this share of the best floor's below it."""
 
 
 def _count(forecast: ScoredForecast, facts: TrialFacts, memory: None) -> Floats:

@@ -2,7 +2,7 @@
 
 The fractions skill score (Roberts and Lean, Monthly Weather Review 136, 2008) compares shares: of the square of n x n
 cells about a cell, P is the mean probability and O the share of occupied cells. Only cells of the stratum count, in
-the means and as centres, so what no beam reached, or what lies outside the window, adds nothing and takes nothing.
+the means and as centres, so cells that no beam reached, and cells outside the window, add nothing and take nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from gridtrack.evaluation.referee.strata import OCCLUDED, RegionMaps
 from gridtrack.evaluation.referee.targets import Target, cell_regions, members
 
 NEIGHBOURHOOD_STRATA = ("visible", "dynamic", "in-motion", OCCLUDED)
-"""The strata that have these sums: those of the headline, and with truth the hidden cells."""
+"""The strata that have these sums: the headline's, and with truth the hidden cells."""
 SCALES = (1, 3, 5, 9)
 """Sides, in cells, of the neighbourhoods of the fractions skill score."""
 _MARGIN = max(SCALES) // 2

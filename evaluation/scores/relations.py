@@ -1,4 +1,4 @@
-"""Values of a score relative to those of other rows: the share of the way from the best floor to the oracle."""
+"""Values of a score relative to other rows: the share of the way from the best floor to the oracle."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def share_of_oracle(
     *,
     relative: bool = False,
 ) -> CurvesByStratum:
-    """(value - floor) / (oracle - floor) by stratum (S,); NaN where it is not known.
+    """(value - floor) / (oracle - floor) by stratum (S,); NaN if it is not known.
 
     `direction`: 1 where higher values are better, -1 where lower ones are. A share is not known without oracle or
     floor, and where the oracle is not better than the floor by `least_gap`, as a share of the floor's value where

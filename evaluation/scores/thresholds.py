@@ -24,7 +24,7 @@ from gridtrack.evaluation.scores.cells import (
 NEAREST_TO_HALF = 1 + np.abs(PROBABILITY_EDGES[1:PROBABILITY_BINS] - 0.5).argsort(kind="stable")
 """The bins that may be thresholds, the nearest to 0.5 first."""
 _CALIBRATION_NEAREST_TO_HALF = 1 + np.abs(CALIBRATION_EDGES[1:CALIBRATION_BINS] - 0.5).argsort(kind="stable")
-"""The bins for calibration whose lower edges may be thresholds, the nearest to 0.5 first."""
+"""The bins for calibration with lower edges that may be thresholds, the nearest to 0.5 first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def half(steps: int, strata: tuple[str, ...] = STRATA) -> Thresholds:
 
 
 def bins_of(values: NDArray[np.float64]) -> NDArray[np.int64]:
-    """The bins (...) whose lower edges are these thresholds (...)."""
+    """The bins (...) with these thresholds (...) as lower edges."""
     return PROBABILITY_EDGES.searchsorted(values)
 
 
@@ -110,7 +110,7 @@ class LabelFreeThresholds:
         return chosen
 
     def add(self, observed_ns: int, tally: Tally) -> None:
-        """Add the counts of a forecast whose last frame is observed at `observed_ns`."""
+        """Add the counts of a forecast with its last frame observed at `observed_ns`."""
         self._waiting.append((observed_ns, for_calibration(tally.cells), tally.p_sum))
 
 

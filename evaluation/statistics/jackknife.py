@@ -36,7 +36,7 @@ share of that over all units."""
 
 @dataclass(frozen=True, slots=True)
 class IntervalEstimate:
-    """A value (...), the ends of its interval, and the p-value of no difference where it is one; NaN where unknown."""
+    """A value (...), the ends of its interval, and the p-value of no difference where it is one; NaN if unknown."""
 
     value: Floats
     low: Floats
@@ -108,7 +108,7 @@ def _joined(ratios: Sequence[Ratio]) -> Ratio:
 
 
 def ratio_replicates(ratio: Ratio) -> Replicates:
-    """The replicates of a ratio of the sums (U, ...) of units. It is undefined where the sum of its support is 0."""
+    """The replicates of a ratio of the sums (U, ...) of units. It is undefined if the sum of its support is 0."""
     whole = ratio.whole if ratio.support is None else ratio.whole * (ratio.support.sum(axis=0) > 0)
     value = divided(ratio.part.sum(axis=0), whole.sum(axis=0))
     without = divided(_without_each(ratio.part), _without_each(whole))
@@ -133,8 +133,8 @@ def interval(found: Replicates, scale: Scale, level: float = LEVEL) -> IntervalE
 
 
 def _interval_of_ratio(found: Replicates, scale: Scale, level: float) -> tuple[Floats, Floats]:
-    """Half a count is added to each sum of the odds where both are counts. Where the value is 0 in all units, or 1 in
-    all, the interval is that point; NaN where fewer than LEAST_AGREEING effective units agree.
+    """Half a count is added to each sum of the odds if both are counts. Where the value is 0 in all units, or 1 in
+    all, the interval is that point; NaN if fewer than LEAST_AGREEING effective units agree.
     """
     assert found.ratio is not None
     part, whole, counted = found.ratio.part, found.ratio.whole, found.ratio.counted and scale == "odds"
@@ -219,7 +219,7 @@ def degrees_of_freedom(*sizes: Floats) -> Floats:
     """Degrees of freedom (...) of a jackknife over units: their effective number less one, and at least 1.
 
     The effective number is that of equal units with the same information (Kish 1965); of several `sizes` (U, ...) of
-    the units the smallest, without those that are 0 in all units.
+    the units the smallest, without values that are 0 in all units.
     """
     effective = np.fmin.reduce([divided(one.sum(axis=0) ** 2, (one**2).sum(axis=0)) for one in sizes])
     freedom: Floats = np.fmax(effective - 1, 1.0)

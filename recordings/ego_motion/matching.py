@@ -130,7 +130,7 @@ class ScanMatcher:
         return thinned.reshape(-1, 3)
 
     def _matched(self, scan: Scan, returns: ScanReturns, prior: Prior) -> tuple[ScanMatch, ScanReturns]:
-        """The match of `returns`, and the returns used for it: without those that move by a first match of all.
+        """The match of `returns`, and the returns used for it: without returns that move by a first match of all.
 
         If too few are left, all are used: a poor first match, or walls that sometimes return nothing and so seem free,
         are more likely than surroundings of which most move.

@@ -48,8 +48,8 @@ class ScanReturns(NamedTuple):
     """The returns of one scan, sensor frame at the scan's stamp.
 
     `points` (N, 2) metres in the order of the beams, `normals` (N, 2) unit vectors across the wall; `on_wall` (N,): the
-    neighbours are on one line with the return, so that its normal is valid. `length` (N,) metres: the surface that each
-    return represents, so that near objects with many returns weigh no more than far ones. `cluster` (N,): number of the
+    neighbours are on one line with the return: its normal is valid. `length` (N,) metres: the surface that each return
+    represents, so that near objects with many returns weigh no more than far ones. `cluster` (N,): number of the
     cluster, `extent` (N,) metres: diagonal of the cluster's bounding box.
     """
 

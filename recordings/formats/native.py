@@ -242,7 +242,7 @@ class _NativeWriter:
         self._written: tuple[int, Scene] | None = None
 
     def write(self, scan: Scan) -> None:
-        """Write the pose, truth and labels of a scan before it, so that a reader has them in time."""
+        """Write the pose, truth and labels before their scan, so that a reader has them in time."""
         if self._poses.get(scan.sensor) != scan.world_T_sensor:
             self._poses[scan.sensor] = scan.world_T_sensor
             self._add("/pose", _transform_message(scan), scan.stamp_ns)

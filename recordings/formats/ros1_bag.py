@@ -24,7 +24,7 @@ MAX_BAG_RECORD_BYTES = 1 << 28
 MESSAGE_OP, BAG_HEADER_OP, INDEX_OP, CHUNK_OP, CONNECTION_OP = 2, 3, 4, 5, 7
 INDEX_ENTRY_BYTES = 12
 MAX_HEADER_BYTES = 1 << 16
-"""Limit of a record's header, to tell a record from other bytes."""
+"""Limit of a record's header: distinguishes a record from other bytes."""
 
 Fields = dict[str, bytes]
 

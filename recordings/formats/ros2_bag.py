@@ -57,7 +57,7 @@ def _messages_in(path: Path, budget: ReadBudget, file_bytes: int) -> Iterator[En
 
 
 def _parts(path: Path) -> list[Path]:
-    """What the reader opens, one after the other: the folder, or its files if any is packed or unfinished.
+    """The paths to open, one after the other: the folder, or its files if any is packed or unfinished.
 
     Raises DamageError.
     """

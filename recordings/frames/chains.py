@@ -102,7 +102,7 @@ class Chain:
 class Chains:
     """The chain of each topic with scans.
 
-    `problem`: why they cannot be used, and what to do; empty if they can. `faults` in the transforms of the chains, and
+    `problem`: why they cannot be used, and the remedy; empty if they can. `faults` in the transforms of the chains, and
     `notes` about the chains have one line each.
     """
 

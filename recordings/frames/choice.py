@@ -37,7 +37,7 @@ def chosen_chains(tree: FrameTree, options: ChainOptions) -> Chains:
 
 
 class _Choice:
-    """The links of the frames, and the choice of those that lead to the sensors."""
+    """The links between frames, and the choice of the links that lead to the sensors."""
 
     def __init__(self, tree: FrameTree, options: ChainOptions) -> None:
         self._tree, self._options = tree, options
@@ -79,7 +79,7 @@ class _Choice:
         return top if moves and not is_robots else None
 
     def _world_frame_below(self) -> str | None:
-        """A world frame whose moving transform in the robot is recorded; it becomes the root of the tree."""
+        """A world frame with a recorded moving transform in the robot; it becomes the root of the tree."""
         top, forest = self._links.common()[-1], self._links.forest
         below = [one for one in forest.frames if forest.top(one) == top and forest.moves(one)]
         for word in WORLD_WORDS:

@@ -1,4 +1,4 @@
-"""Messages about chains: why poses cannot be used and what to do, and notes about poses that can be used."""
+"""Messages about chains: why poses cannot be used, with the remedy, and notes about usable poses."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def unused_motion(options: ChainOptions, child: str, second: Edge) -> str:
 
 
 def motion_above(options: ChainOptions, forest: Forest, world: str, chains: Mapping[str, Chain]) -> Iterator[str]:
-    """A world frame in which no sensor moves, below a frame in which it moves itself."""
+    """A world frame in which no sensor moves, and which moves in a frame above."""
     above = forest.moving_above(world)
     if above is not None and not any(chain.moving for chain in chains.values()):
         yield (

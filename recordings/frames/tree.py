@@ -21,7 +21,7 @@ MAX_TREE_FRAMES = 1000
 """Limit of the frames of a recording; a robot with two arms has a hundred."""
 MAX_POSE_TOPICS, MAX_FAULTS = 100, 20
 MAX_FRAMES_ON_TOPIC, LASER_SHARE = 8, 0.1
-"""Limit of the frames of scans on one topic, and the share of its scans from which a frame is that of a laser."""
+"""Limit of the frames of scans on one topic, and the least share of its scans for the frame of a laser."""
 Judgement = Literal["near", "held", "confirmed", "restarted"]
 """`held`: far from the newest stamp. `confirmed`: close to the held stamp, or as far after it as that is after the
 stamps before, so that both are correct. `restarted`: both are correct, and the stamps before are not comparable,
@@ -260,7 +260,7 @@ class FrameTree:
         return next((edge for edge in edges if edge.parent == parent and topic in edge.topics.values()), None)
 
     def edge_beside(self, scans: str, child: str) -> Edge:
-        """The edge of a frame that has one: from the topic whose namespace contains the topic `scans`, else the first.
+        """The edge of a frame that has one: from the topic with the namespace of the topic `scans`, else the first.
 
         The innermost such namespace counts: `/robot1/tf` for `/robot1/scan`.
         """

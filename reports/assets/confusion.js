@@ -40,7 +40,7 @@ function headsOf(names) {
   return { texts, upright, height: TITLE + (upright ? Math.max(...widths) + 10 : 24) };
 }
 
-// The name of a class, whole in its title where there is no room for it.
+// The name of a class, whole in its title if there is no room for it.
 function className(name, x, y, attributes) {
   const text = svgText(x, y, shortened(name, NAMES - 6), { class: "tick", ...attributes });
   if (text.textContent !== name) text.append(draw("title", {}, name));

@@ -21,7 +21,7 @@ export function draw(tag, attributes = {}, ...children) {
 
 // A button that opens the section `name` of docs/figures.md, which is at the end of the page.
 export function meaning(name) {
-  return make("button", { type: "button", class: "meaning", popovertarget: `meaning-${name}` }, "What it means");
+  return make("button", { type: "button", class: "meaning", popovertarget: `meaning-${name}` }, "Explanation");
 }
 
 // The line in a tracker's colour that stands before its name.
@@ -72,7 +72,7 @@ export function svgText(x, y, text, attributes = {}) {
 
 export const inSeconds = (seconds) => `${Number(seconds.toPrecision(3))} s`;
 
-// A score in words, with a dash where it is undefined.
+// A score in words, with a dash if it is undefined.
 export function inDigits(value, digits = 3) {
   return value === null || value === undefined ? "–" : value.toFixed(digits);
 }

@@ -62,7 +62,7 @@ function emptyDrawing(width) {
   return svg;
 }
 
-// What is chosen, by the name of its column.
+// The choice, by the name of its column.
 function choicesMade(listed, chosen) {
   return Object.fromEntries(listed.map(([key, , , taken = chosen[key]]) => [COLUMNS[key] ?? key, taken]));
 }
@@ -86,7 +86,7 @@ export function choice(name, options, chosen, changed) {
   return make("label", { class: "choice" }, make("span", {}, name), select);
 }
 
-// What is chosen, as a line of text, without what has no options.
+// The choice, as a line of text, without choices that have no options.
 export function choiceWords(listed, chosen) {
   const textOf = (options, taken) => options.find(([value]) => value === taken)?.[1];
   return listed.filter(([, , options]) => options.length)
@@ -95,7 +95,7 @@ export function choiceWords(listed, chosen) {
 
 // The choices of a figure in a row, with nothing to choose left out; drawn again after every change. A choice of
 // `listed`: [key, name, options, taken]. Where what is chosen is no option, the first takes its place for good, or
-// `taken` for as long as the options are these; where there is no option, it stays.
+// `taken` for as long as the options are these; if there is no option, it stays.
 export function choiceBar(listed, chosen, redraw) {
   const bar = make("div", { class: "choices" });
   const fill = () => {

@@ -38,7 +38,7 @@ export function lineChart({ lines, x: across, y: up, diagonal, width }) {
   return withReading(svg, { lines, drawn, places: readingPlaces(places, [first, last]), words: wordsOf(across), digits: up.digits, x, y, width });
 }
 
-// More bands than can be told from each other: only that of the line next to the pointer is drawn.
+// Too many bands to distinguish: only the band of the line next to the pointer is drawn.
 export function isCrowded(lines) {
   return lines.filter((one) => one.low?.some((v) => v !== null)).length > MOST_BANDS;
 }
@@ -49,7 +49,7 @@ function showBandOf(chosen, drawn) {
   }
 }
 
-// The values of the lines, and of their bands, from the place `first` on; all values where there are none.
+// The values of the lines, and of their bands, from the place `first` on; all values if there are none.
 function scaledValues(lines, first) {
   const valuesOf = (wanted) => lines.flatMap(({ xs, values, low, high }) =>
     [values, low ?? [], high ?? []].flatMap((curve) => curve.filter((value, i) => value !== null && wanted(xs[i]))));
@@ -68,7 +68,7 @@ function placesOf(lines) {
   return [...new Set(lines.flatMap((one) => one.xs))].sort((a, b) => a - b);
 }
 
-// Where values are read: at the places themselves, or evenly where there are too many.
+// Where values are read: at the places themselves, or evenly if there are too many.
 function readingPlaces(places, [first, last]) {
   if (places.length <= READING_PLACES) return places;
   return Array.from({ length: READING_PLACES }, (_, i) => first + (i * (last - first)) / (READING_PLACES - 1));

@@ -43,13 +43,13 @@ export function inputColour(code) {
   return code === 0 ? unseenColour() : ofLevel(code === 2 ? LEVEL_MASK : 0);
 }
 
-// What came: hidden cells as not visible.
+// The observed frame: hidden cells as not visible.
 export function cameColour(code) {
   const state = code & 7;
   return state > 1 ? unseenColour() : ofLevel(state === 1 ? LEVEL_MASK : 0);
 }
 
-// The truth: hidden cells too; what no laser can observe is grey.
+// The truth: hidden cells too; cells that no laser can observe are grey.
 export function truthColour(code) {
   const state = code & 7;
   return state === NOT_SCORED ? unseenColour() : ofLevel(state & 1 ? LEVEL_MASK : 0);
@@ -59,12 +59,12 @@ export function forecastColour(code) {
   return ofLevel(code & LEVEL_MASK);
 }
 
-// The name of what a forecast did in a cell, or "" where nothing is to mark. `stratum`: whether cells in motion are known.
+// The name of a hit or an error of a forecast in a cell, or "". `stratum`: whether cells in motion are known.
 export function markOf(forecast, target, stratum) {
   const called = (forecast & CALLED) !== 0;
   const state = target & 7;
   if (state === HIDDEN_OCCUPIED) return called ? "hidden, found" : "hidden, missed";
-  // a threshold of cells in motion says little where nothing is known: all of an outside may be just above it
+  // a threshold of cells in motion says little if nothing is known: all of an outside may be just above it
   if (state === NOT_SCORED) return 2 * (forecast & LEVEL_MASK) > LEVEL_MASK ? "hidden, not scored" : "";
   if (state === HIDDEN_FREE || (stratum && !(target & IN_MOTION))) return "";
   if (state === 1) return called ? "hit" : "miss";

@@ -1,4 +1,4 @@
-// What a panel of the player shows of a moment: its input, the observed frame, forecasts; and the canvas of a panel.
+// A panel of the player with a moment: its input, the observed frame, forecasts; and the canvas of a panel.
 import { inSeconds, make } from "./drawing.js";
 import { cssColour, forecastColour, inputColour, MARK_COLOURS, markColour, markOf } from "./moment_cells.js";
 import { scoreText } from "./moments.js";
@@ -116,7 +116,7 @@ export class MomentCanvas {
     this.context.imageSmoothingEnabled = false;
   }
 
-  // What `paint` draws, in the columns [from, to) alone.
+  // The drawing of `paint`, in the columns [from, to) alone.
   within(from, to, paint) {
     const { context } = this;
     const [left, right] = [from, to].map((column) => Math.round(this.at(column, 0)[0]));
@@ -143,7 +143,7 @@ export class MomentCanvas {
     return [(x - this.view.left) * this.cell, this.canvas.height - (y - this.view.bottom) * this.cell];
   }
 
-  // Misses are hollow: told from false alarms by form as well as by colour.
+  // Misses are hollow: they differ from false alarms by form as well as by colour.
   misses(size, forecast, target, stratum) {
     this.context.fillStyle = "#fff";
     target.forEach((code, cell) => {

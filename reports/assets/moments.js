@@ -4,7 +4,7 @@ export function linkOf({ recording, seconds, horizon, trackers }) {
   return `#t=${[recording, seconds, horizon, ...trackers].map((part) => encodeURIComponent(part)).join(",")}`;
 }
 
-// The moment that a link names; null where it names none.
+// The moment that a link names; null if it names none.
 export function momentOfLink(hash) {
   if (!hash.startsWith("#t=")) return null;
   try {
@@ -20,7 +20,7 @@ export function countsOf(player, moment, h, tracker) {
   return player.moments[moment].counts[h][tracker];
 }
 
-// F1 of one moment alone; null where there is no score, or nothing was occupied or called.
+// F1 of one moment alone; null if there is no score, or nothing was occupied or called.
 export function momentF1(player, moment, h, tracker) {
   const counts = countsOf(player, moment, h, tracker);
   if (!counts) return null;
@@ -59,7 +59,7 @@ export const MOST_DIFFERENT = {
   },
 };
 
-// The first moment that stands out most, { moment, value }; null where none does.
+// The first moment that stands out most, { moment, value }; null if none does.
 export function outstandingMoment(player, kind, h, trackers) {
   let best = null;
   player.moments.forEach((_, moment) => {

@@ -11,7 +11,7 @@ const PLAY_MS = 700;
 const NONE = -1;
 
 export class Player {
-  // `onward(kind)` goes to such a moment of another recording; null where there is no other.
+  // `onward(kind)` goes to such a moment of another recording; null if there is no other.
   constructor(element, data, onward) {
     Object.assign(this, { element, data, onward, moment: 0, h: data.decisive, zoom: 1, centre: null });
     Object.assign(this, { marks: true, boxes: true, wipe: false, split: data.size / 2 });
@@ -94,7 +94,7 @@ export class Player {
     const wiped = this.wipe && shown.length > 1;
     this.drawn = [
       { panel: new MomentCanvas("input"), draw: (drawing) => drawing.input() },
-      { panel: new MomentCanvas("what came"), draw: (drawing) => drawing.target(cameColour, "what came") },
+      { panel: new MomentCanvas("observed"), draw: (drawing) => drawing.target(cameColour, "observed") },
     ];
     if (this.data.hidden_known) {
       this.drawn.push({ panel: new MomentCanvas("truth"), draw: (drawing) => drawing.target(truthColour, "truth") });
@@ -240,13 +240,13 @@ export class Player {
     this.element.dataset.ready = `${moment} ${h}`;
   }
 
-  // What is chosen that another recording may have: the labels of trackers, and the horizon in seconds.
+  // The choices that another recording may have: the labels of trackers, and the horizon in seconds.
   get choice() {
     const trackers = this.chosen.filter((tracker) => tracker !== NONE).map((tracker) => this.data.trackers[tracker]);
     return { trackers, horizon: this.data.horizons_s[this.h] };
   }
 
-  // Chooses the nearest horizon and those of the trackers that this recording has; where it has none, theirs stay.
+  // Chooses the nearest horizon and the trackers that this recording has; without any, its own stay.
   choose({ trackers, horizon }) {
     const known = trackers.map((label) => this.data.trackers.indexOf(label)).filter((at) => at >= 0);
     if (known.length) this.chosen = this.chosen.map((_, at) => known[at] ?? NONE);

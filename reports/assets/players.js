@@ -44,7 +44,7 @@ export function startPlayers() {
   if (!follow()) show(names[0][0]);
 }
 
-// What the legend says of the recording on screen, in the words of templates/player.html.j2.
+// The legend of the recording on screen, in the words of templates/player.html.j2.
 function fillLegend({ size, cell_m: cell, origin, moments }) {
   const metres = (length) => `${Number(length.toPrecision(6))} m`;
   document.getElementById("moments-window").textContent =

@@ -1,4 +1,4 @@
-// What trackers expect of a place before they see it, beside what the recording shows, on a logarithmic scale.
+// The expectation of trackers for a place before their first frame, beside the recording, on a logarithmic scale.
 import { draw, svgText } from "./drawing.js";
 import { startFigure } from "./figure.js";
 import { inflatedBytes, pageData } from "./page_data.js";
@@ -40,7 +40,7 @@ function mapOf({ name, style, cells }, size, side, x, y) {
     draw("rect", { class: "map-edge", y: MAP_HEAD, width: side, height: side }));
 }
 
-// The colours of the maps, logarithmic as they are, and that of what was never visible.
+// The colours of the maps, logarithmic as they are, and of cells that were never visible.
 function barOf(y) {
   const bar = pictureOf(PRIOR_LEVELS + 1, 1, priorColour), unseen = pictureOf(1, 1, () => priorColour(PRIOR_UNSEEN));
   const beside = BAR_LEFT + BAR_LONG + 18, below = y + BAR_HIGH + 15;

@@ -18,13 +18,13 @@ export const recordingNamed = (name) => pageData.recordings.find((one) => one.na
 export const outputNamed = (key) => outputByKey.get(key);
 export const hasScores = (recording) => recording.rows.some((row) => Object.keys(row.strata).length);
 
-// The curves { value, low, high } of a row; null where it has none. Those of an interval may be missing.
+// The curves { value, low, high } of a row; null if it has none. Those of an interval may be missing.
 export function estimateOf(row, stratum, key) {
   const output = outputNamed(key);
   return row.strata[stratum]?.[output?.score.name]?.[output.name] ?? null;
 }
 
-// The numbers { value, low, high } at one step; null where they are undefined.
+// The numbers { value, low, high } at one step; null if they are undefined.
 export function pointOf(row, stratum, key, step) {
   const { value, low, high } = estimateOf(row, stratum, key) ?? {};
   return { value: value?.[step] ?? null, low: low?.[step] ?? null, high: high?.[step] ?? null };
@@ -55,7 +55,7 @@ export function lineThrough(row, xs, points) {
   return lineOf(row, { xs, values, low, high });
 }
 
-// Options of selects: what the recording has. `has`: which of them are listed.
+// Options of selects, from the recording. `has`: which of them are listed.
 export function recordingOptions(has = () => true) {
   return pageData.recordings.filter(has).map((one) => [one.name, one.name]);
 }

@@ -35,7 +35,7 @@ STREETS = {"street": False, "crossing": True}
 KINDS = (*INDOORS, *OUTDOORS, *STREETS)
 MAX_WORLD_MINUTES = 10.0
 SEED_DOMAIN = 19
-"""Keeps the random numbers apart from those of other simulations with the same seed."""
+"""Separates the random numbers from other simulations with the same seed."""
 ATTEMPTS = 40
 LEAST_SEEN = 0.3
 """Minimum `seen_share` of a world; else another one is drawn."""

@@ -23,7 +23,7 @@ SHIN_SHARE = 0.85
 TRY_BEAMS = 240
 SLOWEST_HZ, FASTEST_HZ = 5.0, 20.0
 THINNED_SHARE = 0.4
-"""Share of recordings with every second scan or fewer, where the rate allows it."""
+"""Share of recordings with every second scan or fewer, if the rate allows it."""
 
 
 class LaserProduct(NamedTuple):

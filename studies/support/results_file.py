@@ -12,7 +12,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 NONE = "–"
-"""Stands for a score that is undefined, such as F1 where no cell of the stratum is occupied."""
+"""Stands for a score that is undefined, such as F1 if no cell of the stratum is occupied."""
 MAY_BE_CHANCE = "°"
 """Follows a difference whose corrected p-value is 0.05 or more."""
 

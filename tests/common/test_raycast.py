@@ -1,4 +1,4 @@
-"""The visible cells are exactly those that beams cross, against a slow and simple implementation."""
+"""The visible cells are exactly the cells that beams cross, against a slow and simple implementation."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def segment(x: float, y: float) -> Scan:
 
 
 def test_a_diagonal_through_corners_touches_no_neighbour() -> None:
-    # the pose has no rounding errors, so the beam meets the corners up to those of cos and sin
+    # the pose has no rounding errors, so the beam meets the corners up to errors of cos and sin
     visible, occupied, _ = cast(segment(4.0, 4.0), UNIT, SE2(0.5, 0.5))
     on_diagonal = np.eye(5, dtype=bool)
     assert visible[on_diagonal].all()

@@ -90,7 +90,7 @@ BREAKERS = {
     "another-grid": ("keeps-to-one-grid", {}, r"shape \(6, 40, 40\); expected"),
     "another-period": ("keeps-to-one-period", {}, "ZeroDivisionError"),
 }
-"""For each clause a tracker that breaks this one alone, its options, and what is observed."""
+"""For each clause a tracker that breaks this one alone, its options, and the observation."""
 
 
 def test_each_clause_has_a_check_and_a_tracker_that_breaks_it() -> None:

@@ -126,7 +126,7 @@ def fresh_environment(folder: Path) -> Path:
 
 
 def run_python(python: Path, *arguments: str, cwd: Path) -> str:
-    """What `python` prints, without a package index; a failure shows its output."""
+    """The output of `python`, without a package index; a failure shows it."""
     offline = {"PIP_NO_INDEX": "1", "PIP_NO_BUILD_ISOLATION": "0"}  # 0: pip reads the variable inverted
     done = subprocess.run(
         [str(python), *arguments], cwd=cwd, env={**os.environ, **offline}, capture_output=True, text=True, check=False

@@ -1,4 +1,4 @@
-"""Sections of the pages that follow from definitions are those that the command writes."""
+"""Sections of the pages that follow from definitions equal the output of the command."""
 
 from __future__ import annotations
 

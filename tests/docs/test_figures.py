@@ -13,7 +13,7 @@ PAGES = results_pages()
 
 
 @pytest.mark.parametrize("page", marked_pages(), ids=name_of)
-def test_a_page_has_what_the_command_writes(page: Path) -> None:
+def test_a_page_has_the_output_of_the_command(page: Path) -> None:
     text = page.read_text("utf-8")
     assert filled(text) == text, "run make figures"
 
@@ -30,7 +30,15 @@ def test_a_value_and_a_table_are_filled_between_their_markers() -> None:
     assert "| F1 | occluded 1 s |\n|---|---|\n| oracle | 1.000 |\n<!-- /table -->" in table
 
 
-def test_a_page_says_what_no_study_has_measured_yet() -> None:
+def test_a_marker_chooses_the_rows_of_a_table() -> None:
+    table = "moving/drives.json: scores: dynamic"
+    page = filled(f"<!-- table: {table}: rows oracle, p* -->\n<!-- /table -->")
+    assert [line.partition(" [")[0] for line in page.splitlines()[3:-1]] == ["| oracle, perfect | 0.959"]
+    with pytest.raises(KeyError, match="no rows 'absent'"):
+        filled(f"<!-- table: {table}: rows absent --><!-- /table -->")
+
+
+def test_a_page_names_results_that_are_not_measured_yet() -> None:
     value, table = (f"<!-- {kind}: worlds/none.json: a: b -->" for kind in ("value", "table"))
     assert filled(f"{value}0.7<!-- /value -->") == f"{value}not measured yet<!-- /value -->"
     assert filled(f"{table}<!-- /table -->") == f"{table}\n*not measured yet*\n<!-- /table -->"

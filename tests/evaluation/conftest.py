@@ -36,7 +36,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def settings(record: Record, tmp_path: Path, home: None) -> Callable[..., CompareSettings]:
-    """`settings(*trackers, **more)` for the small recording, with nothing learned but what a test puts there."""
+    """`settings(*trackers, **more)` for the small recording, with learned files of the test alone."""
     given = {"recordings": (str(record()),), "out": tmp_path / "run", "horizon_s": 1.0, "every_s": 0.5}
     given["no_floors"] = True
     return lambda *trackers, **more: CompareSettings(trackers=trackers, **(given | more))

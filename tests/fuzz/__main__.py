@@ -1,7 +1,7 @@
 """Fuzz the readers for minutes: `make fuzz`, or `PYTHONPATH=tests python -m fuzz --minutes 10 --only "ROS 1 bag"`.
 
 Each reader is fuzzed by hypothesis in processes of its own, with limits of memory and of processor time for each input.
-What breaks the rule is printed, and its input kept in runs/fuzz.
+A failure is printed, and its input kept in runs/fuzz.
 """
 
 from __future__ import annotations

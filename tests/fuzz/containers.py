@@ -192,7 +192,7 @@ def _with_damaged_column(choices: Choices, table: pa.Table) -> pa.Table:
 
 
 def damaged_message(choices: Choices, content: bytes) -> bytes:
-    """A message of the wire with a damaged header or body, whose lengths are right, or with damaged bytes."""
+    """A message of the wire with a damaged header or body of the right length, or with damaged bytes."""
     if not choices.below(6):
         return damaged_bytes(choices, content)
     size = MESSAGE_PREFIX.unpack_from(content)[2]
@@ -205,7 +205,7 @@ def damaged_message(choices: Choices, content: bytes) -> bytes:
 
 
 def damaged_safetensors(choices: Choices, content: bytes) -> bytes:
-    """A file of arrays with a damaged header, whose length is right, or with damaged bytes."""
+    """A file of arrays with a damaged header of the right length, or with damaged bytes."""
     if not choices.below(3):
         return damaged_bytes(choices, content)
     (size,) = struct.unpack_from("<Q", content)

@@ -117,5 +117,5 @@ def damaged_json(choices: Choices, content: bytes) -> bytes:
 
 
 def dumped(value: Any) -> bytes:
-    """A value as JSON, with what JSON does not have, too: NaN and halves of surrogate pairs."""
+    """A value as JSON, also with values that JSON does not have: NaN and halves of surrogate pairs."""
     return json.dumps(value).encode()

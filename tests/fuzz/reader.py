@@ -1,4 +1,4 @@
-"""What a reader of untrusted input is: a small valid input in a folder, its damage, and how it is read."""
+"""A reader of untrusted input: a small valid input in a folder, its damage, and how it is read."""
 
 from __future__ import annotations
 

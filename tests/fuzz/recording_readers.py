@@ -68,8 +68,8 @@ def read_recording(path: Path) -> str:
     """Every scan, the overview, the first frames, and a native copy."""
     recording = open_recording(path)
     count = sum(1 for _ in recording.scans())
-    told = [*recording.warnings, *str(open_recording(path).overview()).split("\n")]
-    assert all(line.isprintable() for line in told), told
+    reported = [*recording.warnings, *str(open_recording(path).overview()).split("\n")]
+    assert all(line.isprintable() for line in reported), reported
     frames = sum(1 for _ in islice(open_stream(path, grid=GRID), FRAMES_READ))
     import_recording(path, path.parent / "imported.mcap")
     return f"{count} scans, {frames} frames, {len(recording.warnings)} warnings"

@@ -1,4 +1,4 @@
-"""The readers of weights, of the files of a run, and of what is configured in files."""
+"""The readers of weights, of the files of a run, and of configuration files."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from gridtrack.common.errors import MAX_LINE_CHARS, GridtrackError
 
 @dataclass(frozen=True)
 class Finding:
-    """What a reader did with one damaged input: it gave a result, or refused it; `line` in a few words."""
+    """The outcome of one damaged input: a result, or a refusal; `line` in a few words."""
 
     refused: bool
     line: str

@@ -59,8 +59,15 @@ def read_forecast(folder: Path) -> str:
 
 def started_message(folder: Path) -> None:
     lists = {"classes": list(CLASSES), "reference_for": ["classes"]}
-    told = {"api": 1, "about": "a", "moving_sensor": True, "learns": False, "role": "tracker", "code_sha256": "a" * 64}
-    write_message(folder, Message("started", 1, lists | told | {"options": {"a": 1.5}, "options_schema": {}}))
+    reported = {
+        "api": 1,
+        "about": "a",
+        "moving_sensor": True,
+        "learns": False,
+        "role": "tracker",
+        "code_sha256": "a" * 64,
+    }
+    write_message(folder, Message("started", 1, lists | reported | {"options": {"a": 1.5}, "options_schema": {}}))
 
 
 def read_started(folder: Path) -> str:

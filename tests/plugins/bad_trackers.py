@@ -359,7 +359,7 @@ class RemembersTheFuture(RecognisesTheStream):
 
 
 class StaysBehind(NeverForgets):
-    """Keeps what it saw at its place in the window, not in the world."""
+    """Keeps observations at their place in the window, not in the world."""
 
     moving_sensor = True
 

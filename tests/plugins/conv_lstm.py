@@ -1,4 +1,4 @@
-"""A learned tracker of its own package: two layers of a ConvLSTM (Shi et al., 2015), whose state is nested."""
+"""A learned tracker of its own package: two layers of a ConvLSTM (Shi et al., 2015) with a nested state."""
 
 from __future__ import annotations
 

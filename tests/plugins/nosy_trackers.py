@@ -1,4 +1,4 @@
-"""Trackers that look for what they must not see, and write what they find to the file named in the option `found`."""
+"""Trackers that look for forbidden files, and write their findings to the file named in the option `found`."""
 
 from __future__ import annotations
 

@@ -134,7 +134,7 @@ def test_a_sensor_at_rest_and_a_short_drive_have_no_drift() -> None:
 
 
 def unrest_of(recorded: list[Scan]) -> str:
-    """What is said about these scans without their poses."""
+    """The lines about these scans without their poses."""
     rest = PoseDrift(at_rest=True)
     for scan in recorded:
         rest.add(replace(scan, world_T_sensor=SE2()))
@@ -152,14 +152,14 @@ def unrest_of(recorded: list[Scan]) -> str:
         ({"speed": 0.2, "seconds": 7.0}, None),
     ],
 )
-def test_a_sensor_without_recorded_motion_that_moves_is_told(motion: dict[str, Any], by: str | None) -> None:
+def test_a_moving_sensor_without_recorded_motion_is_a_warning(motion: dict[str, Any], by: str | None) -> None:
     """The errors of `drifting` are of the recorded poses, which are left out; seven seconds are too few pairs."""
-    told = unrest_of(drifting(**{"error": SE2(), **motion}))
-    assert (by is None) == (told == "")
-    assert (told if by is None else f"it moves: in a quarter of 11 pairs of scans the walls move {by}") in told
+    reported = unrest_of(drifting(**{"error": SE2(), **motion}))
+    assert (by is None) == (reported == "")
+    assert (reported if by is None else f"it moves: in a quarter of 11 pairs of scans the walls move {by}") in reported
 
 
-def test_a_robot_that_stands_for_half_of_the_time_is_told() -> None:
+def test_a_robot_that_stands_for_half_of_the_time_is_recognised() -> None:
     driven, stood = drifting(SE2(), speed=0.3), drifting(SE2(), speed=0.0)
     assert "but it moves" in unrest_of([*stood, *(replace(s, stamp_ns=s.stamp_ns + 15 * SECOND_NS) for s in driven)])
 

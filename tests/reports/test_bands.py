@@ -96,7 +96,7 @@ def long_run(tmp_path_factory):
     return written(tmp_path_factory.mktemp("runs") / "long", described, 4, frames=500, every_s=5)
 
 
-def test_blocks_of_one_long_recording_are_those_of_the_summary(long_run):
+def test_blocks_of_one_long_recording_agree_with_the_summary(long_run):
     trial = read_runs([long_run])[0].summary.trackers["good"].recordings["long"]
     assert trial.interval == ""
     curve = curves_of(long_run)["long", "good"]["pr_auc"]["in-motion"]["4"]

@@ -1,4 +1,4 @@
-"""What can be chosen in the figures of a run: the time ahead lasts over recordings of unlike rates, and what ranks."""
+"""Choices in the figures of a run: the time ahead lasts over recordings of unlike rates, and so does the score."""
 
 from contextlib import contextmanager
 
@@ -62,7 +62,7 @@ def test_another_recording_has_the_chosen_time_ahead(page):
             assert ahead_of(page, figure) == ahead, figure
 
 
-def test_the_nearest_time_is_taken_and_what_was_chosen_comes_back(page):
+def test_the_nearest_time_is_used_and_the_choice_comes_back(page):
     ranking = page.locator("#ranking")
     ranking.get_by_label("Recording").select_option("fast")
     ranking.get_by_label("Ahead").select_option("0.75 s")
@@ -84,7 +84,7 @@ def test_where_the_only_time_is_another_one_the_figure_says_so(page):
     assert ahead_of(page, "confusion") == "1 s"
 
 
-def test_the_scores_that_are_drawn_are_those_of_that_time(page, report):
+def test_the_drawn_scores_belong_to_that_time(page, report):
     """The table of every score, of which each step is another draw, beside the ranking."""
     for figure in ("ranking", "every-score"):
         page.locator(f"#{figure}").get_by_label("Recording").select_option("slow")

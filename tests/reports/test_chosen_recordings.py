@@ -1,4 +1,4 @@
-"""A report of many recordings: the page stays within its size and says what is left out; a user names recordings."""
+"""A report of many recordings: the page stays within its size and names the omissions; a user names recordings."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def run(tmp_path_factory):
 
 @pytest.fixture
 def room_for_three(run, monkeypatch):
-    """Room on a page for what is pooled and two recordings."""
+    """Room on a page for the pooled results and two recordings."""
     tables = headline_tables(read_runs([run]))
     sizes = [sum(len(curve) for row in table.rows for _, curve in row.trial.curves()) for table in tables]
     monkeypatch.setattr(page_module, "MOST_VALUES", sizes[0] + sum(sorted(sizes[1:])[-2:]))

@@ -53,7 +53,7 @@ def test_the_input_has_the_colours_of_the_bar(moments):
     assert near(colour_of(panel, OCCUPIED), colour_at(bar, 0.985, 0.5))
     assert near(colour_of(panel, UNSEEN), colour_at(key, 0.5, 0.5))
     bright = sum(colour_of(panel, FREE)) > 3 * 128
-    assert bright == (scheme == "light"), "what is free has the shade of the paper"
+    assert bright == (scheme == "light"), "free cells have the shade of the paper"
 
 
 def test_a_hit_has_the_colour_of_its_key(moments):

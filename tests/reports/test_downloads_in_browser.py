@@ -1,4 +1,4 @@
-"""The numbers of a figure as a file: what the axis says stands in the file too."""
+"""The numbers of a figure as a file, with the words of its axis."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""What the figures of the page are given: curves of probability, conditions, times, classes; and their explanations."""
+"""The data of the figures of the page: curves of probability, conditions, times, classes; and their explanations."""
 
 import copy
 import json
@@ -75,7 +75,7 @@ def good_of(run_folder, tmp_path, summary_of):
     return good_of
 
 
-def test_every_rate_has_its_f1_beside_the_untimed_one_and_what_was_missed(good_of, run_folder, summary_of):
+def test_every_rate_has_its_f1_beside_the_untimed_one_and_its_missed_frames(good_of, run_folder, summary_of):
     row, data = good_of(deadline=DEADLINE)
     untimed = value_of(trial_of(summary_of(run_folder), "good"), "in-motion", "f1.f1", 4)
     rate = row["conditions"]["rate"]
@@ -235,7 +235,7 @@ PROSE_OF_BEFORE = 2013
 """Words on the page that explained its figures and tables, before each got a line and a page of its own."""
 
 
-def test_what_the_page_explains_is_a_tenth_of_what_it_was():
+def test_the_explanations_of_the_page_are_short():
     scripts = "\n".join(path.read_text() for path in ASSETS.glob("*.js"))
     lines = [text for quoted in re.findall(r'"([^"\n]*)"|`([^`\n]*)`', scripts) for text in quoted]
     sentences = [text for text in lines if re.search(r"[a-z }]\. ?$", text)]

@@ -48,7 +48,7 @@ def text_of(name, run, **choice):
 
 
 def plain_latex(text):
-    """What TeX would print: the commands of latex_text undone. Another command, or a lone special sign, is an error."""
+    """The text that TeX prints: latex_text undone. Another command, or a lone special sign, is an error."""
     names = {"textbackslash": "\\", "textasciitilde": "~", "textasciicircum": "^", "textless": "<", "textgreater": ">"}
     names |= {"textbar": "|", "textquotedbl": '"', "textasciigrave": "`", "textquotesingle": "'"}
     token = re.compile(r"\\(?P<name>[a-z]+)\{\}|\\(?P<sign>[{}$&#%_])|(?P<plain>[^\\{}$&#%_~^])|(?P<empty>\{\})")
@@ -161,7 +161,7 @@ def test_a_hostile_name_is_text_in_svg(hostile_run, label):
 
 @pytest.fixture(scope="module")
 def every_stratum(run_folder, tmp_path_factory):
-    """A run with each stratum that there may be, and those of a class of two words."""
+    """A run with each possible stratum, and the strata of a class of two words."""
 
     def add(summary):
         for stratum in (*STRATA_WITH_TRUTH, "dynamic traffic light"):
@@ -213,7 +213,7 @@ def test_a_pdf_is_a_pdf_with_embedded_outlines(hostile_run, tmp_path):
 
 
 @pytest.mark.parametrize("name", [name for name in FORMATS if name != "pdf"])
-def test_the_command_prints_what_is_rendered(run_folder, name):
+def test_the_command_prints_each_rendered_file(run_folder, name):
     if name == "svg":
         pytest.importorskip("matplotlib", reason="needs the extra `figures`")
     assert report(run_folder, "--format", name).stdout_bytes == render_as(name, [run_folder])

@@ -1,4 +1,4 @@
-"""Foxglove draws forecasts.mcap and recordings: read by a generic reader, its schemas and settings those of its SDK."""
+"""Foxglove draws forecasts.mcap and recordings: read by a generic reader, with the schemas and settings of its SDK."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_cells_have_their_values_their_shade_and_their_place_in_the_world(sample
     assert in_world(samples, *centre) == pytest.approx((10.0 - 2.25, -4.0 - 0.25))
 
 
-def test_the_later_frame_what_is_known_of_it_and_the_forecast(samples: Path) -> None:
+def test_the_later_frame_its_known_state_and_the_forecast(samples: Path) -> None:
     assert cell(message_at(samples, "/came/1s"), 1, 0)["shade"] == 255
     known = message_at(samples, "/scored/1s")
     shades = [cell(known, *at)["shade"] for at in ((0, 0), (1, 0), (0, 2), (1, 2), (2, 0))]
@@ -162,7 +162,7 @@ def panels() -> dict[str, Any]:
     return found
 
 
-def test_the_layout_shows_what_the_files_hold(samples: Path, recording: Path) -> None:
+def test_the_layout_shows_the_content_of_the_files(samples: Path, recording: Path) -> None:
     kinds = {topic: schema.name for path in (samples, recording) for schema, topic, *_ in messages(path)}
     for name, panel in panels().items():
         assert name.startswith("3D!")
@@ -176,7 +176,7 @@ def test_the_layout_shows_what_the_files_hold(samples: Path, recording: Path) ->
     assert {"/input", "/forecast/1s", "/scored/1s", "/tracks", "/scan", "/outlines", "/objects"} <= shown
 
 
-def test_the_settings_of_a_panel_are_those_of_foxglove() -> None:
+def test_the_settings_of_a_panel_are_valid_for_foxglove() -> None:
     known = layouts.ThreeDeeConfig()._to_dict().keys() | {"foxglovePanelTitle"}
     modes = get_args(get_args(get_type_hints(layouts.ThreeDeeConfig)["follow_mode"])[0])
     for panel in panels().values():

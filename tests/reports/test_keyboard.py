@@ -1,4 +1,4 @@
-"""The page by keyboard alone: every control can be reached, is marked when it is, and does what it does by pointer."""
+"""The page by keyboard alone: every control can be reached, is then marked, and works as by pointer."""
 
 CONTROLS = "button, select, input, a[href], summary, [tabindex='0']"
 NUMBER_CONTROLS = f"""() => [...document.querySelectorAll("{CONTROLS}")].map((one, i) => {{
@@ -57,7 +57,7 @@ def test_the_arrows_change_a_choice_and_the_figure_with_it(opened):
     assert page.evaluate("document.activeElement.tagName") == "SELECT", "the focus stays on the choice"
 
 
-def test_enter_opens_what_a_figure_means_and_escape_closes_it(opened):
+def test_enter_opens_the_explanation_of_a_figure_and_escape_closes_it(opened):
     page, _ = opened()
     button = page.locator("#ranking button.meaning")
     meaning = page.locator("#meaning-ranking")
@@ -67,10 +67,10 @@ def test_enter_opens_what_a_figure_means_and_escape_closes_it(opened):
     assert "A bar joins rows that do not differ significantly" in meaning.inner_text()
     page.keyboard.press("Escape")
     assert not meaning.is_visible()
-    assert page.evaluate("document.activeElement.textContent") == "What it means"
+    assert page.evaluate("document.activeElement.textContent") == "Explanation"
 
 
-def test_every_figure_and_table_says_what_it_means(opened):
+def test_every_figure_and_table_has_an_explanation(opened):
     page, _ = opened()
     named = page.eval_on_selector_all("button.meaning", "all => all.map((one) => one.getAttribute('popovertarget'))")
     assert len(named) >= 8

@@ -22,7 +22,7 @@ WIDTHS = [1280, 400]
 
 @pytest.fixture(scope="module")
 def report(make_run, tmp_path_factory):
-    """A report of three trackers with long labels and persistence, whose times are from 0.02 to 125 ms."""
+    """A report of three trackers with long labels and persistence, with times from 0.02 to 125 ms."""
     still = np.full((21, 32, 32), 0.1, np.float32)
     names = {"persistence": "persistence"} | dict.fromkeys((LONG, LONGER, UNBROKEN), "good-tracker")
     trackers = {label: (tracker, lambda _: still) for label, tracker in names.items()}

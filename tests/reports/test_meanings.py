@@ -1,4 +1,4 @@
-"""What a figure means is text on the page itself: it opens from disk, where no link into the documentation works."""
+"""The explanation of a figure is text on the page: it opens from disk, where no link into the documentation works."""
 
 import re
 

@@ -64,7 +64,7 @@ def test_only_moments_that_every_trial_has_are_chosen():
     assert moments_in_order({}, []) == ()
 
 
-def test_counts_are_those_of_the_store_at_the_steps(run_folder):
+def test_counts_equal_the_stored_ones_at_the_steps(run_folder):
     moments = frame_scores(run_folder / "blank@crossing", [4, 8])
     assert set(moments) == {4, 8}
     assert len(moments[8]) == 20

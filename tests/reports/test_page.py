@@ -192,7 +192,7 @@ def test_samples_of_another_grid_are_refused(run_folder, make_run, tmp_path, mon
         return iter([replace(s, grid=GridSpec(32, 0.3)) for s in samples] if "fair" in str(path) else samples)
 
     monkeypatch.setattr("gridtrack.reports.player.read_samples", shifted)
-    with pytest.raises(ReportError, match="fair: its samples are of another grid"):
+    with pytest.raises(ReportError, match="fair: its samples have another grid"):
         render_report([run])
 
 
@@ -214,7 +214,7 @@ def test_runs_side_by_side_are_named_and_the_page_is_in_the_folder_of_the_first(
     assert "after: good" in page
 
 
-def test_what_changed_between_runs_is_what_differs_and_nothing_else(run_folder, tmp_path):
+def test_only_differences_between_runs_are_listed_as_changes(run_folder, tmp_path):
     first, second = (shutil.copytree(run_folder, tmp_path / name) for name in ("before", "after"))
     record = json.loads((second / "run.json").read_text())
     record["command"], record["started"] = ["gridtrack", HOSTILE], "2026-01-01T00:00:00Z"
@@ -225,9 +225,9 @@ def test_what_changed_between_runs_is_what_differs_and_nothing_else(run_folder, 
     assert changes["versions.torch"][1] == "9.9"
     page = render_report([first, second]).read_text("utf-8")
     assert_self_contained(page)
-    table = page.partition("<h2>What changed</h2>")[2].partition("</table>")[0]
+    table = page.partition("<h2>Changes</h2>")[2].partition("</table>")[0]
     assert "<td>9.9</td>" in table
-    assert "<h2>What changed</h2>" not in render_report([first]).read_text("utf-8")
+    assert "<h2>Changes</h2>" not in render_report([first]).read_text("utf-8")
 
 
 def test_a_run_in_which_every_trial_failed_is_still_a_page(make_run, tmp_path):
@@ -236,7 +236,7 @@ def test_a_run_in_which_every_trial_failed_is_still_a_page(make_run, tmp_path):
     assert "No tracker completed crossing" in page
     floor = {"blank": ("blank", lambda _: np.zeros((21, 32, 32), np.float32))}
     beside = make_run(tmp_path / "beside", trackers=floor, broken=[("net", 3, "interrupted", "")])
-    assert "No tracker but those of the floor completed crossing" in page_of(beside, out=tmp_path / "other page")
+    assert "No tracker but the floors completed crossing" in page_of(beside, out=tmp_path / "other page")
     assert page.count("no weights for site") == 2, "in the answer and in the notices"
 
 

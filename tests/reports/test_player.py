@@ -1,4 +1,4 @@
-"""Moments on the page: packed without loss at their quantisation, within the budget, and what is left out is said."""
+"""Moments on the page: packed without loss at their quantisation, within the budget, and omissions are named."""
 
 import base64
 import json
@@ -34,7 +34,7 @@ def page(run_folder, tmp_path_factory):
     return render_report([run_folder], tmp_path_factory.mktemp("player")).read_text("utf-8")
 
 
-def test_what_is_packed_is_read_back_exactly_at_its_quantisation(sample):
+def test_packed_values_are_read_back_exactly_at_their_quantisation(sample):
     rng = np.random.default_rng(3)
     forecast = rng.random(sample.forecast.shape, dtype=np.float32)
     state = rng.integers(0, 5, forecast.shape).astype(np.uint8)
@@ -58,7 +58,7 @@ def test_what_is_packed_is_read_back_exactly_at_its_quantisation(sample):
         assert np.array_equal((planes[7 + h] & CALLED) > 0, forecast[h] >= np.float32(threshold))
 
 
-def test_the_colours_are_those_of_the_still_pictures():
+def test_the_colours_agree_with_the_still_pictures():
     colours = np.array(level_colours())
     assert len(colours) == PACKED_LEVELS + 1
     assert np.array_equal(colours[[0, PACKED_LEVELS - 1, PACKED_LEVELS]], palette()[[0, -2, -1]])
@@ -121,7 +121,7 @@ def test_objects_are_with_their_tracker(run_folder, tmp_path, monkeypatch):
     assert objects["good"] == []
 
 
-def test_times_are_those_of_the_recording_and_horizons_those_of_its_steps(run_folder, tmp_path):
+def test_times_come_from_the_recording_and_horizons_from_its_steps(run_folder, tmp_path):
     """Stretch from 100 s on, 20 frames of warm-up, at 7.5 Hz: 1 s ahead is step 8, 1.0667 s."""
     run = shutil.copytree(run_folder, tmp_path / "run")
     record, summary = (json.loads((run / name).read_text()) for name in ("run.json", "summary.json"))

@@ -230,7 +230,7 @@ RIGHT, HALF, WRONG, NOTHING = [4, 0, 0], [2, 2, 2], [0, 4, 4], [0, 0, 0]
 def test_the_player_opens_at_the_most_different_moment_else_the_worst_else_the_first(
     opened, run_folder, tmp_path, counts, line
 ):
-    """A page whose first two trackers have these counts, by moment, and in which nothing moves at any other."""
+    """A page with these counts of the first two trackers, by moment, and no motion at any other."""
     html = render_report([run_folder], tmp_path).read_text("utf-8")
     (data,) = moments_of(html)
     for at, moment in enumerate(data["moments"]):

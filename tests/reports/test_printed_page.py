@@ -1,4 +1,4 @@
-"""A printed page says in words what its figures show, as nothing of it can be chosen on paper."""
+"""A printed page describes its figures in words, as nothing can be chosen on paper."""
 
 import pytest
 
@@ -12,17 +12,17 @@ def printed(opened):
     return page
 
 
-def test_what_is_chosen_and_the_lines_are_told_on_paper(printed):
-    told = printed.locator("#curves .printed").inner_text()
-    assert told.startswith("Recording: crossing; Cells: in-motion cells; Score: F1")
-    assert "good" in told
-    assert "persistence" in told
-    assert "blank" not in told
+def test_choices_and_lines_are_printed_on_paper(printed):
+    reported = printed.locator("#curves .printed").inner_text()
+    assert reported.startswith("Recording: crossing; Cells: in-motion cells; Score: F1")
+    assert "good" in reported
+    assert "persistence" in reported
+    assert "blank" not in reported
     assert printed.locator("#curves .printed .swatch line").count() == 4
     assert "Ahead: 1 s" in printed.locator("#ranking .printed").inner_text()
 
 
-def test_what_cannot_be_used_on_paper_is_not_printed(printed):
+def test_controls_are_not_printed(printed):
     assert printed.locator(".controls:visible").count() == 0
     assert printed.locator("#moments canvas").first.is_visible()
 

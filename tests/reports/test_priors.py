@@ -1,4 +1,4 @@
-"""The figure of what trackers expect of a place: its numbers, damaged files, and its pictures in a browser."""
+"""The figure of the trackers' expectation of a place: its numbers, damaged files, and its pictures in a browser."""
 
 import base64
 import re

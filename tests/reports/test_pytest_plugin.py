@@ -101,7 +101,7 @@ def test_an_option_that_does_not_exist_is_an_error_of_one_line(suite):
 
 
 @pytest.mark.usefixtures("bad_trackers", "trackers_here")
-def test_a_broken_clause_of_the_contract_is_named_with_what_to_mend(tmp_path):
+def test_a_broken_clause_of_the_contract_is_named_with_the_remedy(tmp_path):
     done = run_pytest(tmp_path, 'def test_it(tracker_contract):\n    tracker_contract("counts-predictions")\n')
     assert done.code == 1
     assert "counts-predictions does not keep the contract: 13 passed, 2 not applicable, 1 failed" in done.out

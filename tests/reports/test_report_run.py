@@ -30,7 +30,7 @@ def refusal(run):
     return message
 
 
-def test_scores_are_those_of_the_file(run_folder, summary_of):
+def test_scores_equal_the_scores_of_the_file(run_folder, summary_of):
     (run,) = read_runs([run_folder])
     written = summary_of(run_folder)
     for label, entry in run.summary.trackers.items():
@@ -60,7 +60,7 @@ def test_another_schema_is_refused_by_name(copied):
 
 
 @pytest.mark.parametrize("content", ["{", "[]", '"x"', "[" * 100_000, "\udcff"])
-def test_what_is_not_a_json_object_is_refused(copied, content):
+def test_anything_but_a_json_object_is_refused(copied, content):
     (copied / "summary.json").write_bytes(content.encode("utf-8", "surrogateescape"))
     refusal(copied)
 

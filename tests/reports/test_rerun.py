@@ -133,7 +133,7 @@ def run_rows(drawn_run: Path) -> Rows:
     return read(path)
 
 
-def test_a_run_has_the_input_what_came_the_truth_and_each_forecast(run_rows: Rows) -> None:
+def test_a_run_has_input_observed_frame_truth_and_each_forecast(run_rows: Rows) -> None:
     first, second = run_rows["/world/input"]
     assert [row["stamp"].value - STAMP_NS for row in (first, second)] == [0, 1_000_000_000]
     assert cells(first) == [[FREE, HIT, DARK], [FREE, FREE, DARK], [DARK, DARK, DARK]]
@@ -173,7 +173,7 @@ def test_rows_are_chosen_by_their_labels(drawn_run: Path, tmp_path: Path) -> Non
     assert found == {"/world/tracks/fair", "/world/tracks/fair/velocity"}
 
 
-def test_a_damaged_file_of_forecasts_is_told_and_the_rest_is_written(drawn_run: Path, tmp_path: Path) -> None:
+def test_a_damaged_file_of_forecasts_is_reported_and_the_rest_is_written(drawn_run: Path, tmp_path: Path) -> None:
     run = shutil.copytree(drawn_run, tmp_path / "run")
     damaged = run / "fair@crossing" / SAMPLES
     damaged.write_bytes(damaged.read_bytes()[:200])

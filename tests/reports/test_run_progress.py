@@ -1,4 +1,4 @@
-"""What a user reads while trials run: the time left for all of them, and the table of a followed recording."""
+"""Display while trials run: the time left for all of them, and the table of a followed recording."""
 
 from __future__ import annotations
 

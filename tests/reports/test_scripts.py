@@ -15,7 +15,7 @@ def write_modules(folder, **texts):
     return folder
 
 
-def test_a_module_stands_once_after_those_it_imports(tmp_path):
+def test_a_module_stands_once_after_its_imports(tmp_path):
     modules = write_modules(
         tmp_path,
         main='import { b } from "./b.js";\nimport { a } from "./a.js";\nb(a);\n',

@@ -1,4 +1,4 @@
-"""The page of several runs: rows of each run told apart, an answer for each, and near the top what differs."""
+"""The page of several runs: rows of each run reported apart, an answer for each, and the differences near the top."""
 
 import json
 import shutil
@@ -62,14 +62,14 @@ def test_a_button_hides_the_row_of_one_run(page):
     assert page.locator(".headline tr", has_text="before: good").is_visible()
 
 
-def test_each_run_has_its_answer_and_what_changed_stands_before_the_figures(page):
+def test_each_run_has_its_answer_and_the_changes_stand_before_the_figures(page):
     answers = page.locator("header").inner_text().partition("\nbefore\n")[2].split("\nafter\n")
     assert len(answers) == 2
     for answer in answers:
         assert "good and fair have the highest PR-AUC on in-motion cells" in answer
         assert "Compared on" in answer
     headings = page.locator("h2").all_text_contents()
-    assert headings.index("What changed") < headings.index("Ranking")
+    assert headings.index("Changes") < headings.index("Ranking")
 
 
 def trials(recording, **options):
@@ -92,7 +92,7 @@ def records(two, tmp_path):
     return read_runs([before, after])
 
 
-def test_what_changed_is_a_line_for_each_difference_with_the_options_first(records):
+def test_each_difference_is_a_line_with_the_options_first(records):
     assert [(one.name, one.values) for one in changes_of(records)] == [
         ("trackers not in every run", ("fair", "–")),
         ("good: options.gate", ("default", "3.0")),
@@ -108,7 +108,7 @@ def with_code(run, **code):
         path.write_text(json.dumps(json.loads(path.read_text()) | {"code_sha256": sha256}))
 
 
-def test_a_tracker_whose_own_code_was_edited_has_a_line(two, tmp_path):
+def test_a_tracker_with_edited_code_has_a_line(two, tmp_path):
     before, after = (shutil.copytree(run, tmp_path / run.name) for run in two)
     with_code(before, good="1a2b3c4d5e6f" + "0" * 52, fair="c" * 64, blank="")
     with_code(after, good="9f8e7d6c5b4a" + "0" * 52, fair="c" * 64, blank="d" * 64)

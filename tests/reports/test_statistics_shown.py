@@ -195,7 +195,7 @@ ALIKE, UNTESTED = "no difference shown", ""
     ],
 )
 def test_the_lead_says_from_which_rows_the_best_one_differs_significantly(changed, pooled, verdicts, words):
-    """`verdicts` on these rows and `good`, in place of those of the run, where all differ."""
+    """`verdicts` on these rows and `good`, in place of the run's, in which all differ."""
 
     def judge(summary):
         for family in summary["pairs"]:
@@ -223,7 +223,7 @@ def test_the_floor_that_no_tracker_beats_differs_significantly_or_not(changed):
     assert lead.endswith("; they do not differ significantly.")
 
 
-def test_what_failed_stands_first_and_texts_of_several_recordings_are_one_notice(changed):
+def test_failures_stand_first_and_texts_of_several_recordings_are_one_notice(changed):
     everywhere = [f"{name}: no validation stretch, so thresholds are 0.5" for name in RECORDINGS]
     continued = [f"good on {name} continued after 1 failure inside it" for name in RECORDINGS[:2]]
     notices = [*everywhere, *continued, f"good on {RECORDINGS[3]} continued after 2 failures inside it"]
@@ -264,9 +264,9 @@ def test_a_difference_names_a_row_with_general_weights_as_the_table_does(changed
     differences = difference_table(found, "all recordings")
     assert differences.reference == "persistence (general)"
     assert {row.name for row in differences.rows if row.tracker == "good"} == {"good (general)"}
-    told = pull_request_markdown([found], exported_tables([found]))
-    assert "| good (general), F1 |" in told
-    assert "less those of persistence (general)" in told
+    reported = pull_request_markdown([found], exported_tables([found]))
+    assert "| good (general), F1 |" in reported
+    assert "Scores less persistence (general)" in reported
 
 
 def family(labels, different):

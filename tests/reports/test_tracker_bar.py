@@ -1,4 +1,4 @@
-"""The bar of trackers stays small however many there are, and what is jumped to or focused is not below it."""
+"""The bar of trackers stays small however many there are, and never hides a focused element or a target."""
 
 import pytest
 

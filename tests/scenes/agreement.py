@@ -1,4 +1,4 @@
-"""What two runs must agree on: records, files and every count. And a wait for what other processes do."""
+"""Agreement of two runs: records, files and every count. And a wait for other processes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gridtrack.evaluation.runs.trial_record import read_trial_record
 
 
 def counted(run):
-    """By trial: the record without what depends on the machine, and every count."""
+    """By trial: the record without fields that depend on the machine, and every count."""
     trials = {}
     for folder in sorted(path.parent for path in run.glob("*/outcome.json")):
         record = read_trial_record(folder)

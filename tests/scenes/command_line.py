@@ -1,4 +1,4 @@
-"""The command line in this process: what it prints, and its exit code."""
+"""The command line in this process: its output, and its exit code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gridtrack.cli import main
 
 
 class Ended(NamedTuple):
-    """What a command printed."""
+    """The output of a command."""
 
     stdout: str
     stderr: str

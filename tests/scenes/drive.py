@@ -14,12 +14,10 @@ from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.recordings import RecordingInfo, write_native
 from gridtrack.simulation.laser import sweep
 
+from scenes.drives import box
+
 CLASSES = ("pedestrian", "static")
 GRID, CELL_M, RATE_HZ, BEAMS, RANGE_MAX_M = "60x0.2", 0.2, 10, 720, 20.0
-
-
-def box(x, y, length, width):
-    return np.array([(x, y), (x + length, y), (x + length, y + width), (x, y + width)], np.float32)
 
 
 WALLS = (

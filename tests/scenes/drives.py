@@ -1,4 +1,4 @@
-"""Drives of a laser whose true poses are known: through a room, along a corridor, past a crowd, over an empty field."""
+"""Drives of a laser with known true poses: through a room, along a corridor, past a crowd, over an empty field."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ START_NS = 10**15
 
 
 def box(x: float, y: float, length: float, width: float) -> Outline:
+    """A rectangle (4, 2), metres, from its lower left corner."""
     return np.array([(x, y), (x + length, y), (x + length, y + width), (x, y + width)], np.float32)
 
 

@@ -21,7 +21,7 @@ def edited(run, target, change, file="summary.json"):
 
 
 def with_again(run, target, change=lambda crossing, again: None):
-    """A copy of the run whose recording `crossing` is there a second time, as `again`.
+    """A copy of the run with the recording `crossing` a second time, as `again`.
 
     `change` gets the strata of each row on both.
     """
@@ -53,7 +53,7 @@ def estimate(value, low=None, high=None, p=None, steps=STEPS):
 
 
 def put(scope, stratum, output, *values, **options):
-    """Put the estimate of `output`, SCORE.OUTPUT, into a stratum of a trial, of what is pooled or of a difference."""
+    """Put the estimate of `output`, SCORE.OUTPUT, into a stratum of a trial, of pooled results or of a difference."""
     score, _, name = output.partition(".")
     scope["strata"].setdefault(stratum, {}).setdefault(score, {})[name] = estimate(*values, **options)
 

@@ -1,4 +1,4 @@
-"""A cluster of plain processes on this machine: what an engine asks of a cluster, without Ray."""
+"""A cluster of plain processes on this machine, with the interface for engines, without Ray."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Trackers and trainings in this process: what a SupervisedProgram would start runs here, on the same messages.
+"""Trackers and trainings in this process: programs of a SupervisedProgram run here, on the same messages.
 
 For claims that are not about processes. Plugins that the tests have written are imported anew for each program, as in a
-fresh process. Other programs, as those of a `trackers.toml`, are started as always.
+fresh process. Other programs, as in a `trackers.toml`, are started as always.
 """
 
 from __future__ import annotations

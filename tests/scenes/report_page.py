@@ -1,4 +1,4 @@
-"""What the scripts of a report page are given."""
+"""The data for the scripts of a report page."""
 
 import base64
 import json

@@ -1,4 +1,4 @@
-"""A drive past walls, posts and people: what a laser on a robot sees, in a window that follows it."""
+"""A drive past walls, posts and people: the view of a laser on a robot, in a window that follows it."""
 
 from __future__ import annotations
 
@@ -61,9 +61,9 @@ def drive(seconds: float, walkers: tuple[Walker, ...] = (), pose_noise_m: float 
         scene = Scene((*walls, *(post(*walker(time_s), 0.25) for walker in walkers)), UNLABELLED, ())
         ranges, _ = sweep(scene, pose, LASER.angle_min, LASER.angle_increment, LASER.beams, LASER.range_max)
         error = random.normal(0.0, 1.0, 3) * (pose_noise_m, pose_noise_m, 0.2 * pose_noise_m)
-        told = SE2(pose.x + error[0], pose.y + error[1], pose.theta + error[2])
-        corner = np.round(np.array([told.x, told.y]) / GRID.cell_m) * GRID.cell_m
-        grid_T_sensor = SE2(told.x - corner[0], told.y - corner[1], told.theta)
+        reported = SE2(pose.x + error[0], pose.y + error[1], pose.theta + error[2])
+        corner = np.round(np.array([reported.x, reported.y]) / GRID.cell_m) * GRID.cell_m
+        grid_T_sensor = SE2(reported.x - corner[0], reported.y - corner[1], reported.theta)
         visible, occupied = np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool)
         noisy = with_noise(ranges, LASER.range_max, random)
         scan = Scan(0, noisy, LASER.angle_min, LASER.angle_increment, LASER.range_min, LASER.range_max)

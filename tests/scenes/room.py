@@ -80,7 +80,7 @@ def write_room(
 ) -> Path:
     """Write the recording, with a sensor that moves at `speed` m/s towards the wall; returns `path`.
 
-    `rate_hz` is what it says of its rate; its scans come at RATE_HZ, from a stamp that `shift_ns` is added to.
+    `rate_hz` is its recorded rate; its scans come at RATE_HZ, from a stamp that `shift_ns` is added to.
     """
     info = RecordingInfo(site=site, grid=grid, rate_hz=rate_hz, stretches=STRETCHES if stretches is None else stretches)
     with path.open("wb") as file:
@@ -111,6 +111,6 @@ def trial_of(summary: RunSummary, label: str, recording: str = "room") -> TrialS
 
 
 def curve(scope: ScopeSummary, stratum: str, output: str) -> tuple[float | None, ...] | None:
-    """The values of SCORE.OUTPUT in a stratum, by step; None where there are none."""
+    """The values of SCORE.OUTPUT in a stratum, by step; None if there are none."""
     found = scope.estimate(stratum, *output.split("."))
     return None if found is None else found.value

@@ -35,7 +35,7 @@ def legs(at, apart=0.3):
 
 
 class Street:
-    """A source with a pedestrian and a car of three metres; `classes` are those of its labels."""
+    """A source with a pedestrian and a car of three metres; `classes` of its labels."""
 
     name, sha256, grid, period_s, site = "street.mcap", "0" * 64, GRID, PERIOD_S, "street"
 

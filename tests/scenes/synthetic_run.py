@@ -46,7 +46,7 @@ DESCRIBED = {
     "blank": {"role": "floor"},
     "one-shot": {"reference_for": ("classes",)},
 }
-"""What these trackers describe themselves as, by their names."""
+"""The descriptions of these trackers, by their names."""
 SCORES = (F1, PR_AUC, LOG_LOSS, BRIER, CALIBRATION, FSS, SOFT_IOU, BEAM_ERROR)
 """The scores of a trial: beam errors are drawn, the others counted."""
 
@@ -123,7 +123,7 @@ def beam_sums(rng: np.random.Generator, skill: float, steps: int = STEPS) -> np.
 
 
 def counted_forecast(stamp_ns: int, last_ns: int, tally: Tally, neighbourhoods: NeighbourhoodSums) -> ScoredForecast:
-    """A forecast made at `stamp_ns`, with a last frame at `last_ns`, whose cells have been counted."""
+    """A forecast made at `stamp_ns`, with a last frame at `last_ns`, with counted cells."""
     targets = tuple(Target.of_frame(frame([[1]], [[0]], stamp)) for stamp in (stamp_ns, last_ns))
     maps, ages = region_maps([[2]]), np.zeros((1, 1), np.uint8)
     made = ScoredForecast(Forecast(np.zeros((2, 1, 1), np.float32)), targets, maps, ages)
@@ -134,7 +134,7 @@ def counted_forecast(stamp_ns: int, last_ns: int, tally: Tally, neighbourhoods: 
 def write_confusion(
     folder: Path, classes: Sequence[str], counts: Mapping[int, Sequence[Sequence[int]]], steps: int = STEPS
 ) -> None:
-    """Add to the sums of a trial those of one forecast with these confusion matrices of visible cells, by step."""
+    """Add to the sums of a trial the sums of one forecast with these confusion matrices of visible cells, by step."""
     facts = TrialFacts(0.2, steps, ("visible",), half(steps, ("visible",)), tuple(classes), tuple(classes))
     layout = Layout(CLASS_LOG_LOSS.strata(facts), CLASS_LOG_LOSS.parts(facts))
     found = np.zeros((steps + 1, 1, len(layout.parts)))

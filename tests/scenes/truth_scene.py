@@ -8,15 +8,13 @@ from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.recordings import RecordingInfo, write_native
 from gridtrack.simulation.laser import sweep
 
+from scenes.drives import box
+
 CLASSES = ("pedestrian", "cyclist", "static")
 GRID = "40x0.25@-5,-1"
 RATE_HZ, BEAMS, RANGE_MAX_M = 10, 721, 20.0
 ANGLE_MIN, STEP = -np.pi / 2, np.pi / 360
 WALKER, RIDER = 0, 1
-
-
-def box(x, y, length, width):
-    return np.array([(x, y), (x + length, y), (x + length, y + width), (x, y + width)], np.float32)
 
 
 SCREEN = box(-1.6, 3.0, 3.2, 0.3)

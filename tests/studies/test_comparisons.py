@@ -178,7 +178,7 @@ def test_each_pair_of_contenders_has_its_difference_and_is_marked_if_it_may_be_c
     assert len(log_loss.partition(".")[2]) == 4
 
 
-def test_worlds_with_refined_poses_replace_those_with_the_poses_of_the_wheels(tmp_path: Path) -> None:
+def test_worlds_with_refined_poses_replace_worlds_with_poses_of_the_wheels(tmp_path: Path) -> None:
     lasers = {f"world-{10 + k}": (STANDS, DRIVES, ODOMETRY)[k // 2] for k in range(6)}
     drivers = [name for name, laser in lasers.items() if laser == ODOMETRY]
     recorded = scores_of(tmp_path / "recorded", list(lasers), {"persistence": 0.5, "kalman": 0.55})
@@ -191,7 +191,7 @@ def test_worlds_with_refined_poses_replace_those_with_the_poses_of_the_wheels(tm
     assert 0.0 < before < 0.1 < after
 
 
-def test_the_laser_of_a_world_stands_or_drives_with_exact_poses_or_with_those_of_its_wheels(tmp_path: Path) -> None:
+def test_the_laser_of_a_world_stands_or_drives_with_exact_poses_or_wheel_odometry(tmp_path: Path) -> None:
     recordings = {
         STANDS: truth_scene.write_recording(tmp_path / "standing.mcap", 2),
         DRIVES: drive.write_recording(tmp_path / "driving.mcap", 2, with_truth=False),
@@ -215,7 +215,7 @@ def test_a_comparison_that_ended_early_is_refused(tmp_path: Path) -> None:
         PlaceScores.read(tmp_path)
 
 
-def test_rows_are_those_without_weights_and_those_with_general_ones(tmp_path: Path) -> None:
+def test_rows_have_no_weights_or_general_ones(tmp_path: Path) -> None:
     cards = [
         "weights/kalman/general.toml",
         "weights/dogma/hall.toml",

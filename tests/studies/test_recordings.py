@@ -50,7 +50,7 @@ def test_joined_drives_follow_each_other_after_a_pause_longer_than_a_forecast(tm
     assert [scan.world_T_sensor.x for scan in scans] == [0.0, 1.0, 10.0, 11.0]
 
 
-def test_the_drives_of_a_folder_are_those_with_true_poses() -> None:
+def test_the_drives_of_a_folder_have_true_poses() -> None:
     drives = drives_in(DATA / "drives")
     assert len(drives) == 20
     assert drives[0] == "car-202"

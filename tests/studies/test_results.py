@@ -72,7 +72,7 @@ def test_the_committed_table_is_that_of_the_cards() -> None:
     assert committed["shipped"].tables["table"] == shipped_table(), "run python -m studies.cards"
 
 
-def test_labelled_scans_are_those_of_the_tracker_or_of_its_class_decoder() -> None:
+def test_labelled_scans_come_from_the_tracker_or_its_class_decoder() -> None:
     assert labelled_scans({"labelled": "a.tracks, 20 scans from 1 s to 3 s"}) == "20"
     assert labelled_scans({"classes": {"labelled": "800 scans of 384 recordings"}}) == "800"
     assert labelled_scans({"classes": "none: a has no labels"}) == ""

@@ -1,4 +1,4 @@
-"""The floor `advection`: what is in the window is carried on along the flow of the last frames."""
+"""The floor `advection`: the content of the window is carried on along the flow of the last frames."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_one_frame_stays_where_it_is() -> None:
     assert not tracker.predict(1).occupancy.any()
 
 
-def test_what_stands_stays() -> None:
+def test_standing_objects_stay() -> None:
     tracker = tracker_on(SMALL)
     occupied = np.zeros((5, 5), bool)
     occupied[1:3, 2] = True
@@ -50,7 +50,7 @@ def test_what_stands_stays() -> None:
 
 
 def test_a_uniform_flow_carries_a_cell_of_a_5_x_5_grid_by_whole_cells(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One column a frame, found over two frames; what enters from outside is free."""
+    """One column a frame, found over two frames; entering cells are free."""
     back = np.zeros((2, 5, 5), np.float32)
     back[1] = -2.0
     monkeypatch.setattr(advection, "optical_flow_tvl1", lambda now, before, **_: back)

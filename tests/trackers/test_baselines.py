@@ -27,7 +27,7 @@ STREAM = StreamSpec(GRID, 0.1, "here")
 
 
 def frame(visible: list[list[int]], occupied: list[list[int]], x: float = 0.0, y: float = 0.0) -> GridFrame:
-    """A frame whose window lies at (x, y) in the world."""
+    """A frame with its window at (x, y) in the world."""
     none = np.zeros((0, 2), np.float32)
     pose = SE2(x, y)
     return GridFrame(0, np.array(visible, bool), np.array(occupied, bool), pose, none, none, np.zeros(0, np.uint8))

@@ -50,7 +50,7 @@ def frame_of(drawing: str) -> GridFrame:
     [
         ("..... ..... ..... ..... .....", "ooooo ooooo ooooo ooooo ooooo"),
         ("..... ..... ..... ..... ....#", "ooooo ooooo ooooo ooo.. ooo.."),
-        # Beams along a wall at the right: they cross its cells between two returns, and what is behind is hidden.
+        # Beams along a wall at the right: they cross its cells between two returns, and the cells behind are hidden.
         ("...#? ....? ....? ...#? ....?", "oo... oo... oo... oo... oo..."),
         # The edge of a shadow.
         ("..... ..#.. ..??. ..??? .....", "o...o o.... o.... o.... o...."),
@@ -62,7 +62,7 @@ def test_a_cell_is_open_when_it_is_seen_empty_with_all_its_neighbours(drawing: s
     assert (open_cells(frame_of(drawing)) == cells_of(opened, "o")).all()
 
 
-def test_what_is_seen_of_a_wall_that_comes_into_view_lies_in_closed_cells() -> None:
+def test_visible_parts_of_a_wall_that_comes_into_view_lie_in_closed_cells() -> None:
     space = OpenSpace((5, 5), PERIOD_S)
     along = frame_of("...#? ....? ....? ...#? ....?")
     nearer = frame_of("...#? ...#? ...#? ...#? ...#?")

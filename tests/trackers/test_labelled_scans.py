@@ -1,4 +1,4 @@
-"""The scans whose labels classes are learned from: spread over the recordings, or in a row, drawn by the seed."""
+"""The scans with the labels for learning classes: spread over the recordings, or in a row, drawn by the seed."""
 
 from __future__ import annotations
 

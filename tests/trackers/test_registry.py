@@ -209,7 +209,7 @@ def test_the_settings_of_the_recurrent_trackers_need_neither_torch_nor_numba() -
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
 
 
-def test_a_tracker_s_process_imports_only_what_it_needs() -> None:
+def test_a_tracker_s_process_imports_only_its_own_libraries() -> None:
     code = (
         "import sys, gridtrack.trackers.serve, gridtrack.trackers.baselines;"
         "print(sorted({'torch', 'gtsam', 'numba', 'polars', 'typer', 'rich', 'plotly', 'mcap'} & set(sys.modules)))"
@@ -251,7 +251,7 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         sys.modules.pop(name, None)
 
 
-def test_an_edit_of_the_tracker_or_of_what_lies_beside_it_changes_the_hash(own: Path) -> None:
+def test_an_edit_of_the_tracker_or_of_a_file_beside_it_changes_the_hash(own: Path) -> None:
     kind = importlib.import_module("own_tracker").Own
     first = code_sha256(kind)
     assert len(first) == 64

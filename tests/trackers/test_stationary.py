@@ -81,7 +81,7 @@ def test_the_past_of_a_cell_keeps_its_place_in_the_world() -> None:
     assert np.array_equal(past.bins()[:, :3], moved.bins()[:, :3])
 
 
-def test_what_is_learned_is_the_share_of_occupied_cells_among_the_visible_ones_at_each_horizon() -> None:
+def test_the_table_has_the_share_of_occupied_among_visible_cells_at_each_horizon() -> None:
     """A wall that flickers: occupied in every second frame of 0.1 s."""
     frames = [frame(cells((2, 2)) if n % 2 else EMPTY, second=n / 10) for n in range(60)]
     source = Frames(frames, grid=GRID, period_s=0.1)
@@ -89,7 +89,7 @@ def test_what_is_learned_is_the_share_of_occupied_cells_among_the_visible_ones_a
     at = {round(h, 2): n for n, h in enumerate(TABLE_HORIZONS_S)}
     forecasts = visible[at[0.0]].sum() / 25
     assert forecasts == 8, "after 20 frames, every half second"
-    assert visible[at[2.5]].sum() == 3 * 25, "those whose frame is in the stretch"
+    assert visible[at[2.5]].sum() == 3 * 25, "targets with a frame in the stretch"
     assert occupied[at[0.0]].sum() == occupied[at[0.2]].sum() == 4
     assert occupied[at[0.1]].sum() == 4
 

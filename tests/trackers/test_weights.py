@@ -74,7 +74,7 @@ def test_a_card_with_classes_says_of_how_many_labelled_scans_and_so_does_the_rec
     assert (used.name, used.labelled_scans) == ("my/lab.toml", 50)
 
 
-def test_a_general_card_says_in_what_a_stream_is_beyond_its_training(tmp_path: Path) -> None:
+def test_a_general_card_names_properties_of_a_stream_beyond_its_training(tmp_path: Path) -> None:
     sources = [Stretch(), Stretch(grid=GridSpec(100, 0.2), period_s=0.05)]
     general = card_for("my", fit_task(tmp_path, sources, general=True), {})
     assert general.beyond_training(0.15, 0.1) == ""
@@ -94,7 +94,7 @@ def load(path: Path | None, grid: GridSpec = GRID, period_s: float = 0.1, tracke
     load_weights(StreamSpec(grid, period_s, "lab", weights=path), tracker)
 
 
-def test_what_was_saved_is_loaded(path: Path) -> None:
+def test_saved_weights_are_loaded(path: Path) -> None:
     found = load_weights(StreamSpec(GRID, 0.1, "lab", weights=path), "my")
     assert array(found, "w", (2, 3)).tolist() == [[0, 1, 2], [3, 4, 5]]
     assert (found.card.site, found.card.seed, found.card.command) == ("lab", 3, "gridtrack train my demo")
@@ -102,7 +102,7 @@ def test_what_was_saved_is_loaded(path: Path) -> None:
     assert [(t.recording, t.sha256) for t in found.card.validation] == [("v", "cd")]
 
 
-def test_the_card_has_the_place_of_its_maps_which_is_the_window_of_the_first_training_frame(tmp_path: Path) -> None:
+def test_the_place_of_the_maps_on_the_card_is_the_window_of_the_first_training_frame(tmp_path: Path) -> None:
     made = card(tmp_path, Stretch(world_T_grid=SE2(3.2, -1.5)), Stretch("b", world_T_grid=SE2(9.0, 9.0)))
     save_weights(tmp_path / "lab.toml", made, {})
     assert read_card(tmp_path / "lab.toml").map_pose == SE2(3.2, -1.5)
@@ -136,7 +136,7 @@ def test_a_place_that_is_no_position_is_refused(path: Path, position: str) -> No
         read_card(path)
 
 
-def test_what_was_learned_at_another_place_is_refused(path: Path) -> None:
+def test_weights_of_another_place_are_refused(path: Path) -> None:
     with pytest.raises(WeightsError, match="made for site lab, but this is office"):
         load_weights(StreamSpec(GRID, 0.1, "office", weights=path), "my")
 
@@ -285,7 +285,7 @@ def test_training_stretches_must_share_grid_period_and_site(tmp_path: Path) -> N
     assert len(card(tmp_path, Stretch("a"), Stretch("b")).train) == 2
 
 
-def test_thresholds_of_a_card_are_those_of_the_nearest_horizon():
+def test_thresholds_of_a_card_come_from_the_nearest_horizon():
     thresholds = CardThresholds(step_s=0.1, values={"visible": (0.5, 0.4, 0.3)})
     assert thresholds.at("visible", np.array([0.0, 0.06, 0.125, 0.2, 9.0])).tolist() == [0.5, 0.4, 0.4, 0.3, 0.3]
     assert thresholds.at("occluded", np.array([0.0, 1.0])).tolist() == [0.5, 0.5]

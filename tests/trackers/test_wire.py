@@ -67,7 +67,7 @@ def test_arrays_of_every_type_and_shape_are_carried_bit_by_bit(content: dict[str
         assert back.arrays[name].flags.aligned
 
 
-def test_the_bytes_are_those_of_the_documentation() -> None:
+def test_the_bytes_agree_with_the_documentation() -> None:
     """The example in docs/wire.md."""
     page = (Path(__file__).parents[2] / "docs" / "wire.md").read_text()
     header = b'{"type":"reset","id":2,"arrays":[{"name":"a","dtype":"int32","shape":[2]}],"seed":7}'
@@ -176,7 +176,7 @@ def test_without_drops_exactly_the_bytes_written(parts: list[bytes], count: int)
     assert b"".join(without([memoryview(p) for p in parts], min(count, len(whole)))) == whole[count:]
 
 
-def test_a_stream_whose_weights_are_no_path_is_refused() -> None:
+def test_a_stream_with_weights_that_are_no_path_is_refused() -> None:
     fields = messages.stream_fields(StreamSpec(GRID, 0.1, "a site")) | {"weights": ["here.toml"]}
     with pytest.raises(WireError, match="'weights' of type str"):
         messages.stream_from(Message("start", 0, {"stream": fields}, {}))

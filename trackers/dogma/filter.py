@@ -29,7 +29,7 @@ CLOSED_SHARE = 0.04
 
 
 class ParticleGrid:
-    """Masses and particles, float32, of a grid whose window scrolls with the sensor.
+    """Masses and particles, float32, of a grid with a window that scrolls with the sensor.
 
     `masses` (M, M) are those after the last frame, in its window. The first `count` of `particles` have the weight
     `weight` each; `persisted` (M * M, 2) int32 are the first and last (exclusive) persistent particles of a cell,

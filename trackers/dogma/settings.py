@@ -1,4 +1,4 @@
-"""Settings of the particle grid; `fit` tunes those that depend on the site and its traffic."""
+"""Settings of the particle grid; `fit` tunes the settings that depend on the site and its traffic."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ def training_precision(settings: TrainingSettings, devices: Devices, task: FitTa
     if (resumed := _precision_in(task)) is not None:
         return resumed
     if devices.number > 1 and devices.kind != "cpu":
-        return "bf16-mixed"  # a device that this process used to measure could not be used by those that it forks
+        return "bf16-mixed"  # forked processes cannot use a device on which this process measures
     took_ms = dict.fromkeys(get_args(Precision), math.inf)
     for _ in range(TRIES):
         took_ms = {precision: min(ms, convolution_ms(precision, devices.kind)) for precision, ms in took_ms.items()}

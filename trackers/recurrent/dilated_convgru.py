@@ -30,7 +30,7 @@ def convgru_gates(x: Tensor | None, h_conv: Tensor, biases: tuple[Tensor, ...], 
     """The element-wise half of the cell, in float32.
 
     `x` and `h_conv` (B, 3C, M, M) are the convolutions of input and state, gates in the order of GATES; `x` is None
-    where the input is empty. `biases`: three of (C, M, M) or (C, 1, 1). `h` (B, C, M, M). Returns h'.
+    if the input is empty. `biases`: three of (C, M, M) or (C, 1, 1). `h` (B, C, M, M). Returns h'.
     """
     keep, reset, candidate = biases
     if x is not None:

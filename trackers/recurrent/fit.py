@@ -104,13 +104,13 @@ def start_from_rate(network: RecurrentNetwork, rate: float) -> None:
 
 
 def general_options(options: Any) -> Any:
-    """The `options`, and for those that were not given FOR_ANY_PLACE."""
+    """The `options`, with FOR_ANY_PLACE for options that were not given."""
     not_given = FOR_ANY_PLACE.keys() - options.model_fields_set
     return options.model_copy(update={name: FOR_ANY_PLACE[name] for name in not_given})
 
 
 def settings_from_general(kind: type[RecurrentTracker], options: Any, weights: Weights) -> Any:
-    """The `options`, and for those that were not given the settings of the general `weights`.
+    """The `options`, with the settings of the general `weights` for options that were not given.
 
     Raises WeightsError if a given option is another shape than theirs.
     """
@@ -148,7 +148,7 @@ def begin_from(network: RecurrentNetwork, weights: Weights) -> None:
 def validation_scores(
     score: Callable[[FrameSource], StretchScore], sources: Sequence[FrameSource], horizons_s: Sequence[float]
 ) -> dict[str, float]:
-    """F1 of SELECTION_STRATA at the horizons, mean over the stretches; `score` is the mean of those that are defined.
+    """F1 of SELECTION_STRATA at the horizons, mean over the stretches; `score` is the mean of the defined ones.
 
     `log_loss` is the mean over the same cells, nats. A stretch without motion has no F1 of dynamic cells, and does not
     count there.

@@ -27,7 +27,7 @@ Validate = Callable[[RecurrentNetwork], dict[str, float]]
 
 
 class SequenceLoss(NamedTuple):
-    """The sum of the weighted losses of cells, nats, and the sum of the weights of those that are visible."""
+    """The sum of the weighted losses of cells, nats, and the sum of the weights of visible cells."""
 
     total: Tensor
     visible_weight: Tensor

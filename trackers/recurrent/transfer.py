@@ -65,7 +65,7 @@ class TransferCells:
 def fit_class_decoder(kind: type[RecurrentTracker], task: FitTask) -> None:
     """Train a class decoder for the weights at `task.out` and add it to them; the other arrays stay equal bit by bit.
 
-    Raises WeightsError where there are no weights or the options contradict them, ConfigurationError without labels.
+    Raises WeightsError if there are no weights or the options contradict them, ConfigurationError without labels.
     """
     options = task.options
     tracker_for = _with_weights(kind, task)
@@ -162,7 +162,7 @@ class PastStates:
         self._updates += 1
 
     def before(self, frames: int) -> State | None:
-        """The state `frames` frames before the last one; None where there is none."""
+        """The state `frames` frames before the last one; None if there is none."""
         return self._states[-1 - frames] if frames < len(self._states) else None
 
     def _move_to(self, world_T_grid: SE2) -> None:

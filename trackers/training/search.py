@@ -78,7 +78,7 @@ class SearchLog:
 
 
 def delete_search_log(task: FitTask) -> None:
-    """Delete the scores of a search whose result is written: a search with other code must not use them."""
+    """Delete the scores of a search after its result is written: a search with other code must not use them."""
     (task.log_dir / SEARCH_FILE).unlink(missing_ok=True)
 
 

@@ -196,7 +196,7 @@ def test_a_forecast_that_is_delivered_late_is_read_in_the_window_of_now() -> Non
         if index >= made_at:
             read.append(late.predict(1))
     assert read[0].occupancy[0].tolist() == [[0.0, pytest.approx(0.9)], [0.0, 0.0]]
-    assert read[1].occupancy[0].tolist() == [[pytest.approx(0.9), 0.0], [0.0, 0.0]], "what comes in is free"
+    assert read[1].occupancy[0].tolist() == [[pytest.approx(0.9), 0.0], [0.0, 0.0]], "entering cells are free"
     assert not read[2].occupancy.any()
     for one in read:
         assert one.semantics is not None

@@ -114,7 +114,7 @@ def test_the_cells_of_a_block_are_judged_by_it_and_the_blocks_before_and_after()
     assert names(others_far.at(SE2(), 2 * BLOCK_NS))[3].tolist() == WALL_AT_TWO
 
 
-def test_kinds_so_far_are_those_of_the_frames_so_far_and_counting_goes_on():
+def test_kinds_so_far_come_from_the_frames_so_far_and_counting_continues():
     frames = [wall_seen_from(x, 2 if block < 3 else 0, block) for block in range(6) for x in (-1, 0, 1)]
     counts = ObservedCounts(GRID)
     for n, one in enumerate(frames, start=1):
@@ -124,23 +124,23 @@ def test_kinds_so_far_are_those_of_the_frames_so_far_and_counting_goes_on():
         assert np.array_equal(counts.kinds().at(*window), expected.at(*window))
 
 
-def test_what_a_sensor_at_rest_shows_counts_whole_however_long_it_rests():
+def test_all_frames_of_a_sensor_at_rest_count_however_long_it_rests():
     frames = [wall_seen_from(0, 2 if block < 7 else 90, block) for block in range(10)]
     assert names(kinds_of(frames, stamp_ns=9 * BLOCK_NS))[3].tolist() == WALL_AT_TWO
 
 
-def test_what_passes_is_not_static_where_the_sensor_moves():
+def test_passing_objects_are_not_static_for_a_moving_sensor():
     frames = [wall_seen_from(k % 2, wall_x=2 if k == 5 else 90) for k in range(12)]
     assert (names(kinds_of(frames, SE2(0.0))) == "dynamic").all()
 
 
-def test_the_kinds_of_a_window_that_is_turned_are_those_of_the_cells_in_which_its_cells_centres_lie():
+def test_kinds_of_a_turned_window_come_from_the_cells_below_the_centres_of_its_cells():
     frames = [wall_seen_from(x, wall_x=2) for x in (-1, 0, 1, 2)]
     assert np.array_equal(kinds_of(frames, SE2(0.0, 0.0, np.pi / 2)), np.rot90(kinds_of(frames, SE2(0.0))))
 
 
 @given(row=st.integers(-300, 300), column=st.integers(-300, 300), size=st.integers(1, 200))
-def test_what_is_added_to_cells_of_the_world_is_read_at_the_same_place(row, column, size):
+def test_values_added_to_cells_of_the_world_are_read_at_the_same_place(row, column, size):
     rng = np.random.default_rng(size)
     values = rng.integers(1, 9, (2, size, size + 3))
     cells = WorldCells(2, np.int32)
@@ -151,7 +151,7 @@ def test_what_is_added_to_cells_of_the_world_is_read_at_the_same_place(row, colu
     assert around.sum() == 2 * values.sum()
 
 
-def test_the_memory_of_a_long_way_is_bounded_and_the_error_says_what_to_do(monkeypatch):
+def test_the_memory_of_a_long_way_is_bounded_and_the_error_has_the_remedy(monkeypatch):
     monkeypatch.setattr(kinds, "MAX_TILES", 2)
     cells = WorldCells(1, np.bool_)
     with pytest.raises(RecordingError, match="name a larger cell with --grid, or import a part of the recording"):

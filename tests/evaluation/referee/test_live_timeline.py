@@ -57,7 +57,7 @@ def test_a_deadline_is_closed_once_and_a_tracker_that_left_is_given_nothing() ->
     assert live.missed == 1
 
 
-def test_stored_forecasts_are_those_that_were_made_up_to_the_failure(tmp_path) -> None:
+def test_all_forecasts_before_the_failure_are_stored(tmp_path) -> None:
     store = ForecastStore(tmp_path)
     with_classes = Forecast(
         np.random.default_rng(1).random((3, 4, 4), np.float32), np.full((3, 2, 4, 4), 0.5, np.float32)

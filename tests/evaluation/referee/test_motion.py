@@ -16,6 +16,8 @@ from gridtrack.evaluation.referee.strata import CELL_KINDS, PARTS
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import open_stream
 
+from scenes.drives import box
+
 GRID = GridSpec(7, 0.25, (0.0, 0.0))
 EVERYWHERE = np.ones(GRID.shape, bool)
 NOTHING = np.zeros((0, 2), np.float32)
@@ -122,12 +124,8 @@ def test_the_second_before_a_stretch_is_read_from_its_recording(record):
     assert np.array_equal(found, expected)
 
 
-def box(x, y, length, width):
-    return np.array([(x, y), (x + length, y), (x + length, y + width), (x, y + width)], np.float32)
-
-
 def observation(step, *objects, occupied):
-    """Objects as (track, x, y): boxes of 0.3 m whose centre is there."""
+    """Objects as (track, x, y): boxes of 0.3 m with the centre there."""
     bodies = tuple(SceneObject(track, 0, SE2(x, y), box(-0.15, -0.15, 0.3, 0.3)) for track, x, y in objects)
     stamp_ns = step * 250_000_000
     scan = Scan(stamp_ns, np.zeros(0, np.float32), 0.0, 0.1, 0.0, 9.0, scene=Scene((), 0, bodies))

@@ -98,7 +98,7 @@ def test_a_return_is_in_motion_where_its_place_in_the_world_was_free_a_second_be
 
 
 def test_the_parts_of_a_window_that_stands_follow_its_regions_which_change_with_time():
-    """What was static in one block of time is dynamic in another; the sensor, and so the window, stand still."""
+    """A cell is static in one block of time and dynamic in another; the sensor, and so the window, stand still."""
     now = moment(Observation(BEFORE), Observation(drawn(["....."] * 5)))
     static = Regions(GRID, KindsOfWindow(np.full(GRID.shape, CELL_KINDS.index("static"), np.uint8)))
     assert now.target_in(SE2(), now.region_maps).motion.any()

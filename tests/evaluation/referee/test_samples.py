@@ -90,7 +90,7 @@ def test_states_motion_and_objects_survive_a_round_trip(tmp_path):
     assert np.allclose(kept.velocity, tracked.velocity, atol=1e-5)
 
 
-def test_a_file_of_before_has_the_states_of_visible_cells_alone(written, monkeypatch):
+def test_an_earlier_file_has_the_states_of_visible_cells_alone(written, monkeypatch):
     path, written_forecasts = written
     everything = samples_module._messages
     old = ("/input", "/came", "/forecast", "/sensors")

@@ -1,4 +1,4 @@
-"""Splits: the test stretch, the validation stretch, and what must not overlap."""
+"""Splits: the test stretch, the validation stretch, and refused overlaps."""
 
 import pytest
 
@@ -233,7 +233,7 @@ def test_weights_of_a_site_choose_no_thresholds_at_another_one(record, tmp_path,
 
 
 @pytest.mark.parametrize("site", ["Hall A", "../room"])
-def test_a_row_at_a_site_whose_name_names_no_file_has_the_general_weights_of_its_folder(site, tmp_path):
+def test_a_row_at_a_site_with_a_name_that_is_no_file_name_has_the_general_weights_of_its_folder(site, tmp_path):
     with pytest.raises(
         WeightsError, match=rf"^{tmp_path}: no weights of .* \({tmp_path}/static-map/general.toml is missing"
     ):
@@ -260,7 +260,7 @@ def test_training_and_choosing_on_the_same_frames_is_refused(record, tmp_path):
         train_tracker(Recipe(tracker="static-map", recordings=(f"{path}@0s-8s",), out=tmp_path))
 
 
-def test_training_on_the_test_stretch_without_its_name_is_told(record, tmp_path):
+def test_training_on_the_unnamed_test_stretch_is_reported(record, tmp_path):
     path, said = str(record(stretches={"test": (9.0, None)})), []
     for train in (f"{path}@8s-12s", f"{path}@test", f"{path}@0s-3s"):
         recipe = Recipe(tracker="static-map", recordings=(train,), validation=(f"{path}@4s-8s",), out=tmp_path)
@@ -271,7 +271,7 @@ def test_training_on_the_test_stretch_without_its_name_is_told(record, tmp_path)
     ]
 
 
-def test_training_what_cannot_learn_or_on_no_stretch_is_refused(record, tmp_path):
+def test_training_a_tracker_that_cannot_learn_or_on_no_stretch_is_refused(record, tmp_path):
     path = str(record())
     with pytest.raises(PluginError, match="nothing to learn"):
         train_tracker(Recipe(tracker="blank", recordings=(path,), out=tmp_path))

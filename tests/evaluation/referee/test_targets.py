@@ -21,6 +21,8 @@ from gridtrack.evaluation.referee.targets import (
 )
 from gridtrack.recordings.observation import Observation
 
+from scenes.drives import box
+
 GRID = GridSpec(5, 1.0, (0.0, 0.0))
 NAMES = ("pedestrian", "static")
 NO_MOTION = np.zeros(GRID.shape, np.uint8)
@@ -29,10 +31,6 @@ NOTHING = np.zeros((0, 2), np.float32)
 
 def frame(visible, occupied):
     return GridFrame(0, visible, occupied, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8))
-
-
-def box(x, y, length, width):
-    return np.array([(x, y), (x + length, y), (x + length, y + width), (x, y + width)], np.float32)
 
 
 def test_without_truth_only_visible_cells_are_scored():

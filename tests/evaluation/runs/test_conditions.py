@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gridtrack.evaluation.referee.deadline import Costs
-from gridtrack.evaluation.runs import deadline_pass
+from gridtrack.evaluation.runs import timed_passes
 from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
 from gridtrack.evaluation.runs.summarise import _mismatched_degradations
@@ -26,7 +26,7 @@ def costing(monkeypatch):
     """`costing(update_ms, predict_ms)` sets the measured cost of every frame."""
 
     def costing(update_ms, predict_ms):
-        monkeypatch.setattr(deadline_pass, "_measure", lambda *_: (Costs((update_ms,), (predict_ms,)), 12))
+        monkeypatch.setattr(timed_passes, "_measure", lambda *_: (Costs((update_ms,), (predict_ms,)), 12))
 
     return costing
 
@@ -101,7 +101,7 @@ def test_degraded_input_is_the_same_for_all_and_is_scored_against_the_undegraded
         digests = [[point.delivered for point in one.robustness.kinds[name]] for one in (result, blank)]
         assert digests[0] == digests[1]
         assert len(set(digests[0])) == 4
-    # at 1 every frame is lost: what persistence has not seen it does not call occupied
+    # at 1 every frame is lost, and persistence calls no unseen cell occupied
     assert curves["frame_drop"][-1].f1["visible"] == (0.0,) * 11
     assert summary.recordings["room"].parity is True
 

@@ -54,7 +54,7 @@ def test_the_score_of_a_fit_is_that_of_the_referee_on_the_same_stretch(with_trut
         assert np.array_equal(found.log_loss[name], expected.log_loss[name], equal_nan=True)
 
 
-def test_what_stands_for_most_of_an_excerpt_is_not_static_there(with_truth, tmp_path, monkeypatch):
+def test_an_object_that_stands_for_most_of_an_excerpt_is_not_static_there(with_truth, tmp_path, monkeypatch):
     monkeypatch.setattr(truth_scene, "to_and_fro", lambda time_s, period_s, reach_m: 0.0 if time_s < 6 else reach_m)
     path = tmp_path / "waits.mcap"
     truth_scene.write_recording(path, seconds=12)

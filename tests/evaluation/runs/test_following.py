@@ -93,7 +93,7 @@ class HeldBack(LiveTimeline):
 
 
 class Table:
-    """A LiveObserver that keeps what it is shown."""
+    """A LiveObserver that keeps its input."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
@@ -206,7 +206,7 @@ def test_every_part_of_a_forecast_waits_for_its_scores(settings, movers, progres
     assert live_of(summary, "guesser")["energy"]["score"].value[0] is not None
 
 
-def test_a_forecast_that_is_read_later_keeps_what_it_says_of_later_steps():
+def test_a_forecast_that_is_read_later_keeps_its_later_steps():
     steps = np.arange(4, dtype=np.float32)[:, None, None, None] * np.ones((4, 2, 3, 3), np.float32)
     tracked = TrackedObject(1, np.zeros(5, np.float32), np.zeros(2, np.float32), np.eye(4, dtype=np.float32))
     whole = Forecast(steps[:, 0], None, steps, (tracked,), steps.swapaxes(0, 1) > 1)
@@ -317,7 +317,7 @@ def test_thresholds_are_chosen_on_a_finished_recording_before(settings, record, 
     assert live.strata == later.strata
 
 
-def test_what_is_for_finished_recordings_is_refused(settings, record, tmp_path):
+def test_options_for_finished_recordings_are_refused(settings, record, tmp_path):
     path = str(record(stretches={}))
     for more, said in (
         ({"deadline": True}, "--deadline is for finished recordings"),

@@ -1,4 +1,4 @@
-"""The prior: the expectation of a tracker with weights for a place before it sees it, beside what is recorded there."""
+"""The prior: the expectation of a tracker with weights for a place before its first frame, beside the recording."""
 
 import numpy as np
 import polars as pl

@@ -60,8 +60,8 @@ def test_every_recipe_is_one_training_that_its_tracker_accepts(path):
     assert set(recipe.options) <= set(options_of(recipe).model_fields_set)
     assert recipe.out is not None
     starts = registry.load(recipe.tracker).starts_from_general(options_of(recipe))
-    told = recipe.general or recipe.from_scratch or recipe.weights
-    assert not starts or told  # not from what the user happens to have
+    reported = recipe.general or recipe.from_scratch or recipe.weights
+    assert not starts or reported  # not from weights that the user happens to have
     root, simulated = RECIPES.parents[1], (Path("runs/drives"), Path("runs/worlds"))
     paths = [Path(stretch.partition("@")[0]) for stretch in (*recipe.recordings, *recipe.validation)]
     assert all((root / path).exists() or any(map(path.is_relative_to, simulated)) for path in paths)
@@ -148,7 +148,7 @@ def test_the_command_of_a_recipe_names_every_option_as_the_command_line_reads_it
     assert parse_selection(words[2]).options == parse_pairs(words[2].partition(":")[2], "") == options
 
 
-def test_what_is_given_overrides_the_recipe_and_options_one_by_one():
+def test_given_settings_override_the_recipe_and_options_one_by_one():
     base = Recipe(tracker="kalman", options={"a": 1, "b": 2}, recordings=("a.mcap",), seed=4)
     recipe = complete_recipe(base, {"options": {"b": 3}, "recordings": ("b.mcap",), "validation": ("c.mcap",)})
     assert recipe.options == {"a": 1, "b": 3}

@@ -94,7 +94,7 @@ def test_a_run_that_was_scored_by_other_rules_is_not_continued(compare, monkeypa
         compare("blank", "persistence", resume=True)
 
 
-def test_a_tracker_whose_code_was_edited_runs_again_and_the_others_do_not(compare, staged, record, progress):
+def test_a_tracker_with_edited_code_runs_again_and_the_others_do_not(compare, staged, record, progress):
     both, rows = (str(record()), str(record("other", wall_m=2.5))), ("staged", "again=staged", "persistence")
     compare(*rows, recordings=both)
     progress.delivered.clear()

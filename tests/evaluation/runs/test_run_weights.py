@@ -65,7 +65,7 @@ def test_each_row_has_the_weights_of_its_own_folder_and_no_others(settings, trai
 
 
 def test_weights_exchanged_in_mid_run_are_not_used(settings, record, train, tmp_path, progress):
-    """The trial uses the files whose hash is recorded, also if the site is trained again after the plan was made."""
+    """The trial uses the files with the recorded hash, also if the site is trained again after the plan was made."""
     train("given", "static-map", record("given", wall_m=3.0))
     train("other", "static-map", record("other", wall_m=2.0), options={"prior_frames": 1000.0})
     weights = tmp_path / "given" / "static-map"

@@ -146,7 +146,7 @@ def test_an_unexpected_error_ends_its_trial_and_no_other(compare, progress, monk
     assert trial_of(summary, "persistence").outcome == "ok"
 
 
-def test_a_trial_whose_folder_cannot_be_written_ends_alone(compare, tmp_path):
+def test_a_trial_with_an_unwritable_folder_ends_alone(compare, tmp_path):
     compare("persistence")
     (tmp_path / "run" / "blank@room" / SUMS_FILE).mkdir(parents=True)  # in the way
     summary = compare("blank", "persistence", resume=True)
@@ -191,7 +191,7 @@ def test_trackers_that_cannot_run_say_why_and_stop_no_other(compare, record, ins
     assert [trial_of(summary, "blank", name).outcome for name in ("room", "drive")] == ["ok", "ok"]
 
 
-def test_what_cannot_be_resolved_is_refused_before_any_trial(settings, tmp_path):
+def test_an_unresolvable_request_is_refused_before_any_trial(settings, tmp_path):
     with pytest.raises(ConfigurationError, match="did you mean 'crash_at'"):
         resolve(settings("staged:crash_att=3"))
     with pytest.raises(ConfigurationError, match="did you mean 'persistence'"):

@@ -1,4 +1,4 @@
-"""Segments of a long recording: trials of their own that together score what the whole does."""
+"""Segments of a long recording: trials of their own that together have the scores of the whole."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def long(record):
     return {"recordings": (str(record("hall", 40, {})),), "validation": validation}
 
 
-def test_segments_together_count_what_the_whole_does(compare, progress, long, tmp_path):
+def test_segments_together_have_the_counts_of_the_whole(compare, progress, long, tmp_path):
     whole = compare("persistence", **long, out=tmp_path / "whole")
     progress.notes.clear()
     progress.delivered.clear()
@@ -49,7 +49,7 @@ def test_segments_together_count_what_the_whole_does(compare, progress, long, tm
     assert (difference.units, difference.recordings) == (1, "all recordings"), "segments are no independent units"
 
 
-def test_a_segment_is_delivered_its_warm_up_which_is_not_scored(settings, long):
+def test_the_warm_up_of_a_segment_is_delivered_and_not_scored(settings, long):
     plan = resolve(settings("persistence", **long, segment_s=10.0, warm_up_s=4.0))
     first, second, *_ = plan.splits
     assert first.test.stretch_s[0] == 0.0

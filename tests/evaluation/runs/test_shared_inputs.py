@@ -36,7 +36,7 @@ def shared(settings, tmp_path):
     return lambda jobs: SharedInputs(settings("persistence"), lambda text: None, tmp_path, jobs)
 
 
-def test_jobs_that_need_regions_at_the_same_time_wait_for_those_of_the_first(shared):
+def test_jobs_that_need_regions_at_the_same_time_wait_for_the_first(shared):
     inputs, split = shared(2), Split("hall")
     split.proceed.clear()
     with ThreadPoolExecutor(2) as threads:

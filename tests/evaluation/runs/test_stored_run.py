@@ -1,4 +1,4 @@
-"""A run in a store: what the local folder begins with, and when it is uploaded, kept and removed."""
+"""A run in a store: the first content of the local folder, and when it is uploaded, kept and removed."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def crash(folders, notes, **how):
         raise KeyboardInterrupt
 
 
-def test_what_an_error_leaves_is_kept_and_told_in_one_line(store, home, notes):
+def test_leftovers_of_an_error_are_kept_and_named_in_one_line(store, home, notes):
     folders = []
     with pytest.raises(KeyboardInterrupt):
         crash(folders, notes)

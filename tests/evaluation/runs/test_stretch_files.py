@@ -1,4 +1,4 @@
-"""What a training keeps of its recordings: a second one reads none of it again, and no `fit` can damage it."""
+"""The cache of trainings: a second training reads no recording again, and no `fit` can damage it."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ class Vandal(StaticMapTracker):
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """A cache of this test's own; `told` has what it reports."""
+    """A cache of this test's own; `reported` has its lines."""
     monkeypatch.setattr("gridtrack.common.cache.user_cache_folder", lambda: tmp_path / "cache")
-    told: list[str] = []
-    cache = stretch_cache(told.append)
-    cache.told = told
+    reported: list[str] = []
+    cache = stretch_cache(reported.append)
+    cache.reported = reported
     return cache
 
 
@@ -106,7 +106,7 @@ def test_regions_are_made_when_they_are_asked_for(record, cache, tmp_path, monke
         files_of(record(), cache, tmp_path)[0].regions(2)
 
 
-def test_kinds_of_cells_are_those_of_all_stretches_of_the_training(cache, tmp_path, monkeypatch):
+def test_kinds_of_cells_come_from_all_stretches_of_the_training(cache, tmp_path, monkeypatch):
     """Without truth: a rider who waits in the first stretch alone is not static where the training has both."""
     monkeypatch.setattr(truth_scene, "to_and_fro", lambda time_s, period_s, reach_m: 0.0 if time_s < 4 else reach_m)
     path = tmp_path / "waits.mcap"
@@ -128,10 +128,10 @@ def test_a_fit_that_destroys_its_files_damages_nothing_that_is_kept(record, cach
     assert not [line for line in lines if "damaged" in line]
     files, (stream, _) = files_of(path, cache, tmp_path / "after", "train", "validation")
     assert content_of(files)[0] == [frame_digest(frame) for frame in stream]
-    assert not cache.told
+    assert not cache.reported
 
 
-def test_a_training_tells_of_a_damaged_entry_and_makes_it_again(record, cache, tmp_path):
+def test_a_training_reports_a_damaged_entry_and_makes_it_again(record, cache, tmp_path):
     recipe = Recipe(tracker="static-map", recordings=(str(record()),), out=tmp_path)
     arrays = train_tracker(recipe, lambda _: None).with_suffix(".safetensors").read_bytes()
     for entry in cache.folder.iterdir():

@@ -160,7 +160,7 @@ def test_recordings_of_unlike_periods_are_scored_together_at_equal_times_and_not
     assert notice.endswith("given every 0.5 s; of each recording the nearest step counts, at most 53 ms away")
 
 
-def test_scores_together_are_those_of_the_recordings_where_only_the_horizon_differs(tmp_path):
+def test_scores_together_equal_the_recordings_scores_if_only_the_horizon_differs(tmp_path):
     described, trials = write_unlike(tmp_path, [0.125])
     longer, others = write_unlike(tmp_path / "longer", [0.1], seconds=1.2)
     summary = summarise({**described, **longer}, [*trials, *others], [], False)

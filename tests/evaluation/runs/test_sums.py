@@ -1,4 +1,4 @@
-"""The table of sums: round trip, units, complete files after a failure, and refusal of what is no such table."""
+"""The table of sums: round trip, units, complete files after a failure, and refusal of other files."""
 
 import json
 

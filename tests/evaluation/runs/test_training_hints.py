@@ -25,7 +25,7 @@ def gridtrack(*words):
 
 
 def compare(recording, folder, *options):
-    """The reason of static-map's trial on `recording`, empty where it is complete. General weights are not used."""
+    """The reason of static-map's trial on `recording`, empty if it is complete. General weights are not used."""
     command = (
         "compare",
         "--no-floors",
@@ -111,7 +111,7 @@ def test_the_hint_of_a_trial_on_another_machine_is_that_of_the_whole_run(record,
 
 
 def test_stretches_of_its_own_that_another_trial_tests_are_not_named(record, tmp_path):
-    """All of the recording is compared: what is left after a training is the end of it."""
+    """All of the recording is compared: the rest after a training is the end of it."""
     path = record(stretches={"train": (0.0, 4.0), "validation": (4.0, 9.0)})
     gridtrack(
         *(

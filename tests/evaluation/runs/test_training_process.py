@@ -1,4 +1,4 @@
-"""The training process: what `fit` can reach, its lines of progress, its errors and its end."""
+"""The training process: files within reach of `fit`, its lines of progress, its errors and its end."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def test_ctrl_c_reaches_fit_and_no_process_survives_the_command(end, record, tmp
 def test_ctrl_c_reports_the_weights_that_are_kept(record, tmp_path):
     recording, card = record(), tmp_path / "fits" / "room.toml"
     kept = {
-        "writes-and-sleeps": "has the weights, but not what is learned after them, such as classes",
+        "writes-and-sleeps": "has the weights without later stages, such as classes",
         "sleeps": "keeps the weights of an earlier training",
     }
     for how, text in kept.items():
@@ -169,7 +169,7 @@ def test_ctrl_c_reports_the_weights_that_are_kept(record, tmp_path):
 
 
 def begun(how, recording, out):
-    """The process of a training whose `fit` has begun, and the number of the process of `fit`."""
+    """The process of a training after the start of `fit`, and the number of the process of `fit`."""
     command = [sys.executable, "-m", "gridtrack.cli", "train", f"fits:how={how}", str(recording), "--out", str(out)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None

@@ -63,8 +63,8 @@ def test_with_truth_hidden_cells_are_scored_and_the_oracle_is_the_ceiling(comple
     for stratum in ("visible", "dynamic", "static", "occluded", "occluded dynamic"):
         assert curve(oracle, stratum, "f1.f1") == (1.0,) * (STEPS + 1), "nothing is noisy in this recording"
     f1 = {name: curve(trial_of(summary, "persistence"), name, "f1.f1") for name in STRATA_WITH_TRUTH}
-    assert f1["visible"][0] == 1.0, "on what is seen, step 0 is copying"
-    assert f1["occluded dynamic"][0] < 0.2, "what is not seen is not where it was last seen"
+    assert f1["visible"][0] == 1.0, "on visible cells step 0 is copying"
+    assert f1["occluded dynamic"][0] < 0.2, "hidden objects are not where they were last seen"
     assert 0.0 < f1["dynamic"][STEPS] < 1.0
     assert summary.recordings["room"].parity is True
     assert TrialSums(folder / "persistence@room").layouts["f1"].strata == STRATA_WITH_TRUTH
@@ -76,7 +76,7 @@ def test_the_oracle_misses_only_range_noise_and_no_tracker_has_a_lower_log_loss(
     oracle = trial_of(summary, "oracle")
     assert all(0.7 < f1 < 0.99 for f1 in curve(oracle, "dynamic", "f1.f1"))
     assert curve(oracle, "occluded", "f1.f1") == (1.0,) * (STEPS + 1)
-    assert oracle.threshold_chosen_on == "room.mcap@validation", "like those of every tracker"
+    assert oracle.threshold_chosen_on == "room.mcap@validation", "as for every tracker"
     for label in summary.trackers.keys() - {"oracle"}:
         for stratum in STRATA_WITH_TRUTH:
             own, best = (curve(trial_of(summary, one), stratum, "log_loss.mean")[1:] for one in (label, "oracle"))
@@ -169,7 +169,7 @@ def test_recall_by_class_is_that_of_dynamic_cells_of_the_class(complete):
     recall = {name: curve(trial_of(summary, "persistence"), name, "class_recall.recall") for name in (
         "dynamic cyclist", "occluded pedestrian",
     )}  # fmt: skip
-    assert recall["dynamic cyclist"][0] == 1.0, "step 0 of what is seen is copying"
+    assert recall["dynamic cyclist"][0] == 1.0, "step 0 of visible cells is copying"
     assert recall["dynamic cyclist"][STEPS] < 0.6, "it has ridden on by then"
     assert 0.0 < recall["occluded pedestrian"][0] < 0.5
     cells = curve(trial_of(summary, "persistence"), "dynamic static", "class_recall.cells")

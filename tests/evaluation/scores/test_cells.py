@@ -142,7 +142,7 @@ def test_pr_auc_is_within_a_few_thousandths_of_that_of_the_probabilities_themsel
 @pytest.mark.parametrize("mass", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("rate", [0.05, 0.99])
 def test_a_mass_at_one_probability_is_not_mixed_with_the_probabilities_beside_it(mass, rate):
-    """Cells with a mass are occupied at another rate than those with nearly the same probability, which are a bin."""
+    """Cells with a mass are occupied at another rate than cells with nearly the same probability, which are a bin."""
     rng = np.random.default_rng(3)
     size, beside = 100, np.float32(0.99999 if mass == 1.0 else mass + 1e-5)
     is_mass = rng.random((size, size)) < 0.3

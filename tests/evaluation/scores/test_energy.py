@@ -1,4 +1,4 @@
-"""The energy score: by hand, against its definition in loops, and what it rewards."""
+"""The energy score: by hand, against its definition in loops, and its rewards."""
 
 import math
 from itertools import permutations
@@ -36,7 +36,7 @@ def energy_sums(futures, targets, kinds):
 
 
 def terms_of(futures, came):
-    """Distance and spread of futures (F, N) against what came (N,)."""
+    """Distance and spread of futures (F, N) against the observation (N,)."""
     vectors = np.vstack([futures, came])
     return distance_and_spread(vectors @ vectors.T, len(came))
 

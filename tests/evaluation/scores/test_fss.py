@@ -99,7 +99,7 @@ def test_a_forecast_that_is_a_cell_off_is_forgiven_from_three_cells_on():
     assert either[0, 0] == 2
 
 
-def test_what_is_forecast_where_nobody_looks_changes_nothing():
+def test_a_forecast_in_cells_that_nobody_sees_changes_nothing():
     rng = np.random.default_rng(1)
     visible, occupied = rng.random((2, 20, 20)) < [[[0.5]], [[0.1]]]
     target = Target.of_frame(frame(visible, occupied))

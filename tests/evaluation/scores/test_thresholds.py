@@ -1,4 +1,4 @@
-"""Thresholds: the best F1 of each step and stratum on the validation stretch, and those that need no labels."""
+"""Thresholds: the best F1 of each step and stratum on the validation stretch, and label-free ones."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -109,7 +109,7 @@ def test_the_threshold_of_a_calibrated_forecast_is_nearly_as_good_as_the_best_on
     assert f1 > at_half + 0.05
 
 
-def test_what_was_observed_in_the_cells_does_not_matter():
+def test_observations_in_the_cells_do_not_matter():
     p, occupied = drawn(3)
     found = []
     for labels in (occupied, ~occupied):

@@ -119,7 +119,7 @@ def test_few_units_that_agree_exactly_tell_nothing():
     assert (float(found.value), np.isnan(found.low), np.isnan(found.p)) == (1.0, True, True)
     assert np.isnan(interval(own)).all()
     own[:, COUNTS.index("tp")] = other[:, COUNTS.index("fn")] = 1.0
-    assert differences(own, other).low == 1.0, "twenty that agree tell everything"
+    assert differences(own, other).low == 1.0, "twenty units that agree leave no doubt"
     assert np.array(interval(own)) == pytest.approx(np.ones(2))
 
 
@@ -229,7 +229,7 @@ def test_a_difference_of_differences_is_the_jackknifes_computed_one_unit_at_a_ti
     assert float(found.high - found.low) == pytest.approx(2 * stats.t.ppf(0.975, freedom) * error)
 
 
-def test_pairing_takes_out_what_both_trackers_share():
+def test_pairing_cancels_common_difficulty():
     rng = np.random.default_rng(9)
     hard = rng.uniform(0.2, 0.9, 20)
     cells = np.full(20, 400)

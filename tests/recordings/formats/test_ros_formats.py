@@ -126,7 +126,7 @@ def ros2_bag(folder: Path, scans: Iterable[Scan], storage: StoragePlugin = Stora
 
 
 def unfinished(folder: Path, scans: Iterable[Scan]) -> Path:
-    """A bag whose recorder was killed: the second half of its messages in the side file, and no metadata."""
+    """A bag of a killed recorder: the second half of its messages in the side file, and no metadata."""
     (whole,) = ros2_bag(folder, scans).glob("*.db3")
     bag = folder / "killed"
     bag.mkdir()
@@ -145,7 +145,7 @@ def unfinished(folder: Path, scans: Iterable[Scan]) -> Path:
 
 
 def split_without_metadata(folder: Path, scans: Iterable[Scan]) -> Path:
-    """Two files of one bag, whose numbers sort otherwise than their names."""
+    """Two files of one bag; their numbers sort otherwise than their names."""
     bag, every = folder / "split", list(scans)
     bag.mkdir()
     for number, part in ((2, every[:20]), (10, every[20:])):
@@ -179,7 +179,7 @@ def folder_of_packed_mcap(folder: Path, scans: Iterable[Scan]) -> Path:
 
 
 def wrong_index(folder: Path, scans: Iterable[Scan]) -> Path:
-    """A bag in which the sizes of the indices are not those of their entries."""
+    """A bag with sizes of indices that disagree with their entries."""
     path = ros1_bag(folder, scans)
     content, at = bytearray(path.read_bytes()), len(ROS1_MAGIC)
     while at < len(content):
@@ -261,7 +261,7 @@ def test_stamps_at_the_end_of_a_scan_are_moved_to_its_first_beam(tmp_path: Path,
         list(open_recording(path, topic="/rear/scan", stamps="end").scans())
 
 
-def test_stamps_in_bursts_are_told_with_the_rate(tmp_path: Path, scans: list[Scan]) -> None:
+def test_stamps_in_bursts_are_a_warning_with_the_rate(tmp_path: Path, scans: list[Scan]) -> None:
     """A buffer that is read every half a second gives five scans nearly the same stamp."""
     stamps = [10**9 + 5 * 10**8 * (k // 5) + 2_000_000 * (k % 5) for k in range(40)]
     even = [10**9 + 10**8 * k for k in range(40)]
@@ -271,9 +271,9 @@ def test_stamps_in_bursts_are_told_with_the_rate(tmp_path: Path, scans: list[Sca
         path = ROS1.write(tmp_path / f"{count}.bag", received)
         bursts = [line for line in open_recording(path).overview().warnings if "come in bursts" in line]
         assert len(bursts) == count
-    told = open_recording(tmp_path / "1.bag").overview().warnings[0]
-    assert "half of them less than 2 ms after another" in told
-    assert "give --rate 11.1, or take the times of reception, with `gridtrack recording import" in told
+    reported = open_recording(tmp_path / "1.bag").overview().warnings[0]
+    assert "half of them less than 2 ms after another" in reported
+    assert "give --rate 11.1, or take the times of reception, with `gridtrack recording import" in reported
 
 
 @pytest.mark.parametrize("increment_s", [-1e-4, 1.0, math.nan, math.inf])

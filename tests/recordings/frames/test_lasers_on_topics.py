@@ -38,9 +38,9 @@ def test_scans_in_two_frames_are_of_two_lasers(bag: Bag) -> None:
     recording = open_recording(path)
     assert made.walls_stay(recording.scans(), 2 * made.SCANS)
     assert list(recording.survey.sensors) == ["scan", "scan@rear_laser"]
-    (told,) = recording.warnings
-    assert "/scan has scans in several frames, front_laser, rear_laser: read as several lasers" in told
-    assert "one alone with --topic /scan or --topic /scan@rear_laser" in told
+    (reported,) = recording.warnings
+    assert "/scan has scans in several frames, front_laser, rear_laser: read as several lasers" in reported
+    assert "one alone with --topic /scan or --topic /scan@rear_laser" in reported
     for topic in ("/scan", "/scan@rear_laser"):
         alone = open_recording(path, topic=topic, strict=True)
         assert made.walls_stay(alone.scans())
@@ -56,7 +56,7 @@ def test_two_lasers_with_unknown_mounts_are_refused_with_a_command_for_each(bag:
 
 
 def alternating(seconds: int = 5, lost: tuple[int, ...] = ()) -> list[made.Message]:
-    """Scans of two lasers on a robot at rest, in one frame, without those of the numbers `lost`."""
+    """Scans of two lasers on a robot at rest, in one frame, without the numbers `lost`."""
     lasers, person = (made.FRONT, BACK), (50.0, 50.0)
     scans = [
         ROS.laser(100 * k + laser.offset_ms, made.ranges_at(laser, SE2(1.0, 0.5, 0.2), person), laser, "laser")
@@ -66,10 +66,10 @@ def alternating(seconds: int = 5, lost: tuple[int, ...] = ()) -> list[made.Messa
     return [one for k, one in enumerate(on_scan(scans)) if k not in lost]
 
 
-def test_scans_that_alternate_between_two_views_are_told(bag: Bag) -> None:
-    (told,) = [line for line in open_recording(bag(*alternating())).overview().warnings if "alternate" in line]
-    assert "sensor 'scan': its scans alternate between two views, as those of two lasers on one topic do" in told
-    assert "--out a-one.mcap --topic /scan@1`, or --topic /scan@2" in told
+def test_scans_that_alternate_between_two_views_are_a_warning(bag: Bag) -> None:
+    (reported,) = [line for line in open_recording(bag(*alternating())).overview().warnings if "alternate" in line]
+    assert "sensor 'scan': its scans alternate between two views, as those of two lasers on one topic do" in reported
+    assert "--out a-one.mcap --topic /scan@1`, or --topic /scan@2" in reported
 
 
 @pytest.mark.parametrize("lost", [(), (1,), (4, 11, 12, 13)])

@@ -139,7 +139,7 @@ def test_all_transforms_agree_with_the_newest_ones() -> None:
         assert whole.at(stamp_ns) == in_order.at(stamp_ns)
 
 
-def test_all_transforms_keep_those_before_the_clock_was_set_back() -> None:
+def test_all_transforms_include_earlier_ones_after_the_clock_is_set_back() -> None:
     whole = AllTransforms()
     for x, stamps_s in ((1.0, range(100)), (2.0, range(50, 60)), (3.0, [*range(20), *range(200, 205)])):
         for stamp_s in stamps_s:

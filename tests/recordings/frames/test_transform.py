@@ -25,7 +25,7 @@ def of_scipy(transform: SE3) -> RigidTransform:
 
 
 @pytest.mark.parametrize("_", range(20))
-def test_chained_transforms_are_those_of_scipy(_: int) -> None:
+def test_chained_transforms_agree_with_scipy(_: int) -> None:
     a, b = random_transform(), random_transform()
     expected = (of_scipy(a) * of_scipy(b)).as_matrix()
     np.testing.assert_allclose(of_scipy(a @ b).as_matrix(), expected, atol=1e-12)

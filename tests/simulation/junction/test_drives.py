@@ -56,7 +56,7 @@ def traffic(*rows: np.ndarray, label: int = CAR, size: tuple[float, float] = (4.
     return Tracks(info, frame, track, np.full(n, label), table[:, 2:], np.tile(size, (n, 1))).rounded()
 
 
-def test_the_carrier_moves_furthest_of_those_that_pass_the_middle() -> None:
+def test_the_carrier_moves_furthest_among_all_that_pass_the_middle() -> None:
     through, faster = straight(0, 0, 90.0, -50.0, 6.0), straight(1, 0, 95.0, -50.0, 8.0)
     turned_back, beyond = straight(2, 0, 120.0, -130.0, 9.0), straight(3, 0, 120.0, 20.0, 9.0)
     assert furthest(traffic(through, faster, turned_back, beyond), CAR, 80, 8.0) == (1, 0)

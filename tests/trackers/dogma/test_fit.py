@@ -95,7 +95,7 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
 
 @pytest.fixture
 def general(tmp_path):
-    """The card of general weights, whose time constant of free cells is outside the range of the search."""
+    """The card of general weights with a time constant of free cells outside the range of the search."""
     settings = DogmaSettings(particles=1200, acceleration=0.7, birth_speed=3.0, free_decay_s=30.0)
     path = tmp_path / "general" / "general.toml"
     card = card_for("dogma", task(path, None, settings, general=True), settings.model_dump())
@@ -148,11 +148,11 @@ class Driven(Source):
 
 def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(searched_fit, "SEARCH_ITERATIONS", 1)
-    told: list[str] = []
+    reported: list[str] = []
     out = tmp_path / "yard.toml"
     both = of_every_stratum(0.5, 0.5, 16)
-    DogmaTracker.fit(task(out, lambda *_: both, DogmaSettings(particles=800), Driven(), report=told.append))
-    assert any("the sensor moves: no map of the place is learned" in line for line in told)
+    DogmaTracker.fit(task(out, lambda *_: both, DogmaSettings(particles=800), Driven(), report=reported.append))
+    assert any("the sensor moves: no map of the place is learned" in line for line in reported)
     stream = StreamSpec(GRID, PERIOD_S, "yard", weights=out)
     rate = load_weights(stream, "dogma").arrays["occupancy_rate"]
     assert rate.min() == rate.max() > 0.0
@@ -162,7 +162,7 @@ def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monk
     assert np.isfinite(tracker.predict(3).occupancy).all()
 
 
-def test_a_source_whose_sensor_stands_elsewhere_is_counted_at_its_place() -> None:
+def test_a_source_with_a_sensor_elsewhere_is_counted_at_its_place() -> None:
     aside = [scrolled(frame, Shift(0, 1), GRID) for frame in Source()]
     home = [scrolled(frame, Shift(), GRID) for frame in Source()]
     (visible, occupied), moves = count_frames([home, aside], GRID.cell_m, lambda frame: (frame.visible, frame.occupied))

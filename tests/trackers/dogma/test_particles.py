@@ -101,7 +101,7 @@ def test_particles_at_rest_stay_until_they_start_and_slow_ones_can_stop() -> Non
     assert not stopped[count // 2 :].any()
 
 
-def test_the_weights_of_particles_near_a_return_are_those_computed_by_hand() -> None:
+def test_weights_of_particles_near_a_return_agree_with_a_computation_by_hand() -> None:
     # two particles in cell [0, 0], at the return and two standard deviations from it
     particles = Particles(*(np.array(v, np.float32) for v in ([0.5, 0.5], [0.0, 0.8], [0, 0], [0, 0])))
     points = np.full((SIZE * SIZE, 2), np.nan, np.float32)

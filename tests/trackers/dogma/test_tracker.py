@@ -130,7 +130,7 @@ def test_a_wall_is_static_after_a_while_also_behind_traffic() -> None:
         frame = frame_of([driving((1.0, 2.0, 1.8, 0.8), (4.0, 0.0), step), WALL], step)
         grid.update(frame)
         seen_for = np.where(frame.occupied, seen_for + 1, 0)
-        settled = about(WALL) & (seen_for >= 5)  # what a shadow uncovers may for a moment be what cast it
+        settled = about(WALL) & (seen_for >= 5)  # an uncovered cell may for a moment count as the object that hid it
         if step >= 12:
             assert settled.sum() > 10
             assert not dynamic(grid, settled).any()
@@ -187,7 +187,7 @@ def test_unknown_cells_are_forecast_with_their_occupancy_rate_and_free_cells_app
         grid.update(frame_of([(4.0, 0.0, 0.4, 6.0)], step))
     rate = np.full(GRID.shape, 0.3, np.float32)
     occupancy = forecast(grid, rate, 16)
-    away = ~about((4.0, 0.0, 4.0, 10.0))  # what is newborn may fly off
+    away = ~about((4.0, 0.0, 4.0, 10.0))  # newborn particles may fly off
     assert np.allclose(occupancy[:, ~frame.visible & away].mean(1), 0.3, atol=0.02)
     free = frame.visible & away
     by_step = occupancy[1:, free].mean(1)
@@ -252,7 +252,7 @@ def test_step_0_is_the_observation_with_the_velocity_of_the_box(weights) -> None
     assert np.array_equal(found.occupancy[0][frame.visible], frame.occupied[frame.visible])
     assert found.velocity.shape == (2, *GRID.shape)
     assert np.isfinite(found.velocity[:, frame.occupied & about(box)]).mean() > 0.8
-    assert np.isnan(found.velocity[:, frame.visible & ~frame.occupied]).mean() > 0.8, "what is free has no velocity"
+    assert np.isnan(found.velocity[:, frame.visible & ~frame.occupied]).mean() > 0.8, "free cells have no velocity"
     assert np.median(found.velocity[0][frame.occupied & about(box)]) == pytest.approx(5.0, abs=0.5)
     assert np.abs(np.median(found.velocity[:, frame.occupied & about(WALL)], axis=1)).max() < 0.05
 
@@ -344,7 +344,7 @@ def test_the_map_of_the_site_lies_where_the_card_says(tmp_path) -> None:
         np.testing.assert_allclose(tracker.predict(2).occupancy[2], expected, atol=levels)
 
 
-def test_a_wall_that_comes_into_view_is_born_at_rest_and_what_enters_open_cells_is_not() -> None:
+def test_a_wall_that_comes_into_view_is_born_at_rest_and_objects_that_enter_open_cells_are_not() -> None:
     state = ParticleGrid(GRID, PERIOD_S, SETTINGS, seed=1)
     seen, empty = np.ones(GRID.shape, bool), np.zeros(GRID.shape, bool)
     wall, walker = empty.copy(), empty.copy()

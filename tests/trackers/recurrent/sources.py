@@ -25,7 +25,7 @@ SHORT = {"batch": 2, "warm_up": 0, "updates": 1, "validate_every": 1, "precision
 
 
 def frame_of(visible, occupied, *, stamp_s=0.0, cell_m=0.5, row=0, column=0):
-    """A frame whose window lies at a cell of the world."""
+    """A frame with its window at a cell of the world."""
     visible, occupied = np.asarray(visible, bool), np.asarray(occupied, bool)
     points = GridSpec(len(visible), cell_m).cell_centres(occupied)
     return GridFrame(

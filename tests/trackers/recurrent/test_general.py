@@ -39,7 +39,7 @@ BRIEF = {"observed_frames": 5, "blank_frames": 3, "repetitions": 1}
 
 @pytest.fixture(scope="module", params=TRACKERS)
 def general(request, tmp_path_factory):
-    """A tracker, the card of its general weights, whose shifts by resolution are not zero, and the training's lines."""
+    """A tracker, the card of its general weights with non-zero shifts by resolution, and the training's lines."""
     card = tmp_path_factory.mktemp("general") / "general.toml"
     sources = [Walk(16, 0.2, 0.125), Walk(24, 0.05, 0.05), Walk(10, 0.1, 0.2, drift=1)]
     options = {"updates": 10, "validate_every": 10, "learning_rate": 0.02, "unseen_weight": 0.1}
@@ -123,7 +123,7 @@ def test_where_no_beam_reached_in_training_the_network_forecasts_the_occupied_ra
 # A training that starts from them
 
 SITE = Walk(18, 0.15, 0.16, unseen=4)
-"""Another number and size of cells, and another period than those of the general weights."""
+"""Another number and size of cells, and another period than the general weights have."""
 
 
 class Place(Walk):
@@ -163,7 +163,7 @@ def fit_at_site(tracker, start, folder, scores, drift=0, **options):
     return card, fit(tracker, card, [place], objective=scores, start=start, **given)
 
 
-def test_a_training_begins_with_the_forecasts_of_the_general_weights_and_adds_what_the_place_has(general, tmp_path):
+def test_a_training_begins_with_the_forecasts_of_the_general_weights_and_adds_the_place(general, tmp_path):
     tracker, start, _ = general
     score = Scores(0.1, 0.9)
     card, _ = fit_at_site(tracker, start, tmp_path, score)
@@ -209,7 +209,7 @@ def test_general_weights_that_no_update_improves_are_kept(general, tmp_path, f1,
     assert (results["score"], results["log_loss"]) == pytest.approx((f1[chosen], log_loss[chosen]))
 
 
-def test_settings_are_those_of_the_general_weights_but_for_the_length_of_the_training(general):
+def test_settings_come_from_the_general_weights_except_the_length_of_the_training(general):
     tracker, start, _ = general
     weights = load_start(start, tracker_name(start))
     of_accelerator = replace(

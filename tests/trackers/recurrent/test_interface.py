@@ -1,4 +1,4 @@
-"""Another learned tracker needs its own package and one line of entry point: here a ConvLSTM, whose state is nested."""
+"""Another learned tracker needs its own package and one line of entry point: here a ConvLSTM with a nested state."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def test_a_window_depends_on_its_draw_alone_and_much_of_it_moves():
     assert entered[0, 10:].flatten(1).any(dim=1).all()
 
 
-def test_shapes_hide_what_is_behind_them_and_cells_out_of_range_are_never_seen(monkeypatch):
+def test_shapes_hide_cells_behind_them_and_cells_out_of_range_are_never_seen(monkeypatch):
     window = moving_shapes(np.random.default_rng(1), 30, 64)
     seen = window[:, 0].mean(axis=0)
     assert ((seen > 0) & (seen < 1)).mean() > 0.05, "hidden now and then"
@@ -69,7 +69,7 @@ def in_sight(window, laser):
     return ["".join("." if cell else "-" for cell in row) for row in found]
 
 
-def test_what_lies_behind_a_cell_is_hidden_but_for_the_one_next_to_it():
+def test_all_cells_behind_a_cell_are_hidden_except_the_next_one():
     """The cell, half a cell before the laser, fills the view from -45 to 45 degrees."""
     assert in_sight([".....", ".....", ".#...", ".....", "....."], (0.5, 2.5)) == [
         "....-", "...--", "...--", "...--", "....-",
@@ -137,7 +137,7 @@ def test_a_dot_that_walks_enters_a_cell_in_every_frame_and_a_wall_in_none():
         assert found[t].nonzero().tolist() == expected, t
 
 
-def test_what_comes_and_goes_beside_a_wall_is_noise_of_its_range():
+def test_returns_that_come_and_go_beside_a_wall_are_range_noise():
     cells = window()
     cells[0, 12:15, 1, 10, 19] = True
     assert not entered_cells(cells)[0, :, 10].any()

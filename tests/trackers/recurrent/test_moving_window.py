@@ -22,7 +22,7 @@ NO_MAP = {"static_gates": ()}
 
 
 def tracker_of(network, place=None):
-    """The tracker with a trained network, whose maps lie at `place`."""
+    """The tracker with a trained network with maps at `place`."""
     kind = DeepTrackingRNNTracker if isinstance(network, DeepTrackingRNN) else DilatedConvGRUTracker
     options = kind.Options()
     stream = StreamSpec(GridSpec(network.size, 0.5), PERIOD_S)
@@ -30,7 +30,7 @@ def tracker_of(network, place=None):
 
 
 def frame(planes, row=0, column=0, number=0):
-    """A frame with the `planes` (2, M, M), whose window lies at a cell of the world."""
+    """A frame with the `planes` (2, M, M), with its window at a cell of the world."""
     visible, occupied = planes
     return frame_of(visible, np.logical_and(visible, occupied), stamp_s=number * PERIOD_S, row=row, column=column)
 

@@ -1,4 +1,4 @@
-"""A network whose steps have the same duration at every period: substeps for slow frames, phases for fast ones."""
+"""A network with steps of the same duration at every period: substeps for slow frames, phases for fast ones."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ def test_the_motion_weight_falls_to_zero_until_the_last_update(monkeypatch):
 
 @pytest.mark.parametrize("device", ["cpu", "cuda"])
 def test_the_loss_of_a_batch_is_that_of_the_cells_of_all_its_windows(monkeypatch, device):
-    """By the plain network, a window at a time: those of different resolutions, of which the first sees little."""
+    """By the plain network, a window at a time: windows of different resolutions, of which the first sees little."""
     monkeypatch.setattr(convgru_kernels, "compiled_gates", lambda: convgru_kernels.plain_gates)
     monkeypatch.setattr(TrainingModule, "global_step", 0)
     network, settings = convgru(resolution_input=True, static_gates=()).requires_grad_(), settings_of()
@@ -168,7 +168,7 @@ def test_the_card_has_the_settings_and_data_of_the_training(short):
     assert any("update 2" in line for line in lines)
 
 
-def test_a_training_does_not_repeat_what_its_libraries_warn_of_each_other(short):
+def test_a_training_does_not_repeat_warnings_of_its_libraries_about_each_other(short):
     assert short[2] == []
 
 

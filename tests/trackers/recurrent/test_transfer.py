@@ -158,8 +158,8 @@ def general(tmp_path_factory):
     return card
 
 
-def test_classes_are_learned_from_all_recordings_and_a_dot_is_told_by_the_size_of_its_cells(general, tmp_path):
-    """The classes of the card are those of all recordings together."""
+def test_classes_are_learned_from_all_recordings_and_a_dot_is_classified_by_the_size_of_its_cells(general, tmp_path):
+    """The card has the classes of all recordings together."""
     one_shot, options = tmp_path / "general.toml", OneShotTracker.Options(labelled_scans=40, channels=8)
     task, _ = sources.task_for(DilatedConvGRUTracker, one_shot, [FINE, COARSE], general=True)
     OneShotTracker.fit(replace(task, options=options))
@@ -239,7 +239,7 @@ def test_without_the_scan_seen_cells_are_calibrated_by_a_power(seen):
 
 
 def labelled(seen, number=400):
-    """Cells of random scans, whose classes are drawn from the scan classifier's own probabilities."""
+    """Cells of random scans with classes drawn from the scan classifier's own probabilities."""
     draw = np.random.default_rng(0)
     planes = torch.from_numpy((draw.random((number, SIZE, SIZE, 2)) < 0.5).astype(np.uint8))
     at, cells = torch.arange(number), torch.from_numpy(draw.integers(SIZE**2, size=number))

@@ -26,7 +26,7 @@ Rows = NDArray[Any]
 """(B * M * M, N): one row of channels for each cell; bfloat16 as its bits in uint16."""
 
 CACHED_CELLS = 100
-"""Cells whose static memory stays in the processor's cache while all items of the batch are processed."""
+"""Cells per band: their static memory stays in the processor's cache for all items of the batch."""
 _LOG2_E = np.float32(1.0 / math.log(2.0))
 _TAYLOR = tuple(np.float32(math.log(2.0) ** k / math.factorial(k)) for k in range(7))
 """2^f = sum of _TAYLOR[k] f^k, to 2e-7 for |f| <= 1/2."""

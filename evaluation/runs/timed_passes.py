@@ -1,4 +1,4 @@
-"""The deadline pass: a tracker timed alone on the machine, and its scores on a simulated clock with these times."""
+"""Passes that time a tracker alone on the machine: latencies, and scores on a simulated clock with measured times."""
 
 from __future__ import annotations
 
@@ -9,23 +9,52 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.hosting.timing import TWENTIETHS, Call, Timings
+from gridtrack.evaluation.hosting.timing import TWENTIETHS, Call, Latencies, Timings
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.evaluation.referee.deadline import RATES, Clock, Costs, DeadlineTracker, Timeline, spare_steps, timeline
 from gridtrack.evaluation.referee.referee import WARM_UP, Delivery
 from gridtrack.evaluation.referee.splits import SplitRegions
-from gridtrack.evaluation.runs.passes import AtRate, CallTimes, Deadline, Quantiles
+from gridtrack.evaluation.runs.passes import AtRate, CallTimes, Deadline, Latency, Quantiles
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.replay import replayed_f1
 from gridtrack.evaluation.runs.result_files import Curves
 from gridtrack.evaluation.runs.trial_record import ThresholdsUsed
 
+LATENCY_FRAMES = 120
+"""Frames of the latency pass after the warm-up; every second one is forecast from."""
 MAX_TIMED_FRAMES, MIN_TIMED_FRAMES, MAX_TIMED_S = 120, 30, 30.0
 """Frames whose update and forecast are timed after the warm-up: at most MAX_TIMED_FRAMES; of a slow tracker at least
 MIN_TIMED_FRAMES, and no further one after MAX_TIMED_S seconds of calls."""
 TRIAL_FORECASTS = 4
 """Forecasts at the end of the warm-up; their duration decides how far ahead the timed forecasts must reach."""
-DEADLINE_LOG = "deadline.log"
+LATENCY_LOG, DEADLINE_LOG = "latency.log", "deadline.log"
+
+
+def measure_latency(trial: Trial, folder: Path) -> Latency:
+    """Time a tracker's updates and forecasts; its log goes to `folder`. Raises TrialEnded."""
+    timings = Timings()
+    with trial.tracker_process(folder / LATENCY_LOG) as process:
+        process.reset(trial.seed)
+        for index, frame in enumerate(islice(trial.test, WARM_UP + LATENCY_FRAMES)):
+            process.update(frame)
+            if index < WARM_UP:
+                continue
+            assert process.last_call is not None
+            timings.add_update(process.last_call)
+            if index % 2 == 0:
+                process.predict(trial.split.steps)
+                timings.add_predict(process.last_call)
+    update, predict = timings.counted()
+    return Latency(
+        clock=timings.clock,
+        update=_reported_times(update),
+        predict=_reported_times(predict),
+        predict_step=Quantiles(**{name: ms / trial.split.steps for name, ms in predict.summary().items()}),
+    )
+
+
+def _reported_times(latencies: Latencies) -> CallTimes:
+    return CallTimes(**latencies.summary(), twentieths=latencies.twentieths())
 
 
 def measure_deadline(trial: Trial, regions: SplitRegions, thresholds: ThresholdsUsed, folder: Path) -> Deadline:
