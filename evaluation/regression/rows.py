@@ -152,7 +152,7 @@ class _Compared:
             spread_between(trainings) if len(trainings) > 1 else None,
             row.output.direction * influence_on_difference(own, mean),
             float(degrees_of_freedom(own.size, mean.size)),
-            float(found.p) / 2 if worse else 1.0 - float(found.p) / 2,
+            1.0 if found.p == 1 else float(found.p) / 2 if worse else 1.0 - float(found.p) / 2,
         )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -34,6 +36,15 @@ def test_a_single_recording_is_judged_over_all_units_with_the_test_over_training
     assert found.fall > 0.1
     assert (found.verdict == "worse") == worse
     assert judged_recordings([row], [test], GateSettings()) == ()
+
+
+def test_equal_rows_have_p_1_beside_a_fallen_one():
+    recordings = ("one",) * UNITS
+    equal, fallen = fallen_row((0.6,), 0.6, recordings), fallen_row((0.6,), 0.4, recordings)
+    equal = dataclasses.replace(equal, run=equal.trainings[0])
+    assert [test.p for test in row_tests([equal])] == [1.0]
+    alone, beside = row_tests([fallen])[0].p, row_tests([equal, fallen])[1].p
+    assert alone == beside < 0.01
 
 
 def test_of_two_recordings_a_collapse_on_either_is_listed():
