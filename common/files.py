@@ -27,11 +27,13 @@ PACKED_SUFFIXES = (".gz", ".bz2", ".zst", ".zstd")
 PARTIAL_SUFFIX = ".partial"
 MAX_NAME_BYTES = 160
 CONFLICT_MARK = re.compile(rb"^(?:<{7}|>{7}) ", re.MULTILINE)
+LFS_POINTER = b"version https://git-lfs"
+NOT_PULLED = "a Git LFS pointer: run `git lfs pull` in its repository"
 NO_JSON = {
     b"\xef\xbb\xbf": "it begins with a byte order mark (BOM): save it as UTF-8 without one",
     b"\xff\xfe": "it is UTF-16: save it as UTF-8",
     b"\xfe\xff": "it is UTF-16: save it as UTF-8",
-    b"version https://git-lfs": "it is a Git LFS pointer: run `git lfs pull` in its repository",
+    LFS_POINTER: f"it is {NOT_PULLED}",
 }
 """Files that are no JSON, by their first bytes, with the remedy."""
 NOT_A_FILE = "a pipe, a socket or a device"

@@ -8,7 +8,7 @@ from typing import Any
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import GridtrackError, RecordingError, did_you_mean
-from gridtrack.common.files import check_utf8, open_regular
+from gridtrack.common.files import LFS_POINTER, NOT_PULLED, check_utf8, open_regular
 from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.read_options import ReadOptions
 from gridtrack.recordings.recording import Recording
@@ -118,7 +118,7 @@ def recordings_at(path: Path, format: str | None = None) -> list[Path]:
 
 
 OTHER_FILES = {
-    b"version https://git-lfs": "a Git LFS pointer, not the recording itself: run `git lfs pull` in its repository",
+    LFS_POINTER: NOT_PULLED,
     b"<": "an HTML or XML page, not the recording: download it again",
     b"{": "JSON, not a recording",
     b"[": "JSON, not a recording",

@@ -22,7 +22,11 @@ import pytest
 ROOT = Path(__file__).parents[1]
 MINUTE_S = 50.0
 """Time in which tests begin; the last of them then end within the minute."""
-NOT_TYPED = ("tests/", "examples/", "docs/", "benchmarks/", "studies/")
+OTHER_FOLDERS = ("tests/", "examples/", "docs/", "benchmarks/", "studies/")
+"""Folders of modules that are not in the package."""
+COMMANDS = ("benchmarks/", "studies/")
+EVERY_COMMAND = "tests/studies/test_modules.py"
+"""The tests that start each module of these folders by its name."""
 UNTIL = "GRIDTRACK_TESTS_BEGIN_UNTIL"
 """Environment variable: the time, in seconds since 1970, after which no test begins."""
 
@@ -41,17 +45,20 @@ def _git(*words: str) -> list[str]:
 def affected_tests(changed: Sequence[str]) -> list[str]:
     """Files of tests: first the changed ones, then the ones that import a changed module, then an importer of it."""
     graph = grimp.build_graph("gridtrack")
-    modules = {name for path in changed if (name := _module(path)) in graph.modules}
-    importers = {importer for name in modules for importer in graph.find_modules_that_directly_import(name)}
+    modules = {_module(path) for path in changed}
+    known = modules & graph.modules
+    importers = {importer for name in known for importer in graph.find_modules_that_directly_import(name)}
     imported = {str(path.relative_to(ROOT)): set(_imports(path)) for path in (ROOT / "tests").rglob("test_*.py")}
     nearest = [path for path in changed if path in imported]
     near = [path for path, names in imported.items() if names & modules]
     far = [path for path, names in imported.items() if names & importers]
-    return list(dict.fromkeys([*nearest, *near, *far]))
+    each = [EVERY_COMMAND] if any(path.startswith(COMMANDS) for path in changed) else []
+    return list(dict.fromkeys([*nearest, *near, *each, *far]))
 
 
 def _module(path: str) -> str:
-    return ".".join(("gridtrack", *Path(path).with_suffix("").parts)).removesuffix(".__init__")
+    package = () if path.startswith(OTHER_FOLDERS) else ("gridtrack",)
+    return ".".join((*package, *Path(path).with_suffix("").parts)).removesuffix(".__init__")
 
 
 def _imports(path: Path) -> Iterator[str]:
@@ -82,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{len(changed)} changed files, {len(tests)} files of tests", flush=True)
     os.environ |= {UNTIL: str(time.time() + MINUTE_S), "MYPYPATH": ".link"}
     lint = ("ruff check", "ruff format --check", "codespell_lib")
-    modules = [word for path in changed if not path.startswith(NOT_TYPED) for word in ("-m", _module(path))]
+    modules = [word for path in changed if not path.startswith(OTHER_FOLDERS) for word in ("-m", _module(path))]
     pytest_words = ("pytest", "-q", "-p", "affected", "-n", str(os.cpu_count()), "--dist", "load")
     passed = [
         *(_passes(*words.split(), *changed) for words in lint),
