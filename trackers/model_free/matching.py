@@ -122,8 +122,9 @@ def match(boundaries: Outlines, seen: Mask, returns: Outlines, pairs: Pairs, sur
     """
     pairs = pairs._replace(numbers=np.ascontiguousarray(pairs.numbers))
     back = np.where(seen, BACK * boundaries.weights, 0.0).astype(np.float32)
-    single = (each._replace(weights=each.weights.astype(np.float32)) for each in (boundaries, returns))
-    poses, covariances, residuals = _match(*single, back, pairs, surface_noise_m)
+    boundaries = boundaries._replace(weights=boundaries.weights.astype(np.float32))
+    returns = returns._replace(weights=returns.weights.astype(np.float32))
+    poses, covariances, residuals = _match(boundaries, returns, back, pairs, surface_noise_m)
     return Matches(poses, covariances, residuals, np.where(pairs.oriented, 3, 2))
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -22,7 +22,7 @@ from gridtrack.trackers.model_free.arrays import Array
 
 INLINED = numba.njit(inline="always", error_model="numpy")
 """For functions that are called in a loop: counting the references of the arguments takes as long as the function."""
-wrapped = numba.njit(wrap_angle)
+wrapped: Any = numba.njit(wrap_angle)
 """`wrap_angle` for compiled functions."""
 
 
