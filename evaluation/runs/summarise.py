@@ -26,6 +26,7 @@ from gridtrack.evaluation.runs.finished import (
     headline_steps,
     unlike_recordings,
 )
+from gridtrack.evaluation.runs.later_passes import remembered
 from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.result_files import rounded_curve
 from gridtrack.evaluation.runs.run_record import RecordingDescription, RecordingSummary
@@ -90,7 +91,7 @@ class _Summary:
         found += unlike_recordings(run.recordings) if run.pools else []
         horizons_s = {name: run.horizons_of([name]) for name in run.recordings} | {ALL_RECORDINGS: run.horizons_s}
         trackers = related(rows, self._scores, self._headline, horizons_s)
-        found += _reversed_rankings(run, trackers, self._scores)
+        found += [*_reversed_rankings(run, trackers, self._scores), *remembered(trackers)]
         score, output = self._headline
         shown = {
             score for row in trackers.values() for scope in _scopes(row) for es in scope.strata.values() for score in es

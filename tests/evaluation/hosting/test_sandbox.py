@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import pytest
 
@@ -143,6 +144,19 @@ def test_no_key_of_the_kernel_outlives_its_process(attack, confined):
     attack(("leaves_a_key", SESSION_KEYRING), ("leaves_a_key", USER_KEYRING), confined=confined)
     found = attack(("finds_a_key", SESSION_KEYRING), ("finds_a_key", USER_KEYRING), confined=confined)
     assert found == [False, not confined]
+
+
+@pytest.mark.parametrize("confined", [False, True], ids=["open", "sandbox"])
+def test_no_file_is_a_memory_of_a_recording_for_a_later_pass(attack, confined):
+    """Also not in the two folders that it may write to."""
+    places = [Path(folder, f"memory-{uuid4()}") for folder in ("/tmp", "/dev/shm")]
+    try:
+        attack(*[("rewrites", place) for place in places], confined=confined)
+        found = attack(*[("reads", place) for place in places], confined=confined)
+    finally:
+        for place in places:
+            place.unlink(missing_ok=True)
+    assert found == ["" if confined else b"burglar".hex()] * 2
 
 
 def test_it_writes_to_its_own_memory_only_and_ends_only_itself(attack):
