@@ -35,6 +35,8 @@ COMMANDS = {
 STARTS_TRACKERS = ("compare", "regress", "train", "trackers")
 """Commands that run the code of trackers in processes below this one."""
 CRASHED = 3
+ENDS = (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Signals that end a command like Ctrl-C."""
 
 
 class LazyCommand(TyperCommand):
@@ -84,9 +86,11 @@ def common_options(debug: DebugOption = False, version: VersionOption = False) -
 def main() -> None:
     """Run the command line. An error of the user is one line and exit code 2; `--debug` also shows its traceback.
 
-    SIGTERM, with which a scheduler ends a job, has the effect of Ctrl-C: results so far are kept.
+    SIGTERM, with which a scheduler ends a job, SIGHUP and SIGQUIT have the effect of Ctrl-C: results so far are kept.
     """
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in ENDS:
+        if signal.getsignal(number) != signal.SIG_IGN:  # nohup ignores SIGHUP
+            signal.signal(number, signal.default_int_handler)
     arguments = [argument for argument in sys.argv[1:] if argument != DEBUG_OPTION]
     try:
         for argument in sys.argv[1:]:

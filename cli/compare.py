@@ -21,7 +21,8 @@ def compare_command(values: dict[str, Any], as_json: JsonOption = False) -> None
       0 every trial is complete
       2 wrong use
       3 a trial is not complete, or lacks a requested measurement
-    130 interrupted; with --follow Ctrl-C ends the recording, and the run is complete
+    130 interrupted by Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, or too little memory: the summary has the scores so far;
+        with --follow Ctrl-C ends the recording, and the run is complete
     """
     from gridtrack.evaluation.runs.result_files import json_of
     from gridtrack.reports.comparison import comparison

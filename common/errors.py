@@ -11,7 +11,7 @@ MAX_NAMES = 20
 MAX_NAME_CHARS = 200
 """Characters of an unknown name that are compared with the known names."""
 INTERRUPTED_EXIT_CODE = 130
-"""Exit code of a process after Ctrl-C, by the convention of shells."""
+"""Exit code of a process after an interrupt, by the convention of shells for Ctrl-C."""
 MAX_LINE_CHARS = 2000
 """Limit of a line that may quote untrusted input."""
 CUT_MARK = " ... "

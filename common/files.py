@@ -6,6 +6,7 @@ name that nobody can foresee, and only regular files are read.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import re
@@ -36,6 +37,8 @@ NO_JSON = {
     LFS_POINTER: f"it is {NOT_PULLED}",
 }
 """Files that are no JSON, by their first bytes, with the remedy."""
+FULL = (errno.ENOSPC, errno.EDQUOT)
+FREE_SPACE = "free space there, or write to another disk"
 NOT_A_FILE = "a pipe, a socket or a device"
 NAME_RULE = (
     f"expected 1 to {MAX_NAME_BYTES} bytes of printable UTF-8 without / and \\, and no '.' or space at the beginning"
@@ -56,14 +59,19 @@ def atomic_write(path: Path, *, keep_on_error: bool = False) -> Iterator[BinaryI
 
 @contextmanager
 def replacing(path: Path, *, keep_on_error: bool = False) -> Iterator[Path]:
-    """The name of a new file beside `path`, for the block to write, that replaces `path` as in `atomic_write`."""
+    """The name of a new file beside `path`, for the block to write, that replaces `path` as in `atomic_write`.
+
+    The OSError of a full disk names `path` and the remedy: that of a write names no file.
+    """
     partial = path.with_name(f"{path.name}.{secrets.token_hex(8)}{PARTIAL_SUFFIX}")
     try:
         yield partial
-    except BaseException:
+    except BaseException as error:
         if keep_on_error and partial.exists():
             partial.replace(path)
         partial.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno in FULL:
+            raise OSError(error.errno, f"{os.strerror(error.errno)}: {FREE_SPACE}", str(path)) from error
         raise
     partial.replace(path)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,8 @@ class RayCluster:
     """A TaskCluster of Ray nodes. Ray trusts whoever reaches it: a cluster belongs behind a firewall.
 
     `run_task` is a function of an importable module, which takes the path of a task's folder. Each task has `cores`
-    cores. Without an `address` the cluster of this machine is joined, or one is started here.
+    cores. Without an `address` the cluster of this machine is joined, or one is started here, which listens on loopback
+    only and has Ray's token authentication.
     """
 
     name = "ray"
@@ -70,7 +72,8 @@ class RayCluster:
         try:
             if address not in (None, "auto", "local"):
                 _knock(address)
-            self._ray.init(address, log_to_driver=False, include_dashboard=False, logging_level="error")
+            with _on_loopback(self._ray):
+                self._ray.init(address, log_to_driver=False, include_dashboard=False, logging_level="error")
         except (ValueError, OSError, RuntimeError) as error:
             raise ConfigurationError(
                 f"--engine ray: no Ray cluster at '{where}' ({one_line(str(error), MAX_RAY_REASON)}): start one with"
@@ -86,6 +89,21 @@ class RayCluster:
         except errors.RayError as error:
             return TaskEnd(lost=True, reason=_reason(error))
         return TaskEnd(lost=False, reason="")
+
+
+@contextmanager
+def _on_loopback(ray: Any) -> Iterator[None]:
+    """A cluster that is started in the block listens on loopback only; joining one is not changed.
+
+    Ray does that on macOS and Windows. Elsewhere it replaces even `_node_ip_address="127.0.0.1"` by an address of the
+    network, and its environment variable would also reach the trackers.
+    """
+    constants = ray._private.ray_constants
+    before, constants.ENABLE_RAY_CLUSTER = constants.ENABLE_RAY_CLUSTER, False
+    try:
+        yield
+    finally:
+        constants.ENABLE_RAY_CLUSTER = before
 
 
 def _knock(address: str) -> None:

@@ -76,7 +76,7 @@ class MeasuredTrial(Settings):
     weights_sha256: str = ""
     units: Annotated[tuple[UnitSums, ...], Field(min_length=1, max_length=100_000)]
     recoveries: WholeNumber = 0
-    """How often the tracker continued after a failure inside it, by its own count."""
+    """How often the tracker continued after a failure inside it: the tracker's word, not checked."""
     speed: Speed | None = None
     deadline_rates: tuple[float, ...] = ()
     """The rates at which it was scored on a simulated clock, as multiples of the rate of the stream."""
@@ -89,6 +89,7 @@ class TrackerSums(Settings):
 
     tracker: str
     role: Role = "tracker"
+    """The tracker's word, not checked."""
     options: dict[str, Any]
     points: str = "centres"
     """The returns in each frame: `centres` of occupied cells, or `raw`."""

@@ -47,8 +47,8 @@ class RunObserver(JobObserver, Protocol):
 def run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver) -> RunSummary:
     """Run `plan` and return the summary; `command` is the command line, stored with the results.
 
-    An interrupt (Ctrl-C) ends the trackers, keeps the scores so far, and returns the summary with `interrupted` true;
-    an interrupt during the summary is re-raised, after a note.
+    An interrupt (Ctrl-C), or a lack of memory, ends the trackers, keeps the scores so far, and returns the summary with
+    `interrupted` true; during the summary it is re-raised, after a note.
     Raises RunError if the run's folder has another run or other files, or another run has locked it.
     """
     with run_lock(plan.settings.out):
@@ -75,10 +75,14 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, en
         stages.measure_alone()
     except KeyboardInterrupt:
         interrupted = True
+    except MemoryError:
+        interrupted = True
+        progress.note("too little memory: the scores so far are kept; continue with --resume and fewer --jobs")
     try:
         summary = folder.finish(stages.all_records(), stages.notices, interrupted)
-    except KeyboardInterrupt:
-        progress.note("interrupted while the summary was made: the scores are kept; continue with --resume")
+    except (KeyboardInterrupt, MemoryError) as end:
+        why = "too little memory" if isinstance(end, MemoryError) else "interrupted"
+        progress.note(f"{why} while the summary was made: the scores are kept; continue with --resume")
         raise
     for notice in summary.notices:
         if notice not in (*plan.notices, *stages.notices):

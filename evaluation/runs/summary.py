@@ -173,6 +173,7 @@ class TrialSummary(ScopeSummary):
 
     weights_sha256: str = ""
     recoveries: int = 0
+    """The tracker's word, not checked."""
     latency_ms: Latency | None = None
     deadline: Deadline | None = None
     robustness: Robustness | None = None
@@ -202,7 +203,7 @@ class TrackerSummary(ResultModel):
 
     tracker: str
     role: Role = "tracker"
-    """A floor is a row that every tracker must beat."""
+    """The tracker's word, not checked: a floor is a row that every tracker must beat."""
     options: dict[str, Any] = Field(default_factory=dict)
     points: str = ""
     """The returns in each frame: `centres` of occupied cells, or `raw`."""

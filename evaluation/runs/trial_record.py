@@ -77,11 +77,12 @@ class TrialRecord(ResultModel):
     classes: tuple[str, ...] = ()
     """The classes that the tracker gives probabilities for."""
     role: Role = "tracker"
-    """By the tracker's own description; `tracker` if it did not start."""
+    """The tracker's word, not checked; `tracker` if it did not start."""
     reference_for: tuple[ComparedPart, ...] = ()
     """The comparisons in which the other rows are compared with this tracker by default."""
     code_sha256: str = ""
-    """Of the tracker's code: of the loaded files of its package, or of its program; empty if it is not known."""
+    """Of the tracker's code: of the loaded files of its package, or of its program. The tracker's word if it sends
+    one itself, not checked; empty if it is not known."""
     weights_sha256: str = ""
     """Of the card of the weights used; empty without weights."""
     card: Literal["", "site", "general"] = ""
@@ -91,7 +92,7 @@ class TrialRecord(ResultModel):
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the trial's other files, by name, when the trial ended."""
     recoveries: int = 0
-    """How often the tracker continued after a failure inside it, by its own count."""
+    """How often the tracker continued after a failure inside it: the tracker's word, not checked."""
     times: Times = Times()
     peak_rss_mb: float | None = None
     """Highest resident memory of the tracker's processes, MiB."""

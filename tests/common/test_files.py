@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 from pathlib import Path
@@ -64,6 +65,14 @@ def test_the_content_written_before_an_error_can_be_kept(tmp_path):
         write_and_fail(path, b"scored so far", keep_on_error=True)
     assert path.read_bytes() == b"scored so far"
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_the_error_of_a_full_disk_names_the_file_and_the_remedy(tmp_path, number):
+    with pytest.raises(OSError, match="free space there") as full, atomic_write(tmp_path / "a.json"):
+        raise OSError(number, os.strerror(number))
+    assert (full.value.errno, full.value.filename) == (number, str(tmp_path / "a.json"))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_above_the_bound_is_refused(tmp_path):

@@ -56,6 +56,25 @@ def trackers_of(node):
     return [process for process in started if "gridtrack.trackers.serve" in " ".join(process.cmdline())]
 
 
+LISTENERS = """
+import os, psutil
+from gridtrack.evaluation.engines.ray_cluster import RayCluster
+cluster = RayCluster("local", 1, os.path.basename)
+here = psutil.Process()
+sockets = [c for p in (here, *here.children(recursive=True)) for c in p.net_connections() if c.status == "LISTEN"]
+print(os.environ["RAY_AUTH_MODE"], *{socket.laddr.ip.removeprefix("::ffff:") for socket in sockets})
+cluster.close()
+"""
+
+
+def test_a_cluster_that_is_started_here_listens_on_loopback_and_asks_for_a_token(tmp_path):
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
+    done = subprocess.run(
+        [sys.executable, "-c", LISTENERS], env=environment | {"HOME": str(tmp_path)}, capture_output=True, check=True
+    )
+    assert done.stdout.split() == [b"token", b"127.0.0.1"]
+
+
 def test_an_interrupt_ends_the_tasks_and_keeps_their_scores(cluster, settings, tmp_path):
     words = ["compare", *settings().recordings, "--engine", "ray", "--address", cluster.address, "--horizon", "1s"]
     words += ["--every", "0.5s", "--tracker", "persistence", "--tracker", "staged:crash_at=60,how=hangs"]

@@ -57,7 +57,7 @@ def alive(processes):
     return [process for process in processes if process.is_running() and process.status() != psutil.STATUS_ZOMBIE]
 
 
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_a_run_that_is_ended_keeps_its_scores_and_leaves_no_process(start, begun, tmp_path, end):
     host = start("persistence", "staged:crash_at=60,how=hangs", "blank")
     wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)

@@ -234,6 +234,17 @@ def test_an_interrupt_while_the_summary_is_made_is_noted_and_the_run_continues_w
     assert progress.delivered == delivered
 
 
+def test_a_lack_of_memory_ends_the_run_like_an_interrupt_with_a_summary(compare, progress, tmp_path, monkeypatch):
+    def exhausted(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(Stages, "measure_priors", exhausted)
+    summary = compare("blank")
+    assert (summary.interrupted, trial_of(summary, "blank").outcome) == (True, "ok")
+    assert any(note.startswith("too little memory: the scores so far are kept") for note in progress.notes)
+    assert read_summary(tmp_path / "run").interrupted
+
+
 def test_trials_that_share_a_validation_stretch_choose_their_thresholds_on_it_once(compare, progress, record, tmp_path):
     walls = (("one", 3.0), ("two", 3.2), ("three", 3.4))
     tests = tuple(str(record(name, 8, {}, wall_m=wall_m)) for name, wall_m in walls)
