@@ -39,11 +39,10 @@ def measure_latency(trial: Trial, folder: Path) -> Latency:
             process.update(frame)
             if index < WARM_UP:
                 continue
-            assert process.last_call is not None
-            timings.add_update(process.last_call)
+            timings.add_update(_last_call(process))
             if index % 2 == 0:
                 process.predict(trial.split.steps)
-                timings.add_predict(process.last_call)
+                timings.add_predict(_last_call(process))
     update, predict = timings.counted()
     return Latency(
         clock=timings.clock,
