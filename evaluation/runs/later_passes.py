@@ -1,4 +1,4 @@
-"""Scores of later passes over a recording (`--degrade`, `--deadline`) above those of the first one.
+"""Later passes over a recording (`--degrade`, `--deadline`) with higher scores than the first one.
 
 A tracker that keeps a file sees the recording again in a later pass: the file can be its memory. With worse input, or
 less time, a score has no honest reason to rise by more than chance.
@@ -17,8 +17,8 @@ BEYOND = 0.1
 
 
 def remembered(trackers: Mapping[str, TrackerSummary]) -> Iterator[str]:
-    """A notice for each trial with a later pass whose F1 is above the interval of the first one at some step; without
-    an interval, above it by BEYOND. The notice states the largest rise."""
+    """A notice for each trial with a higher F1 in a later pass, at some step: above the interval of the first pass, or
+    by more than BEYOND without an interval. The notice states the largest rise."""
     for label, row in trackers.items():
         for name, trial in row.recordings.items():
             rises = [rise for words, f1 in _later(trial) for rise in _rises(trial, words, f1)]
