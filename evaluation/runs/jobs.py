@@ -193,7 +193,7 @@ class OracleJob(_RunJob):
         validation = () if thresholds.known(self.thresholds_key) else self.validation or ()
         monitor.started(len(split.test) + len(validation))
         regions, by = self._shared.regions_of(split, monitor.check), scores(self._shared.settings.scores)
-        return run_oracle(split, regions, self._folder, monitor.next_frame, thresholds, by)
+        return run_oracle(split, regions, self._folder, monitor.next_frame, thresholds, by, self._shared.settings.robot)
 
     def on_error(self, error: Exception) -> str:
         """The notice for the user."""

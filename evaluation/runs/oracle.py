@@ -26,6 +26,7 @@ from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds, oracle
 from gridtrack.evaluation.runs.trial import OnFrame, validation_tally
 from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, ThresholdsUsed, Times, TrialRecord, hashes_of
 from gridtrack.evaluation.scores.definition import ScoreDefinition
+from gridtrack.evaluation.scores.robot import Robot
 from gridtrack.evaluation.scores.thresholds import Thresholds, best_thresholds, half
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
@@ -115,11 +116,13 @@ def run_oracle(
     on_frame: OnFrame,
     shared: SharedThresholds,
     scores: Sequence[ScoreDefinition],
+    robot: Robot,
 ) -> TrialRecord:
-    """Score the oracle on the test stretch of a split like a tracker, by `scores`, and write its record to `folder`.
+    """Score the oracle on the test stretch of a split like a tracker, and write its record to `folder`.
 
-    Its thresholds are chosen like a tracker's; `shared` holds the already chosen ones. `on_frame` is called
-    before each frame. Raises errors of `on_frame`, RecordingError and OSError; no record is written then.
+    `scores` and `robot` are as for trackers. Its thresholds are chosen like a tracker's; `shared` holds the already
+    chosen ones. `on_frame` is called before each frame. Raises errors of `on_frame`, RecordingError and OSError; no
+    record is written then.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for stale in ORACLE_REPLACES:
@@ -127,7 +130,7 @@ def run_oracle(
     began = time.perf_counter()
     thresholds = shared.of(oracle_key(split), lambda: _choose_thresholds(split, regions, on_frame))
     delivery = Delivery(split.test, on_frame, regions.test)
-    with Scorekeeper(folder, split, facts_of(split, thresholds), scores) as scorekeeper:
+    with Scorekeeper(folder, split, facts_of(split, thresholds, robot), scores) as scorekeeper:
         for scored in scored_forecasts(Oracle(split.test), delivery, split.schedule, seed=0):
             scorekeeper.add(scored, delivery.digest)
     record = TrialRecord(

@@ -40,6 +40,7 @@ from gridtrack.evaluation.runs.settings import CompareSettings, check_together
 from gridtrack.evaluation.runs.summary import ALL_RECORDINGS
 from gridtrack.evaluation.runs.training_hints import stretches_to_train_on
 from gridtrack.evaluation.scores.registry import scores
+from gridtrack.evaluation.scores.robot import SMALL_ROBOT, Robot
 from gridtrack.recordings.importing import posed_copy
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import parse_stretch
@@ -75,6 +76,8 @@ class Trial:
     """The other splits of its recording, on which its tracker must not be trained either."""
     scores: tuple[str, ...] = ()
     """Names of the scores of other packages by which it is scored."""
+    robot: Robot = SMALL_ROBOT
+    """The virtual robot of contact foresight."""
 
     @property
     def label(self) -> str:
@@ -178,6 +181,7 @@ class ComparisonPlan:
         """The resolved configuration; a resumed run must have the same."""
         return RunConfiguration(
             scoring_rules=SCORING_RULES,
+            robot=self.settings.robot,
             recordings={split.name: identity_of(split) for split in self.splits},
             trials={trial.name: trial.identity() for trial in self.trials},
         )
@@ -250,6 +254,7 @@ def resolve(
             settings.limits,
             others,
             settings.scores,
+            settings.robot,
         )
         for split, others in zip(splits, _others_of_recording(splits), strict=True)
         for selection in selections

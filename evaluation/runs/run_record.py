@@ -11,6 +11,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from gridtrack.evaluation.referee.splits import EvaluationSplit
 from gridtrack.evaluation.runs.result_files import ResultModel, read_model, write_model
+from gridtrack.evaluation.scores.robot import SMALL_ROBOT, Robot
 from gridtrack.recordings.degradation import Degradation
 
 RUN_SCHEMA: Final = 3
@@ -139,6 +140,8 @@ class RunConfiguration(ResultModel):
 
     scoring_rules: int = 1
     """The `SCORING_RULES` by which it is scored."""
+    robot: Robot = SMALL_ROBOT
+    """The virtual robot of contact foresight."""
     recordings: dict[str, RecordingIdentity]
     trials: dict[str, TrialIdentity]
     """By name: LABEL@RECORDING."""

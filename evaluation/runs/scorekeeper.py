@@ -12,13 +12,16 @@ from gridtrack.evaluation.referee.samples import SAMPLES, SampleWriter, kept_for
 from gridtrack.evaluation.referee.splits import EvaluationSplit
 from gridtrack.evaluation.runs.sums import SUMS_FILE, Layout, SumsWriter
 from gridtrack.evaluation.scores.definition import ScoreDefinition, TrialFacts
+from gridtrack.evaluation.scores.robot import Robot
 from gridtrack.evaluation.scores.thresholds import Thresholds
 
 SCORE_FILES = (SUMS_FILE, SAMPLES)
 """Files of the scores of a trial."""
 
 
-def facts_of(split: EvaluationSplit, thresholds: Thresholds, tracker_classes: Sequence[str] = ()) -> TrialFacts:
+def facts_of(
+    split: EvaluationSplit, thresholds: Thresholds, robot: Robot, tracker_classes: Sequence[str] = ()
+) -> TrialFacts:
     """The facts of a trial on `split` of a tracker with these classes."""
     return TrialFacts(
         cell_m=split.test.grid.cell_m,
@@ -28,6 +31,8 @@ def facts_of(split: EvaluationSplit, thresholds: Thresholds, tracker_classes: Se
         classes=tuple(split.test.classes),
         tracker_classes=tuple(tracker_classes),
         has_truth=split.test.has_truth,
+        period_s=split.test.period_s,
+        robot=robot,
     )
 
 

@@ -12,6 +12,7 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.options import Option, Seconds, from_text
 from gridtrack.evaluation.engines.slurm_cluster import SLURM_OPTION, SlurmSettings, parse_slurm
 from gridtrack.evaluation.hosting.limits import Limits
+from gridtrack.evaluation.scores.robot import SMALL_ROBOT, Robot, parse_robot
 from gridtrack.recordings.degradation import Degradation, parse_degradation
 from gridtrack.recordings.read_options import PoseSource
 
@@ -70,6 +71,9 @@ class CompareSettings(Settings):
     """File that names trackers of other environments, and programs"""
     scores: Annotated[tuple[str, ...], Option("score", "NAME")] = ()
     """Score of another package, which is loaded only by this name; repeat for several"""
+    robot: Annotated[Robot, Option(metavar="car|KEY=VALUE,..."), from_text(parse_robot)] = SMALL_ROBOT
+    """Virtual robot of contact foresight: car, or its radius (metres) and highest speed (m/s); default: radius=0.3,
+    speed=1"""
     resume: bool = False
     """Run only the trials that are missing in the run's folder"""
     allow_leak: bool = False

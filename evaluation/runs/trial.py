@@ -142,7 +142,7 @@ class TrialRun:
     def _score(self, thresholds: Thresholds) -> None:
         """Stream the test stretch and write the score of each forecast once its last frame is observed."""
         split = self.trial.split
-        facts = facts_of(split, thresholds, self._process.description.classes)
+        facts = facts_of(split, thresholds, self.trial.robot, self._process.description.classes)
         with Scorekeeper(self._folder, split, facts, scores(self.trial.scores)) as scorekeeper:
             for scored in scored_forecasts(self._tracker(), self._delivery, self._test, self.trial.seed):
                 scorekeeper.add(scored, self._delivery.digest)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.referee.referee import ScoredForecast
+from gridtrack.evaluation.scores.robot import SMALL_ROBOT, Robot
 from gridtrack.evaluation.scores.thresholds import Thresholds
 from gridtrack.trackers.contract import ComparedPart
 
@@ -110,7 +111,8 @@ def block(name: str, size: int) -> tuple[str, ...]:
 @dataclass(frozen=True, slots=True)
 class TrialFacts:
     """A trial as scores see it: cells of `cell_m` metres, steps 0..`steps`, the strata that are scored, the
-    classes of the recording and of the tracker, its thresholds, and whether there is ground truth."""
+    classes of the recording and of the tracker, its thresholds, and whether there is ground truth. Frames are
+    `period_s` seconds apart, and contacts are of `robot`."""
 
     cell_m: float
     steps: int
@@ -119,6 +121,8 @@ class TrialFacts:
     classes: tuple[str, ...] = ()
     tracker_classes: tuple[str, ...] = ()
     has_truth: bool = False
+    period_s: float = 0.1
+    robot: Robot = SMALL_ROBOT
 
 
 Count = Callable[[ScoredForecast, TrialFacts, Any], "Floats | None"]
