@@ -25,9 +25,9 @@ from gridtrack.evaluation.scores.cells import (
     CALIBRATION_BINS,
     CALIBRATION_EDGES,
     CLIP,
+    FIRST_OF_CALIBRATION_BIN,
     PROBABILITY_BINS,
     PROBABILITY_EDGES,
-    for_calibration,
 )
 from gridtrack.evaluation.scores.contact_paths import NEVER, Events, Paths, draw_paths, events_of, risks_of
 from gridtrack.evaluation.scores.definition import (
@@ -257,7 +257,7 @@ def _value(sums: Sums) -> Mapping[str, Ratio | Measure | Floats]:
     number, known = contacts.sum(axis=-1), contacts.sum(axis=-1) + clears.sum(axis=-1)
     found, alarms = _curve(contacts), _curve(clears)
     independent = [_curve(sums.block(f"independent {name}")) for name in ("contacts", "clears")]
-    coarse_alarms = _curve(for_calibration(clears))
+    coarse_alarms = _curve(np.add.reduceat(clears, FIRST_OF_CALIBRATION_BIN, axis=-1))
     lead_s = np.cumsum(sums.block("lead")[..., ::-1], axis=-1)
     stops = _first_at(found, alarms, NEEDLESS_AT) * clears.sum(axis=-1)
     return {

@@ -134,8 +134,8 @@ def _draw(seed, free, passable, radius, longest, steps, tries, paths):  # type: 
 def _all_on(mask, x, y, dx, dy, radius):  # type: ignore[no-untyped-def]
     """Whether all cells of a disc that moves by (dx, dy) are in the window and in `mask`."""
     size = mask.shape[0]
-    for row in range(_first(y, dy, radius), _last(y, dy, radius) + 1):
-        for column in range(_first(x, dx, radius), _last(x, dx, radius) + 1):
+    for row in range(_first(y, dy, radius), _end(y, dy, radius)):
+        for column in range(_first(x, dx, radius), _end(x, dx, radius)):
             inside = 0 <= row < size and 0 <= column < size
             if _covered(column, row, x, y, dx, dy, radius) and not (inside and mask[row, column]):
                 return False
@@ -149,9 +149,15 @@ def _first(start, way, radius):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _last(start, way, radius):  # type: ignore[no-untyped-def]
-    """The last row or column with a centre that a moving disc may cover."""
-    return math.floor(max(start, start + way) + radius - 0.5)
+def _end(start, way, radius):  # type: ignore[no-untyped-def]
+    """The row or column after the last one with a centre that a moving disc may cover."""
+    return math.floor(max(start, start + way) + radius - 0.5) + 1
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _inside(start, way, radius, size):  # type: ignore[no-untyped-def]
+    """The first row or column in the window with a centre that a moving disc may cover, and the one after the last."""
+    return max(_first(start, way, radius), 0), min(_end(start, way, radius), size)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -167,13 +173,16 @@ def _covered(column, row, x, y, dx, dy, radius):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _meet(starts, strides, radius, states, known, contact, unseen, hit):  # type: ignore[no-untyped-def]
     """Set the events of each path in the states (L, M, M) of steps 1..L; `known`: a cell not scored is occupied."""
+    size = states.shape[1]
     for i in range(starts.shape[0]):
         dx, dy = strides[i, 0], strides[i, 1]
         for n in range(states.shape[0]):
             x, y = starts[i, 0] + n * dx, starts[i, 1] + n * dy
             nearest = np.inf
-            for row in range(_first(y, dy, radius), _last(y, dy, radius) + 1):
-                for column in range(_first(x, dx, radius), _last(x, dx, radius) + 1):
+            bottom, top = _inside(y, dy, radius, size)
+            left, right = _inside(x, dx, radius, size)
+            for row in range(bottom, top):
+                for column in range(left, right):
                     state = states[n, row, column]
                     if state & 1 == 0 and state != NOT_SCORED:
                         continue
@@ -186,7 +195,7 @@ def _meet(starts, strides, radius, states, known, contact, unseen, hit):  # type
                     way = _way_until(column + 0.5 - x, row + 0.5 - y, dx, dy, radius)
                     if way < nearest:
                         nearest = way
-                        hit[i] = row * states.shape[2] + column
+                        hit[i] = row * size + column
             if contact[i] != NEVER:
                 break
 
@@ -211,8 +220,10 @@ def _risk(starts, strides, radius, occupancy, largest, independent):  # type: ig
         most, clear = np.float32(0.0), 1.0
         for n in range(occupancy.shape[0]):
             x, y = starts[i, 0] + n * dx, starts[i, 1] + n * dy
-            for row in range(_first(y, dy, radius), _last(y, dy, radius) + 1):
-                for column in range(_first(x, dx, radius), _last(x, dx, radius) + 1):
+            bottom, top = _inside(y, dy, radius, size)
+            left, right = _inside(x, dx, radius, size)
+            for row in range(bottom, top):
+                for column in range(left, right):
                     if _covered(column, row, x, y, dx, dy, radius):
                         p = occupancy[n, row, column]
                         most = p if p > most or np.isnan(p) else most
@@ -220,12 +231,8 @@ def _risk(starts, strides, radius, occupancy, largest, independent):  # type: ig
                             clear *= max(1.0 - p, 1e-9) / max(1.0 - highest[row, column], 1e-9)
                             highest[row, column] = p
             largest[i, n], independent[i, n] = most, 1.0 - clear
-        _clear(highest, starts[i, 0], starts[i, 1], occupancy.shape[0] * dx, occupancy.shape[0] * dy, radius)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _clear(highest, x, y, dx, dy, radius):  # type: ignore[no-untyped-def]
-    """Set the cells that a moving disc may cover to 0."""
-    for row in range(_first(y, dy, radius), _last(y, dy, radius) + 1):
-        for column in range(_first(x, dx, radius), _last(x, dx, radius) + 1):
-            highest[row, column] = 0.0
+        bottom, top = _inside(starts[i, 1], occupancy.shape[0] * dy, radius, size)
+        left, right = _inside(starts[i, 0], occupancy.shape[0] * dx, radius, size)
+        for row in range(bottom, top):
+            for column in range(left, right):
+                highest[row, column] = 0.0
