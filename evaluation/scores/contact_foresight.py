@@ -182,11 +182,14 @@ def _add_histograms(sums: Sums, kind: str, bins: NDArray[np.int64], outcome: _Ou
         contacts[:, k] += _histogram(np.maximum(bins, 0), outcome.contact & chosen[:, None], highest + 1)
 
 
-def _histogram(bins: NDArray[np.int64], chosen: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
-    """Numbers (L, size) of the chosen paths (N, L) by bin."""
+def _histogram(
+    bins: NDArray[np.int64], chosen: NDArray[np.bool_], size: int, weights: Floats | None = None
+) -> NDArray[np.floating | np.integer]:
+    """Numbers (L, size) of the chosen paths (N, L) by bin, or the sums of their `weights` (N,)."""
     steps = bins.shape[1]
     cells = (bins + size * np.arange(steps))[chosen]
-    return np.bincount(cells, minlength=steps * size).reshape(steps, size)
+    own = None if weights is None else np.broadcast_to(weights[:, None], bins.shape)[chosen]
+    return np.bincount(cells, own, minlength=steps * size).reshape(steps, size)
 
 
 def _add_futures(sums: Sums, futures: NDArray[np.generic], paths: Paths, outcome: _Outcomes) -> None:
@@ -226,19 +229,20 @@ def _add_lead_times(approach: _Approach, facts: TrialFacts, sums: Sums) -> None:
     The alarm stays on from a forecast on if this one and all later ones before the contact have a risk of at least the
     threshold: the smallest of these risks decides.
     """
-    lead, followed = sums.block("lead"), sums["followed"]
-    for i, contact in enumerate(approach.contact):
-        ends_s = float(contact) * facts.period_s
-        since_s = [s for s in approach.since_s if s < ends_s]
-        gains_s = np.diff([*since_s, ends_s])
-        risks = np.stack([one[i] for one in approach.risks[: len(since_s)]])
-        stays_on = np.minimum.accumulate(risks[::-1])[::-1]
-        bins = np.maximum(_bins(stays_on, CALIBRATION_EDGES), 0)
-        strata = np.flatnonzero(approach.slices[:, i])
-        for n in range(int(contact) - 1, risks.shape[1]):
-            followed[n, strata] += 1.0
-            for gain_s, bin_ in zip(gains_s, bins[:, n], strict=True):
-                lead[n, strata, bin_] += gain_s
+    risks, since_s = np.stack(approach.risks), np.array(approach.since_s)[:, None]
+    ends_s = approach.contact * facts.period_s
+    later = since_s >= ends_s
+    risks[later] = np.inf  # of a forecast after the contact
+    stays_on = np.minimum.accumulate(risks[::-1])[::-1]
+    gains_s = np.diff(np.minimum(np.append(since_s, [[np.inf]], axis=0), ends_s), axis=0)
+    within = approach.contact[:, None] <= np.arange(1, risks.shape[-1] + 1)
+    lead = sums.block("lead")
+    bins = _bins(stays_on, CALIBRATION_EDGES)
+    for k, chosen in enumerate(approach.slices):
+        met = within & chosen[:, None]
+        sums["followed"][:, k] += met.sum(axis=0)
+        for own, gained_s in zip(bins, gains_s, strict=True):
+            lead[:, k] += _histogram(np.maximum(own, 0), met, lead.shape[-1], gained_s)
 
 
 def _parts(facts: TrialFacts) -> tuple[str, ...]:

@@ -163,11 +163,13 @@ def _inside(start, way, radius, size):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _covered(column, row, x, y, dx, dy, radius):  # type: ignore[no-untyped-def]
     """Whether a disc that moves by (dx, dy) from (x, y) covers the centre of a cell."""
-    right, up = column + 0.5 - x, row + 0.5 - y
-    length = dx * dx + dy * dy
-    along = min(max((right * dx + up * dy) / length, 0.0), 1.0) if length > 0.0 else 0.0
-    right, up = right - along * dx, up - along * dy
-    return right * right + up * up <= radius * radius
+    right, up, length = column + 0.5 - x, row + 0.5 - y, dx * dx + dy * dy
+    along, square, from_start = right * dx + up * dy, radius * radius, right * right + up * up
+    if along <= 0.0:
+        return from_start <= square
+    if along >= length:
+        return from_start - 2.0 * along + length <= square
+    return from_start - square <= along * along / length
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
