@@ -21,6 +21,8 @@ PATHS = 400
 """Paths of a forecast, where so many are found."""
 TRIES = 10 * PATHS
 """Paths that are drawn at most."""
+LEAST_CLEAR = 1e-9
+"""A cell is free with at least this probability, so that a ratio of such probabilities is defined."""
 NEVER = int(np.iinfo(np.int16).max)
 """The step of an event that does not occur."""
 
@@ -134,42 +136,44 @@ def _draw(seed, free, passable, radius, longest, steps, tries, paths):  # type: 
 def _all_on(mask, x, y, dx, dy, radius):  # type: ignore[no-untyped-def]
     """Whether all cells of a disc that moves by (dx, dy) are in the window and in `mask`."""
     size = mask.shape[0]
-    for row in range(_first(y, dy, radius), _end(y, dy, radius)):
-        for column in range(_first(x, dx, radius), _end(x, dx, radius)):
-            inside = 0 <= row < size and 0 <= column < size
-            if _covered(column, row, x, y, dx, dy, radius) and not (inside and mask[row, column]):
+    bottom, top = _rows(y, dy, radius)
+    for row in range(bottom, top):
+        left, right = _columns(row, x, y, dx, dy, radius)
+        if left < right and not (0 <= row < size and left >= 0 and right <= size):
+            return False
+        for column in range(left, right):
+            if not mask[row, column]:
                 return False
     return True
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _first(start, way, radius):  # type: ignore[no-untyped-def]
-    """The first row or column with a centre that a moving disc may cover."""
-    return math.ceil(min(start, start + way) - radius - 0.5)
+def _rows(y, dy, radius):  # type: ignore[no-untyped-def]
+    """The first row with centres that a moving disc may cover, and the one after the last."""
+    return math.ceil(min(y, y + dy) - radius - 0.5), math.floor(max(y, y + dy) + radius - 0.5) + 1
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _end(start, way, radius):  # type: ignore[no-untyped-def]
-    """The row or column after the last one with a centre that a moving disc may cover."""
-    return math.floor(max(start, start + way) + radius - 0.5) + 1
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _inside(start, way, radius, size):  # type: ignore[no-untyped-def]
-    """The first row or column in the window with a centre that a moving disc may cover, and the one after the last."""
-    return max(_first(start, way, radius), 0), min(_end(start, way, radius), size)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _covered(column, row, x, y, dx, dy, radius):  # type: ignore[no-untyped-def]
-    """Whether a disc that moves by (dx, dy) from (x, y) covers the centre of a cell."""
-    right, up, length = column + 0.5 - x, row + 0.5 - y, dx * dx + dy * dy
-    along, square, from_start = right * dx + up * dy, radius * radius, right * right + up * up
-    if along <= 0.0:
-        return from_start <= square
-    if along >= length:
-        return from_start - 2.0 * along + length <= square
-    return from_start - square <= along * along / length
+def _columns(row, x, y, dx, dy, radius):  # type: ignore[no-untyped-def]
+    """The first column of a row with a centre that a disc covers on its way (dx, dy) from (x, y), and the one after the
+    last: the row of centres cuts the covered area, which is convex, in the first disc, the last one, or the sides."""
+    up, left, right = row + 0.5 - y, np.inf, -np.inf
+    half = radius * radius - up * up
+    if half >= 0.0:
+        left, right = x - math.sqrt(half), x + math.sqrt(half)
+    half = radius * radius - (up - dy) * (up - dy)
+    if half >= 0.0:
+        left, right = min(left, x + dx - math.sqrt(half)), max(right, x + dx + math.sqrt(half))
+    if dy != 0.0:
+        aside = radius / math.sqrt(dx * dx + dy * dy)
+        for side in (aside, -aside):
+            share = (up - side * dx) / dy
+            if 0.0 <= share <= 1.0:
+                at = x - side * dy + share * dx
+                left, right = min(left, at), max(right, at)
+    if left > right:
+        return 0, 0
+    return math.ceil(left - 0.5), math.floor(right - 0.5) + 1
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -181,23 +185,18 @@ def _meet(starts, strides, radius, states, known, contact, unseen, hit):  # type
         for n in range(states.shape[0]):
             x, y = starts[i, 0] + n * dx, starts[i, 1] + n * dy
             nearest = np.inf
-            bottom, top = _inside(y, dy, radius, size)
-            left, right = _inside(x, dx, radius, size)
-            for row in range(bottom, top):
-                for column in range(left, right):
+            bottom, top = _rows(y, dy, radius)
+            for row in range(max(bottom, 0), min(top, size)):
+                left, right = _columns(row, x, y, dx, dy, radius)
+                for column in range(max(left, 0), min(right, size)):
                     state = states[n, row, column]
-                    if state & 1 == 0 and state != NOT_SCORED:
-                        continue
-                    if not _covered(column, row, x, y, dx, dy, radius):
-                        continue
                     if state == NOT_SCORED and not known:
                         unseen[i] = min(unseen[i], n + 1)
-                        continue
-                    contact[i] = n + 1
-                    way = _way_until(column + 0.5 - x, row + 0.5 - y, dx, dy, radius)
-                    if way < nearest:
-                        nearest = way
-                        hit[i] = row * size + column
+                    elif state & 1 or state == NOT_SCORED:
+                        contact[i] = n + 1
+                        way = _way_until(column + 0.5 - x, row + 0.5 - y, dx, dy, radius)
+                        if way < nearest:
+                            nearest, hit[i] = way, row * size + column
             if contact[i] != NEVER:
                 break
 
@@ -215,26 +214,25 @@ def _way_until(right, up, dx, dy, radius):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _risk(starts, strides, radius, occupancy, largest, independent):  # type: ignore[no-untyped-def]
     """Set the risks (N, L) of each path by the probabilities (L, M, M) of steps 1..L."""
-    size = occupancy.shape[1]
-    highest = np.zeros((size, size))
+    steps, size = occupancy.shape[0], occupancy.shape[1]
+    highest = np.zeros((size, size), np.float32)  # of each cell on the path
     for i in range(starts.shape[0]):
         dx, dy = strides[i, 0], strides[i, 1]
         most, clear = np.float32(0.0), 1.0
-        for n in range(occupancy.shape[0]):
+        for n in range(steps):
             x, y = starts[i, 0] + n * dx, starts[i, 1] + n * dy
-            bottom, top = _inside(y, dy, radius, size)
-            left, right = _inside(x, dx, radius, size)
-            for row in range(bottom, top):
-                for column in range(left, right):
-                    if _covered(column, row, x, y, dx, dy, radius):
-                        p = occupancy[n, row, column]
-                        most = p if p > most or np.isnan(p) else most
-                        if p > highest[row, column]:
-                            clear *= max(1.0 - p, 1e-9) / max(1.0 - highest[row, column], 1e-9)
-                            highest[row, column] = p
+            bottom, top = _rows(y, dy, radius)
+            for row in range(max(bottom, 0), min(top, size)):
+                left, right = _columns(row, x, y, dx, dy, radius)
+                for column in range(max(left, 0), min(right, size)):
+                    p = occupancy[n, row, column]
+                    if not p <= highest[row, column]:
+                        most = most if p <= most else p
+                        clear *= max(1.0 - p, LEAST_CLEAR) / max(1.0 - highest[row, column], LEAST_CLEAR)
+                        highest[row, column] = p
             largest[i, n], independent[i, n] = most, 1.0 - clear
-        bottom, top = _inside(starts[i, 1], occupancy.shape[0] * dy, radius, size)
-        left, right = _inside(starts[i, 0], occupancy.shape[0] * dx, radius, size)
-        for row in range(bottom, top):
-            for column in range(left, right):
+        bottom, top = _rows(starts[i, 1], steps * dy, radius)
+        for row in range(max(bottom, 0), min(top, size)):
+            left, right = _columns(row, starts[i, 0], starts[i, 1], steps * dx, steps * dy, radius)
+            for column in range(max(left, 0), min(right, size)):
                 highest[row, column] = 0.0
