@@ -216,7 +216,8 @@ def _follow(
             memory.remove(approach)
             continue
         shift = shift_between(approach.window, forecast.frames[0].world_T_grid, facts.cell_m)
-        paths = approach.paths.later(gone, (shift.columns, shift.rows))
+        size = occupancy.shape[-1]
+        paths = approach.paths.later(gone, shift.rows, shift.columns, size)
         risks = np.zeros_like(approach.risks[0])
         risks[:, gone:] = risks_of(paths, occupancy[: len(occupancy) - gone])[0]
         approach.since_s.append(since_s)

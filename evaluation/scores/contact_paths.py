@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import Mask
 from gridtrack.evaluation.referee.targets import NOT_SCORED, Target
+from gridtrack.evaluation.scores.definition import Floats
 
 PATHS = 400
 """Paths of a forecast, where so many are found."""
@@ -29,23 +30,39 @@ NEVER = int(np.iinfo(np.int16).max)
 
 @dataclass(frozen=True, slots=True)
 class Paths:
-    """N paths of a disc with `radius`, in cells: `starts` (N, 2) float64, x and y; `strides` (N, 2): way
-    of a step."""
+    """N paths of a disc of L steps, with the cells of each step.
+
+    `starts` (N, 2) float64: x and y; `strides` (N, 2): the way of a step. `cells` int32, row * M + column, are those of
+    step n of path i from `ends[i, n - 1]` on, before `ends[i, n]`; `ends` (N, L+1) int64.
+    """
 
     starts: NDArray[np.float64]
     strides: NDArray[np.float64]
-    radius: float
+    ends: NDArray[np.int64]
+    cells: NDArray[np.int32]
 
     def __len__(self) -> int:
         return len(self.starts)
 
+    @property
+    def steps(self) -> int:
+        """The number of steps, L."""
+        return self.ends.shape[1] - 1
+
     def at(self, chosen: Mask) -> Paths:
         """The chosen paths."""
-        return Paths(self.starts[chosen], self.strides[chosen], self.radius)
+        return Paths(self.starts[chosen], self.strides[chosen], self.ends[chosen], self.cells)
 
-    def later(self, steps: int, moved: tuple[int, int]) -> Paths:
-        """The rest of the paths after `steps` steps, in a window that moved by cells (x, y)."""
-        return Paths(self.starts + steps * self.strides - np.array(moved), self.strides, self.radius)
+    def later(self, steps: int, rows: int, columns: int, size: int) -> Paths:
+        """The rest of the paths after `steps` steps, in a window of `size` cells that moved by rows and columns.
+
+        Cells outside the new window are -1.
+        """
+        row, column = self.cells // size - rows, self.cells % size - columns
+        inside = (row >= 0) & (row < size) & (column >= 0) & (column < size)
+        cells = np.where(inside, row * size + column, -1).astype(np.int32)
+        starts = self.starts + steps * self.strides - np.array([columns, rows])
+        return Paths(starts, self.strides, self.ends[:, steps:], cells)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,19 +87,29 @@ def draw_paths(seed: int, free: Mask, passable: Mask, radius: float, longest_str
     """
     drawn = np.empty((PATHS, 4))
     found = _draw(np.uint64(seed), free, passable, radius, longest_stride, steps, TRIES, drawn)
-    return Paths(drawn[:found, :2].copy(), drawn[:found, 2:].copy(), radius)
+    return paths_along(drawn[:found, :2].copy(), drawn[:found, 2:].copy(), radius, steps, len(free))
+
+
+def paths_along(starts: Floats, strides: Floats, radius: float, steps: int, size: int) -> Paths:
+    """Paths of a disc with `radius` from `starts` (N, 2) by `strides` (N, 2), in a window of `size` cells."""
+    ends = np.zeros((len(starts), steps + 1), np.int64)
+    most = int((2.0 * radius + 2.0) * (2.0 * radius + 2.0 + np.hypot(*strides.T).max(initial=0.0))) + 1
+    cells = np.empty(len(starts) * steps * most, np.int32)
+    used = _sweep(starts, strides, radius, size, ends, cells)
+    return Paths(starts, strides, ends, cells[:used].copy())
 
 
 def events_of(paths: Paths, targets: Sequence[Target], *, has_truth: bool) -> Events:
-    """What the paths meet in the `targets` of steps 1..L.
+    """What the paths meet in the `targets` of their steps 1..L.
 
     With truth every cell is known: the interior of a body, a hidden cell that is not scored elsewhere, is occupied.
     """
     number = len(paths)
-    events = Events(np.full(number, NEVER, np.int16), np.full(number, NEVER, np.int16), np.full(number, -1, np.int64))
+    contact, unseen = np.full((2, number), NEVER, np.int16)
+    hit = np.full(number, -1, np.int64)
     states = np.stack([target.state for target in targets])
-    _meet(paths.starts, paths.strides, paths.radius, states, has_truth, events.contact, events.unseen, events.hit)
-    return events
+    _meet(paths.starts, paths.strides, paths.ends, paths.cells, states, has_truth, contact, unseen, hit)
+    return Events(contact, unseen, hit)
 
 
 def risks_of(paths: Paths, occupancy: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
@@ -92,9 +119,9 @@ def risks_of(paths: Paths, occupancy: NDArray[np.float32]) -> tuple[NDArray[np.f
     occupied (Frechet). The second is the probability of it for independent cells, 1 - prod(1 - p), p being the largest
     probability of a cell in a step. A cell without a probability (NaN) gives NaN.
     """
-    largest = np.zeros((len(paths), len(occupancy)), np.float32)
-    independent = np.zeros((len(paths), len(occupancy)))
-    _risk(paths.starts, paths.strides, paths.radius, occupancy, largest, independent)
+    largest = np.zeros((len(paths), paths.steps), np.float32)
+    independent = np.zeros((len(paths), paths.steps))
+    _risk(paths.ends, paths.cells, occupancy.reshape(len(occupancy), -1), largest, independent)
     return largest, independent
 
 
@@ -177,62 +204,65 @@ def _columns(row, x, y, dx, dy, radius):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _meet(starts, strides, radius, states, known, contact, unseen, hit):  # type: ignore[no-untyped-def]
-    """Set the events of each path in the states (L, M, M) of steps 1..L; `known`: a cell not scored is occupied."""
-    size = states.shape[1]
+def _sweep(starts, strides, radius, size, ends, cells):  # type: ignore[no-untyped-def]
+    """Set the cells of each step of each path, and their `ends` (N, L+1); returns the number of cells."""
+    used = 0
     for i in range(starts.shape[0]):
         dx, dy = strides[i, 0], strides[i, 1]
-        for n in range(states.shape[0]):
+        ends[i, 0] = used
+        for n in range(ends.shape[1] - 1):
             x, y = starts[i, 0] + n * dx, starts[i, 1] + n * dy
-            nearest = np.inf
             bottom, top = _rows(y, dy, radius)
             for row in range(max(bottom, 0), min(top, size)):
                 left, right = _columns(row, x, y, dx, dy, radius)
                 for column in range(max(left, 0), min(right, size)):
-                    state = states[n, row, column]
-                    if state == NOT_SCORED and not known:
-                        unseen[i] = min(unseen[i], n + 1)
-                    elif state & 1 or state == NOT_SCORED:
-                        contact[i] = n + 1
-                        way = _way_until(column + 0.5 - x, row + 0.5 - y, dx, dy, radius)
-                        if way < nearest:
-                            nearest, hit[i] = way, row * size + column
+                    cells[used] = row * size + column
+                    used += 1
+            ends[i, n + 1] = used
+    return used
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _meet(starts, strides, ends, cells, states, known, contact, unseen, hit):  # type: ignore[no-untyped-def]
+    """Set the events of each path in the states (L, M, M) of steps 1..L; `known`: a cell not scored is occupied.
+
+    Of the cells of the first contact the disc hits the one that is nearest to it, seen along its way.
+    """
+    size = states.shape[1]
+    for i in range(starts.shape[0]):
+        for n in range(states.shape[0]):
+            nearest = np.inf
+            for c in range(ends[i, n], ends[i, n + 1]):
+                row, column = cells[c] // size, cells[c] % size
+                state = states[n, row, column]
+                if state == NOT_SCORED and not known:
+                    unseen[i] = min(unseen[i], n + 1)
+                elif state & 1 or state == NOT_SCORED:
+                    contact[i] = n + 1
+                    right, up = column + 0.5 - starts[i, 0], row + 0.5 - starts[i, 1]
+                    along = right * strides[i, 0] + up * strides[i, 1]
+                    if along < nearest:
+                        nearest, hit[i] = along, cells[c]
             if contact[i] != NEVER:
                 break
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _way_until(right, up, dx, dy, radius):  # type: ignore[no-untyped-def]
-    """The way of a disc until it covers a point, in cells, below 0 before its start; at rest, the distance."""
-    stride = math.sqrt(dx * dx + dy * dy)
-    if stride == 0.0:
-        return math.sqrt(right * right + up * up)
-    along, across = (right * dx + up * dy) / stride, (right * dy - up * dx) / stride
-    return along - math.sqrt(max(radius * radius - across * across, 0.0))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _risk(starts, strides, radius, occupancy, largest, independent):  # type: ignore[no-untyped-def]
-    """Set the risks (N, L) of each path by the probabilities (L, M, M) of steps 1..L."""
-    steps, size = occupancy.shape[0], occupancy.shape[1]
-    highest = np.zeros((size, size), np.float32)  # of each cell on the path
-    for i in range(starts.shape[0]):
-        dx, dy = strides[i, 0], strides[i, 1]
+def _risk(ends, cells, occupancy, largest, independent):  # type: ignore[no-untyped-def]
+    """Set the risks (N, L) of each path by the probabilities (L, M*M) of steps 1..L."""
+    steps = occupancy.shape[0]
+    highest = np.zeros(occupancy.shape[1], np.float32)  # of each cell on the path
+    for i in range(ends.shape[0]):
         most, clear = np.float32(0.0), 1.0
         for n in range(steps):
-            x, y = starts[i, 0] + n * dx, starts[i, 1] + n * dy
-            bottom, top = _rows(y, dy, radius)
-            for row in range(max(bottom, 0), min(top, size)):
-                left, right = _columns(row, x, y, dx, dy, radius)
-                for column in range(max(left, 0), min(right, size)):
-                    p = occupancy[n, row, column]
-                    if not p <= highest[row, column]:
-                        most = most if p <= most else p
-                        clear *= max(1.0 - p, LEAST_CLEAR) / max(1.0 - highest[row, column], LEAST_CLEAR)
-                        highest[row, column] = p
+            for c in range(ends[i, n], ends[i, n + 1]):
+                cell = cells[c]
+                if cell >= 0 and not occupancy[n, cell] <= highest[cell]:
+                    p = occupancy[n, cell]
+                    most = most if p <= most else p
+                    clear *= max(1.0 - p, LEAST_CLEAR) / max(1.0 - highest[cell], LEAST_CLEAR)
+                    highest[cell] = p
             largest[i, n], independent[i, n] = most, 1.0 - clear
-        bottom, top = _rows(starts[i, 1], steps * dy, radius)
-        for row in range(max(bottom, 0), min(top, size)):
-            left, right = _columns(row, starts[i, 0], starts[i, 1], steps * dx, steps * dy, radius)
-            for column in range(max(left, 0), min(right, size)):
-                highest[row, column] = 0.0
+        for c in range(ends[i, 0], ends[i, steps]):
+            if cells[c] >= 0:
+                highest[cells[c]] = 0.0

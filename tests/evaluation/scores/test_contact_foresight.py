@@ -9,7 +9,7 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.referee.targets import HIDDEN_FREE, HIDDEN_OCCUPIED, NOT_SCORED, Target
 from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT, LEAST_PATHS, _first_at, _last_at, paths_of
-from gridtrack.evaluation.scores.contact_paths import NEVER, PATHS, Paths, draw_paths, events_of, risks_of
+from gridtrack.evaluation.scores.contact_paths import NEVER, PATHS, draw_paths, events_of, paths_along, risks_of
 from gridtrack.evaluation.scores.definition import Sums
 from gridtrack.evaluation.scores.robot import CAR, SMALL_ROBOT, Robot, parse_robot
 
@@ -51,7 +51,7 @@ def test_events_and_risks_are_those_of_the_definition(seed):
     for i in range(len(paths)):
         contact, unseen, most, by_cell = NEVER, NEVER, 0.0, {}
         for n in range(1, last + 1):
-            cells = cells_of_step(paths.starts[i], paths.strides[i], paths.radius, n)
+            cells = cells_of_step(paths.starts[i], paths.strides[i], 1.5, n)
             state, p = forecast.targets[n].state, forecast.forecast.occupancy[n]
             if contact == NEVER and any(state[cell] == 1 for cell in cells):
                 contact = n
@@ -117,7 +117,7 @@ def hand_drawn(occupied_at, p_at, size=9, steps=3, hidden=()):
     for n, row, column, value in p_at:
         p[n, row, column] = value
     targets = [Target.of_frame(frame(v, o, 10**8 * n)) for n, (v, o) in enumerate(zip(visible, occupied, strict=True))]
-    return Paths(np.array([[1.5, 4.5]]), np.array([[1.0, 0.0]]), 0.6), targets, p
+    return paths_along(np.array([[1.5, 4.5]]), np.array([[1.0, 0.0]]), 0.6, steps, size), targets, p
 
 
 def test_a_person_who_crosses_before_the_robot_is_no_contact_and_one_who_is_there_in_time_is():
