@@ -53,7 +53,17 @@ NEEDLESS_AT, ALARMS_AT = 0.8, 0.95
 """Shares of foreseen contacts at which needless stops, and the rate of false alarms, are given."""
 _SLICES = ("dynamic", "in-motion", "standing")
 _HIDDEN = "occluded dynamic"
-_PARTS_OF = {name: PARTS.index(name) for name in ("in-motion", "standing")}
+_MOTIONS = {name: PARTS.index(name) for name in ("in-motion", "standing")}
+
+
+_PARTS = (
+    *block("contacts", PROBABILITY_BINS),
+    *block("clears", PROBABILITY_BINS),
+    *block("independent contacts", CALIBRATION_BINS),
+    *block("independent clears", CALIBRATION_BINS),
+    *block("lead", CALIBRATION_BINS),
+    *("followed", "unknown", "seconds", "forecasts", "skipped", "sampled paths", "sampled log loss"),
+)
 
 
 def contact_strata(facts: TrialFacts) -> tuple[str, ...]:
@@ -89,7 +99,7 @@ def _count(forecast: ScoredForecast, facts: TrialFacts, memory: list[_Approach])
     `memory`: approaches that have not ended.
     """
     last = longest(facts)
-    sums = Sums(np.zeros((facts.steps + 1, len(contact_strata(facts)), len(_parts(facts)))), _parts(facts))
+    sums = Sums(np.zeros((facts.steps + 1, len(contact_strata(facts)), len(_PARTS))), _PARTS)
     within = Sums(sums.values[1 : last + 1], sums.parts)
     occupancy = np.ascontiguousarray(forecast.forecast.occupancy[1 : last + 1])
     _follow(forecast, facts, memory, occupancy, within)
@@ -158,7 +168,7 @@ def _slices_of(events: Events, forecast: ScoredForecast, facts: TrialFacts) -> N
     first = forecast.targets[0]
     for i in met:
         target, cell = forecast.targets[int(events.contact[i])], int(events.hit[i])
-        for name, part in _PARTS_OF.items():
+        for name, part in _MOTIONS.items():
             slices[strata.index(name), i] = target.motion.flat[cell] == part
         if facts.has_truth:
             slices[strata.index(_HIDDEN), i] = not first.frame.visible.flat[cell]
@@ -246,17 +256,6 @@ def _add_lead_times(approach: _Approach, facts: TrialFacts, sums: Sums) -> None:
             lead[:, k] += _histogram(np.maximum(own, 0), met, lead.shape[-1], gained_s)
 
 
-def _parts(facts: TrialFacts) -> tuple[str, ...]:
-    return (
-        *block("contacts", PROBABILITY_BINS),
-        *block("clears", PROBABILITY_BINS),
-        *block("independent contacts", CALIBRATION_BINS),
-        *block("independent clears", CALIBRATION_BINS),
-        *block("lead", CALIBRATION_BINS),
-        *("followed", "unknown", "seconds", "forecasts", "skipped", "sampled paths", "sampled log loss"),
-    )
-
-
 def _value(sums: Sums) -> Mapping[str, Ratio | Measure | Floats]:
     contacts, clears = sums.block("contacts"), sums.block("clears")
     number, known = contacts.sum(axis=-1), contacts.sum(axis=-1) + clears.sum(axis=-1)
@@ -336,7 +335,7 @@ CONTACT_FORESIGHT = ScoreDefinition(
     " It is a ranking score: it needs no threshold and says nothing of calibration, and the world does not react to the"
     " robot. Paths on which a cell was not seen before a contact are left out, except with ground truth.",
     strata=contact_strata,
-    parts=_parts,
+    parts=lambda facts: _PARTS,
     count=_count,
     value=_value,
     new_memory=lambda facts: [],

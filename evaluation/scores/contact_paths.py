@@ -50,8 +50,11 @@ class Paths:
         return self.ends.shape[1] - 1
 
     def at(self, chosen: Mask) -> Paths:
-        """The chosen paths."""
-        return Paths(self.starts[chosen], self.strides[chosen], self.ends[chosen], self.cells)
+        """The chosen paths, with their cells only."""
+        numbers = self.ends[:, -1] - self.ends[:, 0]
+        gone = np.cumsum(np.where(chosen, 0, numbers))[chosen, None]
+        cells = self.cells[np.repeat(chosen, numbers)]
+        return Paths(self.starts[chosen], self.strides[chosen], self.ends[chosen] - gone, cells)
 
     def later(self, steps: int, rows: int, columns: int, size: int) -> Paths:
         """The rest of the paths after `steps` steps, in a window of `size` cells that moved by rows and columns.

@@ -91,11 +91,17 @@ class Sums:
 
     def block(self, name: str) -> Floats:
         """The sums (..., N) called `name 0` to `name N-1`."""
-        places = _places(self.parts)
-        first = places[f"{name} 0"]
-        size = next((n for n in range(len(self.parts) - first) if f"{name} {n}" not in places), len(self.parts) - first)
-        sums: Floats = self.values[..., first : first + size]
+        sums: Floats = self.values[..., _span(self.parts, name)]
         return sums
+
+
+@cache
+def _span(parts: tuple[str, ...], name: str) -> slice:
+    """The places of `name 0` to `name N-1`."""
+    places = _places(parts)
+    first = places[f"{name} 0"]
+    size = next((n for n in range(len(parts) - first) if f"{name} {n}" not in places), len(parts) - first)
+    return slice(first, first + size)
 
 
 @cache
