@@ -26,6 +26,8 @@ STANDING = "standing"
 
 LEAK = "learned from these frames"
 """The mark of a row with weights that learned from scored frames."""
+MEMORY = "may remember"
+"""The mark of a row with a sign that it remembers a recording."""
 
 RowGroup = Literal["ceiling", "ranked", "floor", "unranked"]
 """The ceiling; complete trials of trackers; complete trials of the floor; trials that are not complete, or scored on
@@ -169,10 +171,11 @@ class TableRow:
 
     @property
     def remark(self) -> str:
-        """The outcome of a row that is not ranked, or the best floor of a tracker that is worse; else empty."""
+        """The outcome of a row that is not ranked, the best floor of a tracker that is worse, a memory; else empty."""
         if self.group == "unranked":
             return self.outcome
-        return f"below {self.trial.best_floor}" if self.trial.below_floor else ""
+        below = f"below {self.trial.best_floor}" if self.trial.below_floor else ""
+        return ", ".join(filter(None, (below, MEMORY if self.trial.memory else "")))
 
     @property
     def frames(self) -> str:

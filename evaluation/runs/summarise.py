@@ -26,7 +26,7 @@ from gridtrack.evaluation.runs.finished import (
     headline_steps,
     unlike_recordings,
 )
-from gridtrack.evaluation.runs.later_passes import remembered
+from gridtrack.evaluation.runs.later_passes import with_memories
 from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.result_files import rounded_curve
 from gridtrack.evaluation.runs.run_record import RecordingDescription, RecordingSummary
@@ -51,6 +51,7 @@ from gridtrack.trackers.contract import Role
 
 HEADLINE = "f1"
 """The score that decides the headline tests."""
+STARTED_BEFORE = "the tracker was started before, in a trial that did not end"
 LEAST_LEAD = 0.001
 """A row is ahead of another by at least this much in either order: less is not shown in a table."""
 
@@ -91,7 +92,10 @@ class _Summary:
         found += unlike_recordings(run.recordings) if run.pools else []
         horizons_s = {name: run.horizons_of([name]) for name in run.recordings} | {ALL_RECORDINGS: run.horizons_s}
         trackers = related(rows, self._scores, self._headline, horizons_s)
-        found += [*_reversed_rankings(run, trackers, self._scores), *remembered(trackers)]
+        found += _reversed_rankings(run, trackers, self._scores)
+        families = comparisons.families()
+        trackers, memories = with_memories(trackers, families)
+        found += memories
         score, output = self._headline
         shown = {
             score for row in trackers.values() for scope in _scopes(row) for es in scope.strata.values() for score in es
@@ -109,7 +113,7 @@ class _Summary:
             trackers=trackers,
             reference=run.reference_for("occupancy"),
             differences=tuple(comparisons.differences()),
-            pairs=tuple(comparisons.families()),
+            pairs=tuple(families),
             false_differences=comparisons.false_differences(),
             trainings=tuple(comparisons.trainings()),
         )
@@ -133,6 +137,7 @@ class _Summary:
             reason=record.reason,
             card=record.card,
             leak=record.leak,
+            memory=STARTED_BEFORE if record.started_before else "",
             frames_scored=record.frames_scored,
             frames_expected=record.frames_expected,
             threshold_chosen_on=record.thresholds.chosen_on,

@@ -142,6 +142,8 @@ class ScopeSummary(ResultModel):
     """Label of the floor with the best headline score, from which shares of the oracle are; empty if not known."""
     below_floor: bool = False
     """Whether the headline score of a tracker is worse than that of the best floor."""
+    memory: Line = ""
+    """A sign that the tracker remembers the recording from an earlier pass; empty if there is none."""
 
     @property
     def complete(self) -> bool:

@@ -89,6 +89,8 @@ class TrialRecord(ResultModel):
     """Whether the weights used are those of the site or general ones; empty without weights."""
     leak: Line = ""
     """Frames of its test or validation stretch that its weights learned from; empty if none."""
+    started_before: bool = False
+    """Whether a tracker that is not one of gridtrack, without the sandbox, was started for the trial before, in vain."""
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the trial's other files, by name, when the trial ended."""
     recoveries: int = 0
