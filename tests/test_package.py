@@ -108,6 +108,7 @@ def test_the_built_wheel_compares_its_own_demo_recording_without_the_repository(
         packed.extractall(site)
     assert not [name for name in data if REPOSITORY_ONLY.match(name)]
     assert "weights/kalman/general.toml" in data
+    assert "weights/stationary/general.safetensors" in data  # a floor of every comparison
     elsewhere = {"PYTHONPATH": str(site), "cwd": str(tmp_path)}
     code = "import gridtrack; print(gridtrack.__file__); print(gridtrack.packaged_recording('leg_tracker'))"
     where, demo = python("-c", code, **elsewhere).splitlines()

@@ -61,7 +61,7 @@ def _later(trial: TrialSummary) -> Iterator[tuple[str, Curves]]:
 def _rises(trial: TrialSummary, condition: str, later: Curves) -> Iterator[tuple[float, float, float, str]]:
     """The rises of F1 beyond chance at each step: the rise, F1 of both passes, and the place in words."""
     for stratum in HEADLINE_STRATA:
-        scores = trial.strata.get(stratum, {}).get("f1")
+        scores = trial.strata.get(stratum, {}).get("f1", {})
         for step, now in enumerate(later.get(stratum, ()) if scores else ()):
             first = scores["f1"].at(step)
             if first.value is None or now is None:
