@@ -70,10 +70,8 @@ def _rises(trial: TrialSummary, condition: str, later: Curves) -> Iterator[tuple
                 yield now - first.value, first.value, now, f"{condition}, {stratum} cells, step {step}"
 
 
-def _of_rows(
-    trackers: Mapping[str, TrackerSummary], families: Iterable[PairFamily]
-) -> Iterator[tuple[str, str, str]]:
-    """Label, recordings and sign of the better of two rows that are the same tracker, if a paired test separates them."""
+def _of_rows(trackers: Mapping[str, TrackerSummary], families: Iterable[PairFamily]) -> Iterator[tuple[str, str, str]]:
+    """Label, recordings and sign of the better of two rows of the same tracker, if a paired test separates them."""
     for family in families:
         for pair in family.pairs:
             alike = _identity(trackers[pair.tracker]) == _identity(trackers[pair.other])

@@ -90,7 +90,7 @@ class TrialRecord(ResultModel):
     leak: Line = ""
     """Frames of its test or validation stretch that its weights learned from; empty if none."""
     started_before: bool = False
-    """Whether a tracker that is not one of gridtrack, without the sandbox, was started for the trial before, in vain."""
+    """Whether a tracker that is not one of gridtrack did not end an earlier start of the trial, without the sandbox."""
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the trial's other files, by name, when the trial ended."""
     recoveries: int = 0

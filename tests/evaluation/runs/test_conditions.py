@@ -64,6 +64,19 @@ def test_frames_kept_over_a_reset_are_useless_in_another_condition(compare):
         assert rate.f1["dynamic"][-1] < 0.9
 
 
+@pytest.mark.usefixtures("bad_trackers")
+def test_a_tracker_that_keeps_the_frames_in_a_file_is_marked_and_an_honest_one_is_not(compare, tmp_path):
+    trackers = f"keeps-a-file:file={tmp_path / 'kept.npy'}", "persistence"
+    summary = compare(*trackers, deadline=True, degrade=Degradation(beam_dropout=0.5))
+    hostile, honest = (trial_of(summary, label) for label in ("keeps-a-file", "persistence"))
+    assert hostile.robustness.kinds["beam_dropout"][-1].f1["dynamic"][5] > 0.9
+    assert "which is more than chance" in hostile.memory
+    assert honest.memory == ""
+    assert [notice for notice in summary.notices if "--sandbox prevents it" in notice] == [
+        f"keeps-a-file on room: {hostile.memory}: the tracker may remember the recording; --sandbox prevents it"
+    ]
+
+
 def test_a_tracker_that_fails_in_the_deadline_pass_keeps_its_score_with_a_notice(compare, record, tmp_path):
     # without a validation stretch the second stream that it is given is that of the deadline pass
     path, starts = record("plain", stretches={}), tmp_path / "starts"
