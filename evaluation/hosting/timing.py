@@ -50,14 +50,6 @@ class Latencies:
         bin_ = int(np.searchsorted(np.cumsum(self.counts), rank))
         return float(min(LOWEST_MS * GROWTH ** (bin_ + 0.5), self.max_ms))
 
-    def summary(self) -> dict[str, float]:
-        """p50, p95 and p99 in ms."""
-        return {f"p{percent}": self.percentile(percent) for percent in (50, 95, 99)}
-
-    def twentieths(self) -> tuple[float, ...]:
-        """The percentiles TWENTIETHS in ms, to four digits."""
-        return tuple(float(f"{self.percentile(percent):.4g}") for percent in TWENTIETHS)
-
 
 @dataclass(frozen=True, slots=True)
 class Call:

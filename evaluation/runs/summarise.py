@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from gridtrack.evaluation.hosting.timing import CLOCK_FACTOR, TRANSPORT_MS
 from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.comparisons import Comparisons
 from gridtrack.evaluation.runs.estimates import (
@@ -339,6 +340,20 @@ def _notices(run: RunTrials) -> Iterator[str]:
             yield f"{where} continued after {failures} inside it, which it counted itself"
         if "host" in {measured.clock for measured in (record.latency_ms, record.deadline) if measured}:
             yield f"{where} reports far shorter times than the round trips of its calls: the round trips count"
+        yield from (f"{where}: {slower}" for slower in _slower_when_scored(record))
+
+
+def _slower_when_scored(record: TrialRecord) -> Iterator[str]:
+    """A notice of each kind of call with a median round trip, while the tracker was scored, of more than CLOCK_FACTOR
+    times that in a pass that timed it alone, and TRANSPORT_MS more."""
+    timed = [one.round_trips for one in (record.latency_ms, record.deadline) if one]
+    for call, name in (("an update", "update_ms"), ("a forecast", "predict_ms")):
+        scored_ms, alone_ms = getattr(record.round_trips, name), min((getattr(one, name) for one in timed), default=0.0)
+        if alone_ms and scored_ms > CLOCK_FACTOR * alone_ms + TRANSPORT_MS:
+            yield (
+                f"{call} took {scored_ms:.0f} ms while it was scored and {alone_ms:.1f} ms when it was timed alone: the"
+                " machine was busy with other work, or the tracker is fast only when it is timed"
+            )
 
 
 def _unknown_classes(record: TrialRecord, recording: RecordingDescription) -> str:

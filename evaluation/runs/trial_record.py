@@ -10,7 +10,7 @@ from pydantic import Field
 
 from gridtrack.common.files import sha256_of
 from gridtrack.evaluation.hosting.outcome import Outcome
-from gridtrack.evaluation.runs.passes import Deadline, Followed, Latency, Robustness
+from gridtrack.evaluation.runs.passes import Deadline, Followed, Latency, Robustness, RoundTrips
 from gridtrack.evaluation.runs.result_files import Line, ResultModel, RunError, read_model, write_model
 from gridtrack.evaluation.scores.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation
@@ -96,6 +96,8 @@ class TrialRecord(ResultModel):
     recoveries: int = 0
     """How often the tracker continued after a failure inside it: the tracker's word, not checked."""
     times: Times = Times()
+    round_trips: RoundTrips = RoundTrips()
+    """Of its calls while it was scored."""
     peak_rss_mb: float | None = None
     """Highest resident memory of the tracker's processes, MiB."""
     latency_ms: Latency | None = None
