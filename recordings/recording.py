@@ -51,6 +51,18 @@ class Topics:
             self.scans.add(topic)
 
 
+def scans_between(scans: Iterable[Scan], start_s: float | None, end_s: float | None) -> Iterator[Scan]:
+    """The scans with start_s <= stamp < end_s, seconds from the first one; nothing is read after `end_s`."""
+    first_ns: int | None = None
+    for scan in scans:
+        first_ns = scan.stamp_ns if first_ns is None else first_ns
+        since_s = (scan.stamp_ns - first_ns) / 1e9
+        if end_s is not None and since_s >= end_s:
+            return
+        if start_s is None or since_s >= start_s:
+            yield scan
+
+
 class Recording(ABC):
     """A file of scans, read as a stream.
 
@@ -157,14 +169,7 @@ class Recording(ABC):
 
         Raises RecordingError if the file has no scans or cannot be read.
         """
-        first_ns: int | None = None
-        for scan in self._in_order(Topics()):
-            first_ns = scan.stamp_ns if first_ns is None else first_ns
-            since_s = (scan.stamp_ns - first_ns) / 1e9
-            if end_s is not None and since_s >= end_s:
-                return
-            if start_s is None or since_s >= start_s:
-                yield scan
+        return scans_between(self._in_order(Topics()), start_s, end_s)
 
     @cached_property
     def survey(self) -> Survey:

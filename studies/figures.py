@@ -103,7 +103,7 @@ def _table(address: list[str]) -> ResultTable:
 
 
 def _chosen_rows(table: ResultTable, pattern: str) -> ResultTable:
-    """The rows whose first cell matches the pattern of `fnmatch`."""
+    """The rows with a first cell that matches the pattern of `fnmatch`."""
     rows = tuple(row for row in table.rows if fnmatchcase(row[0], pattern))
     if not rows:
         raise KeyError(f"no rows '{pattern}'")

@@ -22,11 +22,11 @@ import pytest
 ROOT = Path(__file__).parents[1]
 MINUTE_S = 50.0
 """Time in which tests begin; the last of them then end within the minute."""
-OTHER_FOLDERS = ("tests/", "examples/", "docs/", "benchmarks/", "studies/")
-"""Folders of modules that are not in the package."""
 COMMANDS = ("benchmarks/", "studies/")
+OTHER_FOLDERS = ("tests/", "examples/", "docs/", *COMMANDS)
+"""Folders of modules that are not in the package."""
 EVERY_COMMAND = "tests/studies/test_modules.py"
-"""The tests that start each module of these folders by its name."""
+"""The tests that start each module of COMMANDS by its name."""
 UNTIL = "GRIDTRACK_TESTS_BEGIN_UNTIL"
 """Environment variable: the time, in seconds since 1970, after which no test begins."""
 

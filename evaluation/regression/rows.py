@@ -18,7 +18,7 @@ from gridtrack.evaluation.statistics.jackknife import (
     degrees_of_freedom,
     replicates,
 )
-from gridtrack.evaluation.statistics.trainings import Spread, Trainings, one_more, spread_between
+from gridtrack.evaluation.statistics.trainings import Spread, Trainings, one_more
 from gridtrack.evaluation.statistics.wild_bootstrap import Variation, family_p, influence_on_difference
 
 
@@ -145,11 +145,11 @@ class _Compared:
     def of(cls, row: PairedRow) -> _Compared:
         trainings = [row.replicates(sums) for sums in row.trainings]
         own, mean = row.replicates(row.run), Trainings(tuple(trainings), learned=True).mean
-        found = one_more(own, trainings)
+        found, spread = one_more(own, trainings)
         worse = row.output.direction * float(found.value) < 0
         return cls(
             found,
-            spread_between(trainings) if len(trainings) > 1 else None,
+            spread,
             row.output.direction * influence_on_difference(own, mean),
             float(degrees_of_freedom(own.size, mean.size)),
             1.0 if found.p == 1 else float(found.p) / 2 if worse else 1.0 - float(found.p) / 2,

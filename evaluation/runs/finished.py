@@ -64,7 +64,7 @@ class FinishedTrial:
 
     @property
     def comparable(self) -> bool:
-        """Whether it is complete, with weights that learned from no scored frame."""
+        """Whether the trial is complete, and its weights learned from no scored frame."""
         return self.complete and not self.record.leak
 
     @property

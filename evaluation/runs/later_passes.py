@@ -36,8 +36,8 @@ def with_memories(
 
 
 def _of_trials(trackers: Mapping[str, TrackerSummary]) -> Iterator[tuple[str, str, str]]:
-    """Label, recording and sign of each trial with an earlier start, or with a later pass whose F1 is above the
-    interval of the first one at some step; without an interval, above it by BEYOND. Of several the largest rise."""
+    """Label, recording and sign of each trial with an earlier start, or with a higher F1 in a later pass, at some step:
+    above the interval of the first pass, or by more than BEYOND without an interval. The sign states the largest rise."""
     for label, row in trackers.items():
         for name, trial in row.recordings.items():
             if trial.memory:

@@ -125,7 +125,7 @@ class ScopeSummary(ResultModel):
     """That of the record; of pooled recordings `ok` or `partial`."""
     reason: Line = ""
     card: str = ""
-    """Whether the weights used are those of the `site` or `general` ones; "general, site" if recordings differ."""
+    """Kind of the weights: `site` or `general`; "general, site" if recordings differ."""
     leak: Line = ""
     """Scored frames, and frames for thresholds, that its weights learned from: not ranked."""
     frames_scored: int = 0

@@ -86,7 +86,7 @@ class TrialRecord(ResultModel):
     weights_sha256: str = ""
     """Of the card of the weights used; empty without weights."""
     card: Literal["", "site", "general"] = ""
-    """Whether the weights used are those of the site or general ones; empty without weights."""
+    """Kind of the weights: `site` or `general`; empty without weights."""
     leak: Line = ""
     """Frames of its test or validation stretch that its weights learned from; empty if none."""
     started_before: bool = False

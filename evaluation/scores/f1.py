@@ -27,7 +27,7 @@ COUNTS = ("tp", "fp", "fn", "tn")
 THRESHOLDS = ("chosen", "half", "visible", "label-free")
 """The threshold of the step and stratum, 0.5, the threshold of all visible cells, and the threshold without labels."""
 LEAST_F1_GAP = 0.01
-"""No share is computed if the oracle's F1 is less than this above that of the best floor: it would be noise."""
+"""No share is computed if the oracle's F1 is less than this above the best floor's: it would be noise."""
 
 
 def _parts(facts: TrialFacts) -> tuple[str, ...]:

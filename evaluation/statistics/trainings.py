@@ -139,22 +139,22 @@ def training_differences(own: Trainings, reference: Trainings, level: float = LE
     return difference_of(value, np.sqrt(variance), freedom, level)
 
 
-def one_more(own: Replicates, trainings: Sequence[Replicates], level: float = LEVEL) -> IntervalEstimate:
-    """The score of one more training less the mean of `trainings` (...), of the same units.
+def one_more(own: Replicates, trainings: Sequence[Replicates]) -> tuple[IntervalEstimate, Spread | None]:
+    """The score of one more training less the mean of `trainings` (...), of the same units; and their spread.
 
-    With several trainings the variance includes the spread between them; with one it is not known, and the difference
-    is that of two trackers.
+    With several trainings the variance includes the spread between them; with one it is not known (None), and the
+    difference is that of two trackers.
     """
     mean = Trainings(tuple(trainings), learned=True).mean
     if len(trainings) == 1:
-        return difference(own, mean, level)
+        return difference(own, mean), None
     units = own.units
     without = np.nan_to_num(own.without - mean.without)
     over_units = (units - 1) / units * ((without - without.mean(axis=0)) ** 2).sum(axis=0)
     spread = spread_between(trainings)
     of_units = over_units, degrees_of_freedom(own.size, mean.size)
     variance, freedom = total_variance(of_units, (spread.error**2, spread.freedom))
-    return difference_of(own.value - mean.value, np.sqrt(variance), freedom, level)
+    return difference_of(own.value - mean.value, np.sqrt(variance), freedom), spread
 
 
 def total_variance(*parts: tuple[Floats, Floats | float]) -> tuple[Floats, Floats]:

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from gridtrack.common.scan import Scan
-from gridtrack.recordings.recording import Recording
+from gridtrack.recordings.recording import Recording, scans_between
 
 DATA = Path(__file__).resolve().parents[2] / "data"
 Key = tuple[type[Recording], Path, str]
@@ -59,16 +59,8 @@ def shipped_recordings_read_once() -> Iterator[None]:
 
     def scans(recording: Recording, start_s: float | None = None, end_s: float | None = None) -> Iterator[Scan]:
         if (key := key_of(recording)) is None:
-            yield from scans_of(recording, start_s, end_s)
-            return
-        first_ns: int | None = None
-        for scan in read.setdefault(key, Scans(scans_of(recording))):
-            first_ns = scan.stamp_ns if first_ns is None else first_ns
-            since_s = (scan.stamp_ns - first_ns) / 1e9
-            if end_s is not None and since_s >= end_s:
-                return
-            if start_s is None or since_s >= start_s:
-                yield scan
+            return scans_of(recording, start_s, end_s)
+        return scans_between(read.setdefault(key, Scans(scans_of(recording))), start_s, end_s)
 
     once: Any = cached_property(survey)
     once.__set_name__(Recording, "survey")

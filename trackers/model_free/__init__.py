@@ -1,4 +1,7 @@
-"""Model-free trackers: a pipeline of stages after Wang, Posner and Newman (IJRR 2015), with two state estimators."""
+"""Model-free trackers: a pipeline of stages after Wang, Posner and Newman (IJRR 2015), with two state estimators.
+
+The kernels index single numbers: array operations of NumPy and its linear algebra take numba seconds each to compile.
+"""
 
 from __future__ import annotations
 

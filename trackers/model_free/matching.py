@@ -128,9 +128,6 @@ def match(boundaries: Outlines, seen: Mask, returns: Outlines, pairs: Pairs, sur
     return Matches(poses, covariances, residuals, np.where(pairs.oriented, 3, 2))
 
 
-# The kernels index single numbers: array operations of NumPy and its linear algebra take numba seconds each to compile.
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _match(boundaries, returns, back, pairs, surface_noise_m):  # type: ignore[no-untyped-def]
     """Poses (P, 3), covariances (P, 3, 3) and residuals (P,); see `match`. `back` (N,): weights of `_expectation`."""

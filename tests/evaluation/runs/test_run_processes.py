@@ -29,6 +29,10 @@ def start(settings, tmp_path):
         rows = [word for tracker in trackers for word in ("--tracker", tracker)]
         options = ["--horizon", "1s", "--every", "0.5s", "--jobs", "2", "--out", str(tmp_path / "run")]
         command = [
+            *(
+                "env",
+                "--default-signal",
+            ),  # a test run by nohup or in the background ignores some, and children inherit it
             sys.executable,
             "-m",
             "gridtrack.cli",

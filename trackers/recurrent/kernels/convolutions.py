@@ -261,7 +261,7 @@ def add_shifted(maps, bias, out):  # type: ignore[no-untyped-def]
     size, side = out.shape[0], maps.shape[0]
     reach = side // 2
     for r in range(size):
-        for x in range(size):
+        for x in range(size):  # single numbers: slices take numba ten times as long to compile
             out[r, x] = bias
         for i in range(max(0, reach - r), min(side, size + reach - r)):
             for j in range(side):
