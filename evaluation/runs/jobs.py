@@ -38,7 +38,7 @@ from gridtrack.evaluation.runs.trial import REPLACED, STDERR_LOG, TrialRun, erro
 from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, TrialRecord, hashes_of, read_trial_record
 from gridtrack.evaluation.scores.registry import scores
 from gridtrack.recordings.stretches import parse_stretch
-from gridtrack.trackers.selection import Launch, Selection, is_plugin, launch
+from gridtrack.trackers.selection import Launch, Selection, launch
 
 JobKind = Literal["scores", "oracle", "prior", "robustness"]
 
@@ -138,8 +138,7 @@ class TrialJob(_RunJob):
     def __init__(self, trial: Trial, folder: Path, shared: SharedInputs) -> None:
         super().__init__(trial.name, trial, folder, shared)
         self.trial, self.split, self.validation = trial, trial.split, trial.split.validation
-        may_remember = not trial.limits.sandbox and (trial.launch.external or is_plugin(trial.launch))
-        self._started_before = may_remember and (folder / STDERR_LOG).is_file()
+        self._started_before = (folder / STDERR_LOG).is_file()
 
     @property
     def thresholds_key(self) -> str:
@@ -162,7 +161,7 @@ class TrialJob(_RunJob):
         """`record` with the facts that another machine does not know: advice on training for the whole run, and whether
         the tracker was started before. A changed record is written again.
         """
-        known: dict[str, Any] = {"started_before": self._started_before}
+        known: dict[str, Any] = {"started_before": record.may_remember and self._started_before}
         if record.outcome == "untrained":
             known["reason"] = self.trial.how_to_train
         changed = record.model_copy(update=known)

@@ -7,7 +7,7 @@ than chance. Rows that are the same tracker have no honest reason to differ. A t
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from gridtrack.evaluation.runs.finished import HEADLINE_STRATA
 from gridtrack.evaluation.runs.result_files import Curves
@@ -18,10 +18,14 @@ BEYOND = 0.1
 
 
 def with_memories(
-    trackers: Mapping[str, TrackerSummary], families: Sequence[PairFamily]
+    trackers: Mapping[str, TrackerSummary], families: Iterable[PairFamily], may_remember: Collection[str]
 ) -> tuple[dict[str, TrackerSummary], list[str]]:
-    """The rows with the sign in `memory` of each scope that has one, and a notice of each."""
-    signs = {(label, name): sign for label, name, sign in (*_of_trials(trackers), *_of_rows(trackers, families))}
+    """The rows with the sign in `memory` of each scope that has one, and a notice of each.
+
+    `may_remember`: labels of the rows with a tracker that could read a file that it kept; the others have no sign.
+    """
+    found = (*_of_trials(trackers), *_of_rows(trackers, families))
+    signs = {(label, name): sign for label, name, sign in found if label in may_remember}
     rows = dict(trackers)
     for (label, name), sign in signs.items():
         row, marked = rows[label], {"memory": sign}
@@ -37,7 +41,7 @@ def with_memories(
 
 def _of_trials(trackers: Mapping[str, TrackerSummary]) -> Iterator[tuple[str, str, str]]:
     """Label, recording and sign of each trial with an earlier start, or with a higher F1 in a later pass, at some step:
-    above the interval of the first pass, or by more than BEYOND without an interval. The sign states the largest rise."""
+    above the interval of the first pass, or by more than BEYOND without one. Of several rises the largest counts."""
     for label, row in trackers.items():
         for name, trial in row.recordings.items():
             if trial.memory:

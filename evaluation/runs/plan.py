@@ -87,6 +87,11 @@ class Trial:
         return f"{self.label}@{self.split.name}"
 
     @property
+    def is_users(self) -> bool:
+        """Whether its tracker is the user's: it is not one of gridtrack."""
+        return self.launch.external or is_plugin(self.launch)
+
+    @property
     def test(self) -> GridStream:
         """The test stretch, with the returns that this tracker requested."""
         return with_points(self.split.test, self.selection.points)

@@ -39,7 +39,6 @@ from gridtrack.evaluation.runs.summary import RunSummary, read_summary
 from gridtrack.evaluation.runs.sums import SUMS_FILE
 from gridtrack.evaluation.runs.trial_record import TrialRecord, code_differs, read_trial_record
 from gridtrack.evaluation.scores.registry import scores
-from gridtrack.trackers.selection import is_plugin
 
 LOCK = ".lock"
 UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
@@ -244,7 +243,7 @@ def without_edited(
     Each tracker of the user is started once to hash its code; trackers of gridtrack are not, because the run records
     its version. The scores of a tracker that no longer starts are kept.
     """
-    trials = [trial for trial in plan.trials if trial.name in kept and _is_users(trial)]
+    trials = [trial for trial in plan.trials if trial.name in kept and trial.is_users]
     edited: set[str] = set()
     for label in dict.fromkeys(trial.label for trial in trials):
         own = [trial for trial in trials if trial.label == label]
@@ -254,10 +253,6 @@ def without_edited(
             note(f"{label}: its code was edited since it ran: {len(other)} of its trials run again")
         edited |= set(other)
     return {name: record for name, record in kept.items() if name not in edited}
-
-
-def _is_users(trial: Trial) -> bool:
-    return trial.launch.external or is_plugin(trial.launch)
 
 
 def _current_code(trial: Trial, note: Callable[[str], None]) -> str:

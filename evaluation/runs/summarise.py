@@ -95,7 +95,8 @@ class _Summary:
         trackers = related(rows, self._scores, self._headline, horizons_s)
         found += _reversed_rankings(run, trackers, self._scores)
         families = comparisons.families()
-        trackers, memories = with_memories(trackers, families)
+        may_remember = {trial.record.label for trial in run.all if trial.record.may_remember}
+        trackers, memories = with_memories(trackers, families, may_remember)
         found += memories
         score, output = self._headline
         shown = {

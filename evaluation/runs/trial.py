@@ -218,6 +218,7 @@ def unstarted(trial: Trial) -> TrialRecord:
         weights_sha256=trial.weights.sha256 if trial.weights else "",
         card=trial.weights.kind if trial.weights else "",
         leak="; ".join(trial.leaks),
+        may_remember=trial.is_users and not trial.limits.sandbox,
     )
 
 

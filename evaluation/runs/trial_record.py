@@ -89,8 +89,10 @@ class TrialRecord(ResultModel):
     """Kind of the weights: `site` or `general`; empty without weights."""
     leak: Line = ""
     """Frames of its test or validation stretch that its weights learned from; empty if none."""
+    may_remember: bool = False
+    """Whether its tracker could read a file that it kept: it is not one of gridtrack, and had no sandbox."""
     started_before: bool = False
-    """Whether a tracker that is not one of gridtrack did not end an earlier start of the trial, without the sandbox."""
+    """Whether such a tracker was started for the trial before, and did not end it."""
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the trial's other files, by name, when the trial ended."""
     recoveries: int = 0

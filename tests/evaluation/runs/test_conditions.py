@@ -75,7 +75,7 @@ def test_a_timed_tracker_has_the_requests_of_one_that_is_scored(compare, record,
 
 def test_a_tracker_that_is_fast_only_where_it_is_timed_is_a_notice(compare, record, tmp_path):
     path, starts = record("plain", stretches={}, seconds=8), tmp_path / "starts"
-    summary = compare(f"staged:sleep_s=0.03,starts={starts},only_first=true", recordings=(str(path),), latency=True)
+    summary = compare(f"staged:sleep_s=0.03,starts={starts},sleeps=first", recordings=(str(path),), latency=True)
     (notice,) = (one for one in summary.notices if "when it was timed alone" in one)
     assert notice.startswith("staged on plain: an update took 3")
 
@@ -104,9 +104,9 @@ def test_frames_kept_over_a_reset_are_useless_in_another_condition(compare):
 
 @pytest.mark.usefixtures("bad_trackers")
 def test_a_tracker_that_keeps_the_frames_in_a_file_is_marked_and_an_honest_one_is_not(compare, tmp_path):
-    trackers = f"keeps-a-file:file={tmp_path / 'kept.npy'}", "persistence"
+    trackers = f"keeps-a-file:file={tmp_path / 'kept.npy'}", "staged"
     summary = compare(*trackers, deadline=True, degrade=Degradation(beam_dropout=0.5))
-    hostile, honest = (trial_of(summary, label) for label in ("keeps-a-file", "persistence"))
+    hostile, honest = (trial_of(summary, label) for label in ("keeps-a-file", "staged"))
     assert hostile.robustness.kinds["beam_dropout"][-1].f1["dynamic"][5] > 0.9
     assert "which is more than chance" in hostile.memory
     assert honest.memory == ""

@@ -36,7 +36,7 @@ def trackers(later: float, high: float | None):
 
 @pytest.mark.parametrize(("later", "high"), [(0.95, 0.6), (0.61, 0.6), (0.61, None)])
 def test_a_later_pass_above_chance_is_a_mark_and_a_notice_with_the_remedy(later, high):
-    rows, (notice,) = with_memories(trackers(later, high), ())
+    rows, (notice,) = with_memories(trackers(later, high), (), {"mine"})
     assert notice == (
         f"mine on hall: F1 is 0.500 in the first pass and {later:.3f} in a later one (beam_dropout 0.5, dynamic cells,"
         " step 0), which is more than chance: the tracker may remember the recording; --sandbox prevents it"
@@ -46,7 +46,13 @@ def test_a_later_pass_above_chance_is_a_mark_and_a_notice_with_the_remedy(later,
 
 @pytest.mark.parametrize(("later", "high"), [(0.3, 0.6), (0.6, 0.6), (0.59, None)])
 def test_a_later_pass_within_chance_is_none(later, high):
-    rows, notices = with_memories(trackers(later, high), ())
+    rows, notices = with_memories(trackers(later, high), (), {"mine"})
+    assert (rows["mine"].recordings["hall"].memory, notices) == ("", [])
+
+
+def test_a_tracker_that_cannot_read_a_file_of_its_own_is_not_marked():
+    """It is one of gridtrack, or runs in the sandbox."""
+    rows, notices = with_memories(trackers(0.95, 0.6), (), ())
     assert (rows["mine"].recordings["hall"].memory, notices) == ("", [])
 
 
@@ -63,7 +69,7 @@ def test_of_two_rows_of_one_tracker_the_better_one_is_marked(options, verdict, m
     pair = PairTest(tracker="second", other="first", difference=PointEstimate(value=0.4), verdict=verdict)
     place = {"score": "f1", "output": "f1", "stratum": "dynamic", "horizon_s": 1.0, "step": 8}
     families = [PairFamily(recordings="hall", units=20, pairs=(pair,), **place)]
-    found, notices = with_memories(rows, families)
+    found, notices = with_memories(rows, families, rows)
     assert [label for label, row in found.items() if row.recordings["hall"].memory] == [marked] * bool(marked)
     assert len(notices) == bool(marked)
     assert all("better by 0.400 (f1, dynamic cells, 1 s ahead), which is more than chance" in one for one in notices)
