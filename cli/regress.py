@@ -15,7 +15,7 @@ import typer
 from gridtrack.cli.options import DEBUG_OPTION, JsonOption, TrackersTomlOption, run_folder_at, settings_options
 from gridtrack.common.config import validated
 from gridtrack.common.errors import ConfigurationError, GridtrackError, one_line, printable
-from gridtrack.common.files import write_text
+from gridtrack.common.files import naming_full_disk, write_text
 from gridtrack.evaluation.regression.baseline import BaselineError, baseline_of, read_baseline, write_baseline
 from gridtrack.evaluation.regression.confirmation import confirmed
 from gridtrack.evaluation.regression.history import (
@@ -285,6 +285,7 @@ def _write_report(path: Path | None, rendered: Callable[[Any], str], content: An
     if path is None:
         return
     if path.exists() and not path.is_file():
-        path.write_text(rendered(content), "utf-8")
+        with naming_full_disk(path):
+            path.write_text(rendered(content), "utf-8")
     else:
         write_text(path, rendered(content))

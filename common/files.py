@@ -61,19 +61,29 @@ def atomic_write(path: Path, *, keep_on_error: bool = False) -> Iterator[BinaryI
 def replacing(path: Path, *, keep_on_error: bool = False) -> Iterator[Path]:
     """The name of a new file beside `path`, for the block to write, that replaces `path` as in `atomic_write`.
 
-    The OSError of a full disk names `path` and the remedy: that of a write names no file.
+    A full disk is as in `naming_full_disk`.
     """
     partial = path.with_name(f"{path.name}.{secrets.token_hex(8)}{PARTIAL_SUFFIX}")
+    with naming_full_disk(path):
+        try:
+            yield partial
+        except BaseException:
+            if keep_on_error and partial.exists():
+                partial.replace(path)
+            partial.unlink(missing_ok=True)
+            raise
+        partial.replace(path)
+
+
+@contextmanager
+def naming_full_disk(path: Path) -> Iterator[None]:
+    """For a block that writes `path`: the OSError of a full disk names it and the remedy, as that of a write does not."""
     try:
-        yield partial
-    except BaseException as error:
-        if keep_on_error and partial.exists():
-            partial.replace(path)
-        partial.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.errno in FULL:
-            raise OSError(error.errno, f"{os.strerror(error.errno)}: {FREE_SPACE}", str(path)) from error
-        raise
-    partial.replace(path)
+        yield
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        raise OSError(error.errno, f"{os.strerror(error.errno)}: {FREE_SPACE}", str(path)) from error
 
 
 def remove_partial_files(folder: Path) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.files import atomic_write
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Mask
 from gridtrack.common.scan import Scan
@@ -78,7 +79,7 @@ def store_regions(stream: GridStream, kinds: StoredKinds, path: Path) -> Path:
         moving.append(np.flatnonzero(motion.of(observation).among(observation, stream.grid)))
         reference_T_world.append((pose.x, pose.y, pose.theta))
         scans.add(observation.scans if moves else ())
-    with path.open("wb") as file:
+    with atomic_write(path) as file:
         np.savez_compressed(
             file,
             sha256=np.array(stream.sha256),

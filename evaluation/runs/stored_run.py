@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from gridtrack.common.errors import StoreError
-from gridtrack.common.files import user_data_folder
+from gridtrack.common.files import user_data_folder, write_text
 from gridtrack.common.remote_files import fetched_folder, folder_name, list_folder, upload_folder
 from gridtrack.evaluation.runs.run_folder import holds_a_run, run_lock
 from gridtrack.evaluation.runs.run_record import RUN_FILE
@@ -56,7 +56,7 @@ def _begin(folder: Path, url: str, resume: bool, note: Callable[[str], None]) ->
     if version and not resume:
         raise holds_a_run(url)
     shutil.rmtree(folder, ignore_errors=True)  # of a comparison that was killed before it began
-    folder.with_name(BEGUN).write_text(version)
+    write_text(folder.with_name(BEGUN), version)
     if not version:
         folder.mkdir()
         return

@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import IO, Any
 
 from gridtrack.common.cache import FileCache
+from gridtrack.common.files import atomic_write
 from gridtrack.common.grid import GridFrame, LabelledFrame
 from gridtrack.evaluation.runs.fit_regions import StoredKinds, StretchRegions, cell_kinds_for, store_regions
 from gridtrack.recordings import Recording
@@ -118,7 +119,7 @@ def store_stretch(stream: GridStream, path: Path) -> Path:
         "frames": len(stream),
         "start_s": stream.start_s,
     }
-    with path.open("wb") as raw, gzip.GzipFile("", "wb", compresslevel=1, fileobj=raw, mtime=0) as file:
+    with atomic_write(path) as raw, gzip.GzipFile("", "wb", compresslevel=1, fileobj=raw, mtime=0) as file:
         file.writelines(encode(Message("stretch", 0, header)))
         for number, observation in enumerate(stream.observations(), start=1):
             cells, labels = labelled_returns(observation.scans, observation.grid_T_sensor, stream.grid)

@@ -478,6 +478,12 @@ def test_junit_and_markdown_say_what_is_worse_and_escape_every_name(write_run, r
     assert "| worse | a-b.c\\_d e | F1 | dynamic | 0 to 0.5 s |" in page
 
 
+def test_a_device_without_space_is_one_line_with_the_remedy(short_baseline, write_run, regress):
+    done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline, "--markdown", "/dev/full")
+    assert done.code == 2
+    assert "/dev/full: No space left on device: free space there, or write to another disk" in done.err
+
+
 def test_junit_and_markdown_of_a_run_that_was_not_measured_hold_errors(short_baseline, write_run, regress, tmp_path):
     junit, markdown = tmp_path / "junit.xml", tmp_path / "page.md"
     run = write_run("now", {**NAMES, "kalman": {"outcome": "crashed", "scored": 2}}, recordings=2)
