@@ -77,7 +77,7 @@ def replacing(path: Path, *, keep_on_error: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def naming_full_disk(path: Path) -> Iterator[None]:
-    """For a block that writes `path`: the OSError of a full disk names it and the remedy, as that of a write does not."""
+    """For a block that writes `path`: the OSError of a full disk names it and the remedy; that of a write does not."""
     try:
         yield
     except OSError as error:
