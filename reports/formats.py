@@ -1,4 +1,4 @@
-"""The formats of an exported report, each from the same rows and columns. The page is one more: reports/page.py."""
+"""The formats of an exported report, all from the same rows and columns, except the page (reports/page.py)."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ SPECIAL = {
     **{sign: f"\\{sign}" for sign in "{}$&#%_"},
 }
 LIGATURE = re.compile("([-,])(?=\\1)")
-"""Two of them in a row are another sign: a dash, a quotation mark."""
+"""TeX turns two of these in a row into another sign: a dash, a quotation mark."""
 
 Render = Callable[[Sequence[ReportedRun], Sequence[ExportedTable], str], str | bytes]
-"""From the runs, their tables as chosen, and the columns as the user gave them ("" for none)."""
+"""From the runs, the chosen tables, and the user's option for columns ("" if not given)."""
 
 
 def check_format(name: str) -> None:
@@ -49,8 +49,8 @@ def check_format(name: str) -> None:
 
 
 def render_as(name: str, runs: Sequence[Path], rows: str = "", columns: str = "", recordings: str = "") -> bytes:
-    """The results of `runs` in the format `name` of FORMATS: `rows` and `columns` as `exported_tables` takes them,
-    `recordings` as `chosen_runs`.
+    """The results of `runs` in the format `name` of FORMATS; `rows` and `columns` as in `exported_tables`,
+    `recordings` as in `chosen_runs`.
 
     Raises ConfigurationError, RunError and ReportError.
     """
@@ -126,7 +126,7 @@ def _text(text: str) -> str:
 
 
 def latex_text(text: str) -> str:
-    """Text on one line in which no character has a meaning for TeX, and none becomes another."""
+    """Text on one line, escaped so that TeX shows every character as it is."""
     return LIGATURE.sub(r"\1{}", "".join(SPECIAL.get(sign, sign) for sign in printable(text)))
 
 

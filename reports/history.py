@@ -1,4 +1,4 @@
-"""The history of a regression check as a drawing: scores and times over commits, an SVG file that opens by itself."""
+"""The drawing of the history of a regression check: scores and times over commits, as an SVG file."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ class Point:
 
 
 Panel = tuple[str, Mapping[str, Mapping[int, Point]]]
-"""A title, and by tracker the points of its line by the number of the entry."""
+"""A title, and the line of each tracker: its points by the number of the entry."""
 
 
 def history_svg(entries: Sequence[HistoryEntry]) -> str:
-    """A panel for each F1 of the middle step band, for each other score that was worse at any of the `entries`, the
-    oldest first, and for the time of each call. Raises ConfigurationError if matplotlib is not installed."""
+    """A panel for each F1 of the middle step band, for each other score that was worse in an entry, and for the time of
+    each call. `entries`: the oldest first. Raises ConfigurationError if matplotlib is not installed."""
     try:
         import matplotlib
         from matplotlib.figure import Figure
@@ -76,13 +76,13 @@ def history_svg(entries: Sequence[HistoryEntry]) -> str:
 
 
 class _Titles:
-    """Titles of drawn things, which a browser shows at the pointer: matplotlib writes ids alone."""
+    """Titles of drawn elements, which a browser shows at the pointer. matplotlib writes only ids."""
 
     def __init__(self) -> None:
         self._titles: list[str] = []
 
     def id_of(self, title: str) -> str:
-        """The id of a thing with this title."""
+        """The id of an element with this title."""
         self._titles.append(title)
         return f"title-{len(self._titles) - 1}"
 
@@ -129,7 +129,7 @@ def _time_panels(entries: Sequence[HistoryEntry]) -> Iterator[Panel]:
 
 
 def _draw_verdicts(axis: Axes, entries: Sequence[HistoryEntry], titles: _Titles) -> None:
-    """A line from top to bottom in every panel where a run was worse; broken if nothing was measured."""
+    """A vertical line in every panel for each run that was worse; dashed if nothing was measured."""
     for at, entry in enumerate(entries):
         if entry.verdict != "no worse":
             measured = entry.verdict == "worse"
@@ -139,8 +139,7 @@ def _draw_verdicts(axis: Axes, entries: Sequence[HistoryEntry], titles: _Titles)
 
 
 def _worse_text(entry: HistoryEntry) -> str:
-    """The scores and times that were worse, by tracker; an entry has no scores of single recordings, and no
-    recoveries."""
+    """The worse scores and times, by tracker. An entry has no scores of single recordings and no recoveries."""
     found: dict[str, list[str]] = {}
     for row in (one for one in entry.scores if one.standing == "worse"):
         found.setdefault(row.label, []).append(_score_name(row.score, row.stratum, row.band))
@@ -165,7 +164,7 @@ def _draw_line(
 
 
 def _name_commits(axis: Axes, entries: Sequence[HistoryEntry]) -> None:
-    """The commit below each entry, of long histories below every few."""
+    """The commit below each entry; in a long history only below every few entries."""
     shown = range(0, len(entries), -(-len(entries) // MAX_LABELS) or 1)
     axis.set_xticks(list(shown), [_name(entries[at]) for at in shown], rotation=40, ha="right", color=SOFT)
     axis.set_xlim(-0.5, max(len(entries), 1) - 0.5)

@@ -35,8 +35,8 @@ def print_figure(
 ) -> bytes:
     """The scores of `exported` over every horizon, a row of panels for each recording; bands are 95 % intervals.
 
-    Without `scores`, the columns as the user chose them, the headline score is drawn in each stratum. Raises
-    ConfigurationError where matplotlib is not installed.
+    `scores`: the user's choice of columns; empty: the headline score in each stratum. Raises ConfigurationError if
+    matplotlib is not installed.
     """
     try:
         import matplotlib

@@ -195,7 +195,7 @@ class SlurmCluster:
         self._scancel([f"--name={self._job_name}"])
 
     def _withdraw(self, job_ids: Sequence[str]) -> None:
-        """Remove jobs from the queue whose tasks other jobs have claimed. If Slurm does not answer, the next poll does.
+        """Remove waiting jobs from the queue if another job has claimed their task; after an error the next poll does.
 
         A job that has started meanwhile does nothing. With `--state` scancel would end all waiting jobs of an array.
         """
@@ -304,7 +304,7 @@ class Claim(NamedTuple):
 
 
 def claim_of(task: SlurmTask) -> Claim:
-    """The claim on a task; that of its own job while it waits, or if its folder is gone."""
+    """The claim on a task; its own job's while it waits, or if its folder is gone."""
     try:
         job_id, _, earlier = str((task.folder / CLAIM).readlink()).rpartition(" ")
     except FileNotFoundError:
@@ -313,7 +313,7 @@ def claim_of(task: SlurmTask) -> Claim:
 
 
 def run_in_job(run_task: Callable[[str], bool], array: str, number: int) -> None:
-    """In a Slurm job: run the task `number` of an `array`, unless another job has claimed it, and then further ones.
+    """In a Slurm job: run the task `number` of an `array` and then further tasks, unless other jobs have claimed them.
 
     `run_task` returns whether nothing interrupted the task. SIGTERM interrupts it, which submitit would ignore: Slurm
     sends it before it ends a job.
@@ -347,7 +347,7 @@ def _job_id() -> str:
 
 
 def _interrupt(*_: object) -> None:
-    """Interrupt once: Slurm repeats its signal, when the reply is being written already."""
+    """Interrupt once: Slurm repeats its signal while the reply is being written."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt

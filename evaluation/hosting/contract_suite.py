@@ -104,7 +104,7 @@ def _with_needs(names: Collection[str]) -> list[Clause]:
 
 
 def _not_checked(clause: Clause, unmet: ClauseResult) -> ClauseResult:
-    """The result of a clause that needs the clause of `unmet`, which did not pass; it names the first broken one."""
+    """The result of a clause that needs the clause of `unmet`, which did not pass; it names the first failed clause."""
     why = unmet.observed if unmet.observed.startswith("needs ") else f"needs {unmet.clause.name}"
     return ClauseResult(clause, "not checked", why)
 
@@ -327,7 +327,7 @@ def is_causal(subject: TrackerUnderTest) -> str:
 
 
 def follows_a_moving_sensor(subject: TrackerUnderTest) -> str:
-    """Drive towards a wall, and look where it is forecast when it is no longer seen."""
+    """Drive towards a wall, and look for its place in the forecast when it is no longer visible."""
     if not subject.process().description.moving_sensor:
         raise NotApplicableError("says that it does not follow a moving sensor")
     (_, forecast), wall = _end_of_drive(subject, with_wall=True)

@@ -88,7 +88,7 @@ def start_leader(start: Callable[[], Popen[Any]]) -> Popen[Any]:
 def forget_leader(leader: Popen[Any], orderly: bool) -> None:
     """A leader has ended; if not `orderly`, end its processes that this process adopted.
 
-    Adopted is a child of a session that is neither that of this process nor of one of its leaders.
+    A child is adopted if its session is neither this process's nor a leader's.
     """
     with _lock:
         _leaders.discard(leader.pid)
@@ -108,7 +108,7 @@ def _adopted() -> list[Any]:
 
 
 def _session(pid: int) -> int:
-    """The session of a child; its own where it has ended in the meantime."""
+    """The session of a child; its own id if it has ended in the meantime."""
     with suppress(ProcessLookupError):
         return os.getsid(pid)
     return pid

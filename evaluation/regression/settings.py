@@ -29,7 +29,7 @@ def _tolerance(text: str) -> tuple[str, float]:
 
 
 class GateSettings(Settings):
-    """From which fall in F1, and from which growth of a time, a tracker is worse."""
+    """The falls of scores and the growth of times that the gate tolerates."""
 
     margin: Annotated[Margin | None, Option(metavar="F1")] = None
     """Largest fall in F1 that is not worse, however significant; a log loss may rise by ten times that as a share;

@@ -120,7 +120,7 @@ def test_a_baseline_edited_by_hand_is_not_measured(baseline_of, write_run, regre
     edit(path, lower)
     done = regress(write_run("now", {"net": {}}, recordings=2), "--baseline", path)
     assert done.code == 3
-    assert "changed since it was written (its digest is not that of its runs)" in done.err
+    assert "changed since it was written (its digest does not match its runs)" in done.err
 
 
 def test_a_degradation_of_another_strength_is_not_measured(judged):

@@ -99,7 +99,7 @@ def test_a_history_that_was_changed_or_shortened_is_refused(check, tmp_path, edi
     assert (done.code, "changed since it was written" in done.err) == (2, True)
     first.unlink()
     done = check("three", GOOD)
-    assert (done.code, "the entry before that of" in done.err) == (2, True)
+    assert (done.code, "the entry before 20" in done.err) == (2, True)
     first.write_text(text)
     edit(second, lambda content: content.update(schema=9))
     done = check("three", GOOD)
