@@ -1,5 +1,4 @@
-"""The answer of a run: its main result in a sentence, and a line each on recordings, weights, trackers that keep up, and
-trackers without a rank."""
+"""The answer of a run: its main result in a sentence, and lines on recordings, weights, speed and missing ranks."""
 
 from __future__ import annotations
 
@@ -48,11 +47,10 @@ def answer_of(run: ReportedRun) -> Answer:
 
 
 def lead_of(runs: Sequence[ReportedRun], table: HeadlineTable) -> str:
-    """The main result: the best score in the decisive column, the floor's, and the rows that differ significantly; empty
-    if rows do not compare.
+    """The main result: the best score in the decisive column, the floor's, and the rows that differ significantly.
 
-    `runs`: the runs of the table. No tracker is called the best. Without tests a second sentence says that the order
-    may be chance.
+    Empty if rows do not compare. `runs`: the runs of the table. No tracker is called the best. Without tests a second
+    sentence says that the order may be chance.
     """
     return _MainResult(runs, table).sentence if table.comparable else ""
 

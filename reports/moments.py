@@ -3,8 +3,8 @@
 A packed moment is planes of M x M bytes, rows from the bottom up, deflated, as base64: the input (0 not visible, 1
 free, 2 occupied); for each horizon the state of each cell (`evaluation/referee/targets.py`), plus IN_MOTION for the
 visible cells of that stratum; and for each tracker and horizon the forecast: its level of PACKED_LEVELS, plus CALLED
-from the tracker's threshold on. A kept probability is exact to 0.5 / 255, so a cell nearer to the threshold than that
-may be called otherwise than it was scored.
+from the tracker's threshold on. A kept probability is exact to 0.5 / 255, so CALLED may be wrong for cells that are
+nearer to the threshold.
 """
 
 from __future__ import annotations

@@ -38,7 +38,8 @@ MOST_VALUES = 2_500_000
 """Limit of the values of all curves on a page. A value takes five bytes: half of 25 MB is left for moments."""
 LEFT_OUT = (
     "{} of {} recordings are not on this page, which would be too large: it has the recordings with the largest"
-    " differences between trackers. gridtrack report RUN --recordings NAME,... shows others; --format csv has all scores"
+    " differences between trackers. gridtrack report RUN --recordings NAME,... shows others, and --format csv has the"
+    " scores of all"
 )
 FIGURES = Path(__file__).parents[1] / "docs" / "figures.md"
 """The package contains this page."""

@@ -135,8 +135,10 @@ def player_of(
 
 
 def _clock(described: RecordingIdentity, first_ns: int) -> Callable[[int], float]:
-    """The time of a stamp, seconds since the start of the recording. `first_ns`: the stamp of the first scored forecast,
-    which follows the warm-up of the stretch and is always kept."""
+    """The time of a stamp, seconds since the start of the recording.
+
+    `first_ns`: the stamp of the first scored forecast, which follows the warm-up of the stretch and is always kept.
+    """
     first_s = described.stretch_s[0] + described.warm_up_frames * described.period_s
     return lambda stamp_ns: first_s + (stamp_ns - first_ns) / 1e9
 

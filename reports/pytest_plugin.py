@@ -1,5 +1,4 @@
-"""The pytest plugin: tests in a tracker's repository. They fail if the tracker breaks the contract, or is worse than its
-baseline.
+"""The pytest plugin for a tracker's repository: tests fail if the tracker breaks the contract or is worse than before.
 
     def test_it_keeps_the_contract(tracker_contract):
         tracker_contract("my-tracker")

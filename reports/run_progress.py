@@ -1,5 +1,7 @@
-"""The progress of a run on standard error, with the time left for all trials: bars on a terminal, plain lines elsewhere.
-For a followed recording it is a table that changes in place, or elsewhere a line every few seconds."""
+"""The progress of a run on standard error, with the time left: bars on a terminal, plain lines elsewhere.
+
+For a followed recording it is a table that changes in place, or elsewhere a line every few seconds.
+"""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ class _Search:
         self._branch(0, {}, 0.0, 0, 0.0)
 
     def _pruned(self, pairs: dict[int, int]) -> dict[int, int]:
-        """The pairs without the most distant ones, so that the rest is jointly compatible."""
+        """The pairs without the most distant ones, as many as are necessary for joint compatibility."""
         while not self.group.compatible(pairs):
             del pairs[max(pairs, key=lambda track: self.group.distances[track, pairs[track]])]
         return pairs

@@ -16,7 +16,7 @@ from gridtrack.trackers.site_map import count_anywhere, count_frames, posterior_
 OUTSIDE_MAP = 1.0
 """The neighbourhood rate of a cell outside the map; a counted one is lower."""
 OUTSIDE_FRAMES = 1.0
-"""Weight of the occupancy rate in the record of such a cell, in frames: nothing is known of the place."""
+"""Weight of the occupancy rate in the record of a cell outside the map, in frames."""
 DEPARTED_SHARE = 0.1
 """A merged object has departed when this share of its cells is seen empty, together with all their neighbours."""
 
@@ -45,7 +45,7 @@ def fit_background(sources: Sequence[Iterable[GridFrame]], cell_m: float) -> tup
 
 
 def general_background(sources: Sequence[Iterable[GridFrame]]) -> BackgroundMap:
-    """The rates of a cell at an unknown place, each (1, 1): its background is found while the stream goes."""
+    """The rates of a cell at an unknown place, each (1, 1): its background is learned from the stream."""
     visible, occupied = count_anywhere(sources, lambda frame: (frame.visible, frame.occupied))
     rate = posterior_rate(occupied, visible)
     return BackgroundMap(rate, np.full_like(rate, OUTSIDE_MAP))

@@ -42,7 +42,7 @@ def test_a_weaker_training_is_no_worse_than_two_with_the_same_spread(baseline_of
     assert "of 2 runs\nnet: F1 differs by up to 0.0" in made.out
     done = regress(write_run("now", {"net": WEAKER}), "--baseline", path)
     assert done.code == 0
-    assert "the spread between trainings is that of the 2 runs of the baseline" in done.out
+    assert "the spread between trainings is from the 2 runs of the baseline" in done.out
 
 
 def test_a_fall_beyond_the_spread_between_trainings_is_worse_and_the_spread_is_printed(baseline_of, write_run, regress):
