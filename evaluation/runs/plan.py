@@ -258,11 +258,16 @@ def resolve(
         _refuse_thresholds_of_another_site(trial)
     of_weights = (notice for _, notice in weights.values() if notice)
     notices = [*left_out, *(notice for split in splits for notice in split.notices), *of_weights, *_notices(trials)]
-    if settings.allow_leak:
-        notices += [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
-    else:
-        refuse_leaks(trial.leaks for trial in trials)
+    notices += _leak_notices(settings, trials)
     return ComparisonPlan(settings, splits, trials, tuple(dict.fromkeys(notices)))
+
+
+def _leak_notices(settings: CompareSettings, trials: Sequence[Trial]) -> list[str]:
+    """A line for each allowed leak. Raises the error of `refuse_leaks` for others."""
+    if settings.allow_leak:
+        return [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
+    refuse_leaks(trial.leaks for trial in trials)
+    return []
 
 
 def _notices(trials: Sequence[Trial]) -> Iterator[str]:
