@@ -24,7 +24,7 @@ from studies.support.plugins import write_distribution
 
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'gridtrack[ray]'")
 OBJECTS = 80 * 1024 * 1024
-"""Memory of a node for objects, bytes: the least that Ray takes."""
+"""Memory of a node for objects, bytes: the smallest amount that Ray accepts."""
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_an_interrupt_ends_the_tasks_and_keeps_their_scores(cluster, settings, t
 
 
 def test_a_node_killed_in_mid_run_changes_no_count(cluster, settings, progress, tmp_path):
-    """The trial that it ran starts again on the other node; the tracker that fails by itself never does."""
+    """Its trial starts again on the other node; a tracker that fails by itself is not started again."""
     rows = f"staged:crash_at=60,how=hangs,starts={tmp_path / 'starts'}", "dies=staged:crash_at=60"
     requested = settings(*rows, engine="ray", address=cluster.address)
     killed = []

@@ -1,4 +1,4 @@
-"""`gridtrack regress`: what a significance test over units does not see, and what is not the same measurement."""
+"""`gridtrack regress`: falls that a significance test over units misses, and measurements that do not compare."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def judged(baseline_of, write_run, regress):
     return judged
 
 
-def test_a_tracker_that_finds_much_less_on_four_of_twenty_recordings_is_worse_though_no_p_value_says_so(judged):
+def test_a_collapse_on_four_of_twenty_recordings_is_worse_without_significance(judged):
     then = {"recall": 0.7}
     done, worse = judged(then, {**then, "loss": 0.7, "only": FEW})
     pooled = [row for row in json.loads(done.out)["rows"] if (row["score"], row["stratum"]) == ("f1.f1", "dynamic")]
@@ -149,7 +149,7 @@ def test_a_margin_is_used_with_few_units_too(judged, write_run, regress, tmp_pat
     assert regress(tmp_path / "now", "--baseline", tmp_path / "baseline.json", "--margin", "0.05").code == 0
 
 
-def test_the_smallest_fall_that_would_have_been_found_stands_beside_each_verdict(judged, write_run, regress, tmp_path):
+def test_each_verdict_has_the_smallest_fall_that_would_have_been_found(judged, write_run, regress, tmp_path):
     done, _ = judged({"recall": 0.7}, {"recall": 0.7, "seed": 4, "noise": 0.03})
     rows = json.loads(done.out)["rows"]
     smallest = {row["stratum"]: row["smallest"] for row in rows if row["score"] == "f1.f1" and row["band"] == "middle"}
@@ -168,9 +168,7 @@ def test_the_smallest_fall_that_would_have_been_found_stands_beside_each_verdict
     assert all(re.search(told, case.text) for case in cases), "a fall that differs between units has another limit"
 
 
-def test_a_fall_of_several_times_the_smallest_size_is_found_and_one_of_a_third_of_it_is_not(
-    judged, write_run, regress, tmp_path
-):
+def test_a_fall_of_several_times_the_smallest_is_found_and_a_third_of_it_is_not(judged, write_run, regress, tmp_path):
     noisy = {"recall": 0.7, "seed": 4, "noise": 0.03}
     done, worse = judged({"recall": 0.7}, noisy)
     (row,) = [
@@ -186,7 +184,7 @@ def test_a_fall_of_several_times_the_smallest_size_is_found_and_one_of_a_third_o
     assert (worse, codes) == ([], [0, 1])
 
 
-def test_a_limit_that_is_the_same_everywhere_is_told_once(baseline_of, write_run, regress):
+def test_an_equal_limit_in_all_places_is_printed_once(baseline_of, write_run, regress):
     baseline = baseline_of({"net": {"recall": 0.7}})
     said = regress(write_run("now", {"net": {"recall": 0.7}}), "--baseline", baseline)
     told = [line for line in said.out.splitlines() if "could have shown: " in line]

@@ -85,7 +85,7 @@ def test_extents_do_not_depend_on_the_heading():
     assert found[2] == pytest.approx(found[0])
 
 
-def test_densities_are_those_of_scipys_gaussians(model):
+def test_densities_equal_scipys_gaussians(model):
     features = some_people_and_cars(seed=1).features
     expected = np.zeros((len(features), 2))
     for k in range(2):

@@ -38,7 +38,7 @@ def test_without_weights_the_error_names_the_training_command():
         ("residence", 1.5, "'residence' does not hold probabilities"),
     ],
 )
-def test_weights_whose_maps_are_not_probabilities_are_refused(tmp_path, name, spoilt, message):
+def test_weights_with_maps_that_are_not_probabilities_are_refused(tmp_path, name, spoilt, message):
     arrays = OPEN | {"residence": GLIDING}
     save_weights(tmp_path / "hall.toml", card(), arrays | {name: np.full_like(arrays[name], spoilt)})
     with pytest.raises(WeightsError, match=message):
@@ -146,7 +146,7 @@ class Scores:
         return of_every_stratum(1.0 / (1.0 + tracker._settings.acceleration), 0.0, steps)
 
 
-def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_been(tmp_path, caplog, monkeypatch):
+def test_an_interrupted_search_keeps_its_best_and_continues_with_the_same_result(tmp_path, caplog, monkeypatch):
     monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 6)
     fit_hall(tmp_path / "whole", Scores(), [])
     with pytest.raises(KeyboardInterrupt):
@@ -228,7 +228,7 @@ def test_a_general_training_learns_no_map_and_runs_on_any_grid_and_period(tmp_pa
 
 
 def general_weights(folder):
-    """General weights of which a training at a site takes the settings."""
+    """General weights with the settings for a training at a site."""
     path = folder / "general.toml"
     settings = PipelineSettings(acceleration=0.31, link_m=0.6)
     task = FitTask([Source()], [], None, path, settings, folder / "log", general=True)
@@ -236,8 +236,8 @@ def general_weights(folder):
     return path
 
 
-def test_at_a_site_settings_are_searched_near_the_general_ones_and_those_of_its_map_everywhere(tmp_path, monkeypatch):
-    """The map of the place is what general weights do not know; classes are added to weights of the site."""
+def test_a_site_searches_near_general_settings_and_its_map_settings_in_the_whole_range(tmp_path, monkeypatch):
+    """General weights have no map of the place; classes are added to weights of the site."""
     monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 9)
     general = general_weights(tmp_path)
     asked = []
@@ -261,10 +261,10 @@ def test_at_a_site_settings_are_searched_near_the_general_ones_and_those_of_its_
     ("source", "with_map", "chosen"),
     [(Source, 0.485, "none"), (Source, 0.495, "fitted"), (Source, 0.7, "fitted"), (Driven, 0.3, "fitted")],
 )
-def test_the_validation_recordings_decide_whether_the_map_of_the_place_serves(
+def test_the_validation_recordings_decide_whether_the_map_of_the_place_is_used(
     tmp_path, monkeypatch, source, with_map, chosen
 ):
-    """What stands for the whole of a short training is a wall on its map; what is hidden only a map knows."""
+    """Objects that stand during a whole short training are walls on its map; only a map knows hidden cells."""
     monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 3)
     general, validation, told = general_weights(tmp_path), source(), []
     validation.name = "hall@3s-6s"

@@ -129,7 +129,7 @@ def test_a_track_is_combined_with_the_background_by_noisy_or():
     assert occupancy[0, 0, 0] == pytest.approx(0.2)
 
 
-def test_tracks_drawn_together_are_those_drawn_one_by_one():
+def test_tracks_drawn_together_equal_tracks_drawn_one_by_one():
     random = np.random.default_rng(0)
     sizes, seen, steps = [3, 1, 5], [2, 4, 1], 4
     bounds, shown = np.cumsum([0, *sizes]), np.cumsum([0, *seen])
