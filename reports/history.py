@@ -125,7 +125,7 @@ def _time_panels(entries: Sequence[HistoryEntry]) -> Iterator[Panel]:
                 title = f"{time.label} takes {time.ratio:.3f} times as long as {time.against}"
                 low, high = (time.ratio if end is None else end for end in (time.low, time.high))
                 times.setdefault(printable(time.label), {})[at] = Point(time.ratio, time.standing, low, high, title)
-        yield f"time of {call}, as a multiple of that of the base or the reference", times
+        yield f"time of {call}, as a multiple of the time of the base or the reference", times
 
 
 def _draw_verdicts(axis: Axes, entries: Sequence[HistoryEntry], titles: _Titles) -> None:

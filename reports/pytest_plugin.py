@@ -93,7 +93,7 @@ class TrackerRegression:
     ) -> Verdict | None:
         """Compare `tracker`, [LABEL=]NAME[:key=value,...], on `recording`, RECORDING[@range], with `baseline`.
 
-        Paths are relative to the test's folder. `margin` and `tolerance` are those of `gridtrack regress`; None: its
+        Paths are relative to the test's folder. `margin` and `tolerance` are options of `gridtrack regress`; None: its
         defaults. `options` are the fields of `CompareSettings`: horizon_s, every_s, grid, rate_hz, seed, weights, ...
         Returns the verdict; None if the baseline was written instead.
         """

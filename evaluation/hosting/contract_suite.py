@@ -96,7 +96,7 @@ def check_tracker(
 
 
 def _with_needs(names: Collection[str]) -> list[Clause]:
-    """The clauses of these names and those that they need, in the order of CLAUSES."""
+    """The clauses of these names with all that they need, in the order of CLAUSES."""
     needed = set(names)
     for clause in reversed(CLAUSES):
         needed |= set(clause.needs) if clause.name in needed else set()

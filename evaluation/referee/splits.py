@@ -162,8 +162,8 @@ def split_of(
     chosen_on, notices = _validation_stretch(test, validation, steps, opened)
     poses = (f"{path}: poses: {recording.info.poses}",) if recording.info.poses else ()
     warnings = (*recording.warnings, *(chosen_on.recording.warnings if chosen_on else ()))
-    told = tuple(dict.fromkeys((*warnings, *notices, *poses, *often)))
-    return EvaluationSplit(name, path, test, chosen_on, steps, every, told)
+    every_notice = tuple(dict.fromkeys((*warnings, *notices, *poses, *often)))
+    return EvaluationSplit(name, path, test, chosen_on, steps, every, every_notice)
 
 
 def _every(test: GridStream, steps: int, every_s: float | None) -> tuple[int, tuple[str, ...]]:

@@ -46,7 +46,7 @@ ROUNDING, RELATIVE_ROUNDING = 1e-9, 1e-4
 
 @dataclass(frozen=True, slots=True)
 class VerdictRow:
-    """One tracker, score, stratum and step band over all units, or over those of `recording` if it is not empty.
+    """One tracker, score, stratum and step band over all units, or over the units of `recording` if it is not empty.
 
     `score` is SCORE.OUTPUT, `title` its name. `baseline` and `run`: the score pooled over steps and frames; None if it
     is undefined. Several runs of the baseline count by their mean sums. `fall`, `margin` and `smallest` are in the unit

@@ -43,7 +43,7 @@ from gridtrack.evaluation.scores.registry import scores
 from gridtrack.evaluation.statistics.units import UnitRule
 
 SERVER = "gridtrack.trackers.serve"
-"""The module that serves a tracker of a Python environment; what precedes it is the interpreter."""
+"""The module that serves a tracker of a Python environment; the interpreter precedes it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +152,7 @@ def _read_trial(run: Path, name: str, split: SplitKey | None, requested: RunSett
     sums = TrialSums(folder)
     if len(sums.frames.stamps_ns) != record.frames_scored or sums.steps != len(split.horizons_s) - 1:
         raise Unmeasured(
-            [f"{name}: its scores are not those of the {record.frames_scored} forecasts of its record: run it again"]
+            [f"{name}: its scores do not match the {record.frames_scored} forecasts of its record: run it again"]
         )
     return ReadTrial(record, sums, split.horizons_s)
 

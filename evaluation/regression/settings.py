@@ -53,7 +53,7 @@ class GateSettings(Settings):
 
     @property
     def turns_margin(self) -> float:
-        """The margin of a time measured in turns with that of a base."""
+        """The margin of a time measured in turns with a base."""
         return TURNS_MARGIN if self.speed_margin is None else self.speed_margin
 
     def margin_of(self, label: str, enough_units: bool) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,11 +99,6 @@ def residuals(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[
     ratio = np.divide(part.sum(axis=0), total, out=np.zeros_like(total), where=total > 0)
     moved: NDArray[np.float64] = part - ratio * whole
     return moved
-
-
-def number_of_units(units: Iterable[NDArray[np.int64]]) -> int:
-    """How many units there are, of the numbers `units` (F,) of the frames of each recording."""
-    return 1 + max((int(numbers.max()) for numbers in units if len(numbers)), default=-1)
 
 
 def _blocks(stamps_ns: Sequence[NDArray[np.int64]], block_s: float | None) -> NDArray[np.int64]:

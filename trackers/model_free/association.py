@@ -137,7 +137,7 @@ def assign_returns(
     candidates of a cluster are its track in `pairs` (track -> cluster) and its possible `members` (T, C): an unpaired
     cluster may belong to a paired track, an unpaired track may share a paired cluster. Each return is assigned to the
     nearest boundary of its candidates. Thus a separate leg joins its person, the second part of a vehicle the first,
-    and two people whose returns touch remain two.
+    and two people in contact remain two.
     """
     has_cluster, has_track = (np.zeros(count, np.bool_) for count in members.shape)
     has_cluster[list(pairs.keys())] = has_track[list(pairs.values())] = True

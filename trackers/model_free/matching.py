@@ -53,7 +53,7 @@ JACOBI_SWEEPS = 8
 class Outlines(NamedTuple):
     """G concatenated outlines: points (N, 2), metres, their weights (N,), and where each outline is cut off (N,).
 
-    The points of outline g are those from `bounds` (G+1,) [g] to [g+1]; a weight is the probability of a return there.
+    The points of outline g are from `bounds` (G+1,) [g] to [g+1]; a weight is the probability of a return there.
     """
 
     points: Array
@@ -395,8 +395,8 @@ def _invert(information):  # type: ignore[no-untyped-def]
 def _diagonalise(a, axes):  # type: ignore[no-untyped-def]
     """Jacobi's method: replace the symmetric `a` (3, 3) by `axes`^T a `axes`, with its eigenvalues on the diagonal.
 
-    The eigenvectors are the columns of `axes` (3, 3). Each of the JACOBI_SWEEPS sweeps squares what is left besides the
-    diagonal (Golub and Van Loan, section 8.5).
+    The eigenvectors are the columns of `axes` (3, 3). Each of the JACOBI_SWEEPS sweeps squares the off-diagonal rest
+    (Golub and Van Loan, section 8.5).
     """
     for i in range(3):
         for j in range(3):

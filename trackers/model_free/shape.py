@@ -49,7 +49,7 @@ class Shape:
         return shape
 
     def update(self, found: Array, found_cut: Mask, revealed: Mask, in_view: Mask, apart_m: float, gain: float) -> None:
-        """Update with the points `found` (K, 2) in one frame, body frame, of which some are cut off (K,).
+        """Update with the points `found` (K, 2) in one frame, body frame; `found_cut` (K,) are cut off.
 
         A boundary point within `apart_m` of a found point is matched: its weight approaches 1 by the share `gain`. The
         weight of an unmatched point approaches 0, slowly if it is not `in_view` (N,). A found point without a match is

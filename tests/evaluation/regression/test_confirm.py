@@ -91,9 +91,9 @@ def test_a_fall_in_the_first_run_only_is_not_worse_and_both_results_are_printed(
     junit, page = tmp_path / "junit.xml", tmp_path / "page.md"
     done = regress(now, "--baseline", baseline, "--confirm", "--junit", junit, "--markdown", page)
     assert done.code == 0
-    told = [line for line in done.out.splitlines() if line.startswith("not confirmed: moody, visible, 0 to 0.5 s")]
-    assert told[0].partition("; in a second run: ")[2].startswith("F1 0.")
-    assert told[0].count("is worse") == 1
+    lines = [line for line in done.out.splitlines() if line.startswith("not confirmed: moody, visible, 0 to 0.5 s")]
+    assert lines[0].partition("; in a second run: ")[2].startswith("F1 0.")
+    assert lines[0].count("is worse") == 1
     assert "no worse than the baseline" in done.out
     assert (folder / "starts").read_text() == ".."  # its two trials, and no other
     assert "| not confirmed |" in page.read_text()

@@ -100,8 +100,8 @@ def test_another_seed_is_not_measured_unless_the_baseline_has_several(judged, wr
 def test_more_recoveries_are_worse_and_as_many_are_not(judged, write_run, regress, tmp_path):
     done, _ = judged({"recoveries": 1}, {"recoveries": 2}, recordings=2)
     assert done.code == 1
-    said = regress(tmp_path / "now", "--baseline", tmp_path / "baseline.json", "--junit", tmp_path / "junit.xml")
-    assert "worse: net: continued after 4 failures inside it, in the baseline after 2\n" in said.out
+    done = regress(tmp_path / "now", "--baseline", tmp_path / "baseline.json", "--junit", tmp_path / "junit.xml")
+    assert "worse: net: continued after 4 failures inside it, in the baseline after 2\n" in done.out
     assert ElementTree.parse(tmp_path / "junit.xml").find("testcase[@name='recoveries']/failure") is not None
     same = regress(
         write_run("same", {"net": {"recoveries": 1}}, recordings=2), "--baseline", tmp_path / "baseline.json"
@@ -155,17 +155,17 @@ def test_each_verdict_has_the_smallest_fall_that_would_have_been_found(judged, w
     smallest = {row["stratum"]: row["smallest"] for row in rows if row["score"] == "f1.f1" and row["band"] == "middle"}
     assert 0.005 <= smallest["visible"] < smallest["dynamic"] < 0.05
     junit, page = tmp_path / "junit.xml", tmp_path / "page.md"
-    said = regress(tmp_path / "now", "--baseline", tmp_path / "baseline.json", "--junit", junit, "--markdown", page)
-    (told,) = [line for line in said.out.splitlines() if "could have shown: " in line]
+    done = regress(tmp_path / "now", "--baseline", tmp_path / "baseline.json", "--junit", junit, "--markdown", page)
+    (line,) = [line for line in done.out.splitlines() if "could have shown: " in line]
     size = r"0\.0\d+ \(\w+, [^()]+ s\)"
     assert re.fullmatch(
-        rf"net: the smallest fall in F1 that this baseline could have shown: {size} at best, {size} at worst", told
+        rf"net: the smallest fall in F1 that this baseline could have shown: {size} at best, {size} at worst", line
     )
     assert "| worse by | found from | margin |" in page.read_text()
     cases = ElementTree.parse(junit).findall("testcase/system-out")
     assert len(cases) == len(rows)
-    told = r"; a (fall|rise) of more than \S+, alike in all units, is worse( \(margin \S+\))?$"
-    assert all(re.search(told, case.text) for case in cases), "a fall that differs between units has another limit"
+    limit = r"; a (fall|rise) of more than \S+, alike in all units, is worse( \(margin \S+\))?$"
+    assert all(re.search(limit, case.text) for case in cases), "a fall that differs between units has another limit"
 
 
 def test_a_fall_of_several_times_the_smallest_is_found_and_a_third_of_it_is_not(judged, write_run, regress, tmp_path):
@@ -186,6 +186,6 @@ def test_a_fall_of_several_times_the_smallest_is_found_and_a_third_of_it_is_not(
 
 def test_an_equal_limit_in_all_places_is_printed_once(baseline_of, write_run, regress):
     baseline = baseline_of({"net": {"recall": 0.7}})
-    said = regress(write_run("now", {"net": {"recall": 0.7}}), "--baseline", baseline)
-    told = [line for line in said.out.splitlines() if "could have shown: " in line]
-    assert told == ["net: the smallest fall in F1 that this baseline could have shown: 0.0050 (visible, 0 to 0.5 s)"]
+    done = regress(write_run("now", {"net": {"recall": 0.7}}), "--baseline", baseline)
+    lines = [line for line in done.out.splitlines() if "could have shown: " in line]
+    assert lines == ["net: the smallest fall in F1 that this baseline could have shown: 0.0050 (visible, 0 to 0.5 s)"]

@@ -119,10 +119,10 @@ def test_one_short_recording_has_one_statement_for_each_pair_and_one_rule(baseli
     path = baseline_of(NAMES, recordings=1)
     run = write_run("now", {**NAMES, "kalman": {"loss": 0.05}}, recordings=1)
     done = regress(run, "--baseline", path, "--markdown", tmp_path / "said.md")
-    told = [line for line in done.out.splitlines() if "kalman" in line and ": F1 " in line]
+    sentences = [line for line in done.out.splitlines() if "kalman" in line and ": F1 " in line]
     assert done.code == 1
-    assert len({line.split(": F1")[0] for line in told}) == len(told) >= 3
-    assert all(line.startswith("worse: kalman, ") and line.endswith("; any fall is worse") for line in told)
+    assert len({line.split(": F1")[0] for line in sentences}) == len(sentences) >= 3
+    assert all(line.startswith("worse: kalman, ") and line.endswith("; any fall is worse") for line in sentences)
     assert not any(" on one recording" in line for line in done.out.splitlines() if "kalman" in line)
     assert "On one recording" not in (tmp_path / "said.md").read_text()
 
@@ -139,8 +139,8 @@ def test_no_stated_fall_is_larger_than_the_score_itself(baseline_of, write_run, 
     wide = regress(run, "--baseline", path, "--margin", "0.9", "--junit", tmp_path / "junit.xml")
     assert wide.code == 0
     cases = ElementTree.parse(tmp_path / "junit.xml").iterfind("testcase")
-    told = {case.findtext("system-out").split("; ")[-1] for case in cases if case.get("name").startswith("F1")}
-    assert told == {"no fall is beyond the margin of 0.9000"}
+    sentences = {case.findtext("system-out").split("; ")[-1] for case in cases if case.get("name").startswith("F1")}
+    assert sentences == {"no fall is beyond the margin of 0.9000"}
 
 
 @pytest.mark.parametrize(
