@@ -11,7 +11,6 @@ from statistics import fmean, stdev
 from gridtrack.evaluation.runs.finished import HEADLINE_STRATA
 from gridtrack.evaluation.runs.summary import (
     HeadlineTest,
-    OutputDescription,
     PairFamily,
     PointEstimate,
     TrackerDifference,
@@ -110,11 +109,8 @@ def _rows_of(run: ReportedRun, one: TrackerDifference, columns: Sequence[Headlin
     for other in (own for own in run.summary.scores if own.name != score.name and own.lead.tested):
         estimates = [one.at(at.stratum, other.name, other.lead.name, at.step) for at in columns]
         if any(found.value is not None for found in estimates):
-            yield DifferenceRow(one.tracker, name, other.lead.heading, False, _uncorrected(estimates, other.lead), "")
-
-
-def _uncorrected(estimates: Sequence[PointEstimate], output: OutputDescription) -> tuple[DifferenceCell, ...]:
-    return tuple(DifferenceCell.of(found, output.decimals, found.p, "uncorrected") for found in estimates)
+            uncorrected = (DifferenceCell.of(at, other.lead.decimals, at.p, "uncorrected") for at in estimates)
+            yield DifferenceRow(one.tracker, name, other.lead.heading, False, tuple(uncorrected), "")
 
 
 def interval_text(found: PointEstimate, decimals: int) -> str:

@@ -143,7 +143,8 @@ def _lines(table: HeadlineTable) -> Iterator[str]:
     yield f"  \\caption{{{caption if table.has_intervals else caption.partition(' with')[0]}}}"
     yield f"  \\begin{{tabular}}{{l{'r' * len(table.columns)}}}"
     yield "    \\toprule"
-    yield f"    {' & '.join(['', *_group_headings(table)])} \\\\"
+    groups = (f"\\multicolumn{{{columns}}}{{c}}{{{latex_text(group)}}}" for group, columns in table.groups)
+    yield f"    {' & '.join(['', *groups])} \\\\"
     yield f"    {' '.join(_rules(table))}"
     yield f"    {' & '.join(['tracker', *(latex_text(column.heading) for column in table.columns)])} \\\\"
     yield "    \\midrule"
@@ -155,11 +156,6 @@ def _lines(table: HeadlineTable) -> Iterator[str]:
     yield "    \\bottomrule"
     yield "  \\end{tabular}"
     yield "\\end{table}"
-
-
-def _group_headings(table: HeadlineTable) -> Iterator[str]:
-    for group, columns in table.groups:
-        yield f"\\multicolumn{{{columns}}}{{c}}{{{latex_text(group)}}}"
 
 
 def _rules(table: HeadlineTable) -> Iterator[str]:

@@ -378,11 +378,12 @@ def headline_markdown(table: HeadlineTable, text: Callable[[str], str] = cell_te
     """The table as Markdown, with the best values in bold; `text` escapes names."""
     headings = ["tracker", *(f"{c.group} {c.heading}" for c in table.columns), "frames", "outcome"]
     rows = [
-        [text(row.name), *(_cell_markdown(cell) for cell in row.cells), row.frames, text(row.remark or row.outcome)]
+        [
+            text(row.name),
+            *(f"{f'**{c.text}**' if c.best else c.text} {c.interval_text}".rstrip() for c in row.cells),
+            row.frames,
+            text(row.remark or row.outcome),
+        ]
         for row in table.rows
     ]
     return markdown_table(headings, rows, aligned_right=range(1, len(headings) - 1))
-
-
-def _cell_markdown(cell: TableCell) -> str:
-    return f"{f'**{cell.text}**' if cell.best else cell.text} {cell.interval_text}".rstrip()

@@ -60,7 +60,7 @@ def markdown_of(verdict: Verdict) -> str:
         "Over all units",
         ["verdict", *_HEADINGS, "p"],
         changed,
-        lambda row: [_verdict_text(verdict, row), *_row_cells(row), _p_value_text(row)],
+        lambda row: [_verdict_text(verdict, row), *_row_cells(row), UNDEFINED if row.p is None else p_digits(row.p)],
     )
     parts += _section(
         "Since the best entry of the history",
@@ -156,10 +156,6 @@ def _verdict_text(verdict: Verdict, row: VerdictRow) -> str:
     if row.criterion == "collapse":
         return f"{standing} (collapse)"
     return standing if row.verdict == "worse" or not row.recording else NO_COLLAPSE
-
-
-def _p_value_text(row: VerdictRow) -> str:
-    return UNDEFINED if row.p is None else p_digits(row.p)
 
 
 def junit_of(verdict: Verdict) -> str:

@@ -28,11 +28,7 @@ def test_the_worst_the_most_different_and_an_ordinary_moment_come_first():
         (0, "ordinary"),
         (1, "worst"),
     ]
-
-
-def test_every_moment_comes_once():
-    order = moments_in_order(scored(), ["a", "b"])
-    assert sorted(one.stamp_ns for one in order) == list(range(9))
+    assert sorted(one.stamp_ns for one in order) == list(range(9)), "each comes once"
 
 
 def test_ordinary_moments_are_spread_over_the_time():

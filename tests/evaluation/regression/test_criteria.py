@@ -143,12 +143,6 @@ def test_overlapping_stretches_of_one_recording_are_not_measured(write_run, regr
     assert "junction-00 and junction-01 are of one source and overlap" in done.err
 
 
-def test_a_margin_is_used_with_few_units_too(judged, write_run, regress, tmp_path):
-    done, _ = judged({}, {"loss": 0.01}, recordings=2)
-    assert done.code == 1
-    assert regress(tmp_path / "now", "--baseline", tmp_path / "baseline.json", "--margin", "0.05").code == 0
-
-
 def test_each_verdict_has_the_smallest_fall_that_would_have_been_found(judged, write_run, regress, tmp_path):
     done, _ = judged({"recall": 0.7}, {"recall": 0.7, "seed": 4, "noise": 0.03})
     rows = json.loads(done.out)["rows"]

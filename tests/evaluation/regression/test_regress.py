@@ -106,13 +106,14 @@ def test_a_small_fall_on_one_recording_of_twenty_is_printed_as_no_collapse(basel
     assert "change on one recording, no collapse: kalman on junction-07, dynamic" in done.out
 
 
-def test_on_too_few_units_any_fall_is_worse_unless_a_tolerance_is_stated(short_baseline, write_run, regress):
+def test_on_too_few_units_any_fall_is_worse_unless_a_tolerance_or_margin_is_given(short_baseline, write_run, regress):
     run = write_run("now", {**NAMES, "kalman": {"loss": 0.01}}, recordings=2)
     done = regress(run, "--baseline", short_baseline)
     assert done.code == 1
     assert "2 paired units, too few for significance, which needs 20" in done.out
     assert "persistence: every count is as in the baseline" in done.out
-    assert regress(run, "--baseline", short_baseline, "--tolerance", "kalman=0.05").code == 0
+    for tolerated in (("--tolerance", "kalman=0.05"), ("--margin", "0.05")):
+        assert regress(run, "--baseline", short_baseline, *tolerated).code == 0
 
 
 def test_one_short_recording_has_one_statement_for_each_pair_and_one_rule(baseline_of, write_run, regress, tmp_path):
