@@ -62,7 +62,7 @@ def atomic_write(path: Path, *, keep_on_error: bool = False) -> Iterator[BinaryI
 def replacing(path: Path, *, keep_on_error: bool = False) -> Iterator[Path]:
     """The name of a new file beside `path`, for the block to write, that replaces `path` as in `atomic_write`.
 
-    The OSError of a full disk names `path` and the remedy: that of a write names no file.
+    The OSError of a full disk names `path` and the remedy; Python's own names no file.
     """
     partial = path.with_name(f"{path.name}.{secrets.token_hex(8)}{PARTIAL_SUFFIX}")
     try:

@@ -37,8 +37,8 @@ CLAUSES = (
         "refuses-unknown-options",
         "It refuses an option that it does not have.",
         "A misspelt option would leave the default in place, and the table would show a setting that nobody used.",
-        "List the options in a subclass of `Settings`, which refuses others; a program answers with an error whose"
-        " outcome is `not-applicable`.",
+        "List the options in a subclass of `Settings`, which refuses others; a program answers with an error with"
+        " the outcome `not-applicable`.",
         ("loads",),
     ),
     Clause(

@@ -25,7 +25,7 @@ ORACLE = "oracle"
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
 """Names of stretches in a recording that have a use here."""
 _OF_CARD = (
-    ", so the thresholds of a tracker are those of its weights' card (chosen on the validation stretches of its"
+    ", so the thresholds of a tracker come from its weights' card (chosen on the validation stretches of its"
     " training), and 0.5 if there is none; name a stretch with --validation"
 )
 USUAL_EVERY_S, LEAST_FORECASTS = 1.0, 30

@@ -111,7 +111,7 @@ class Trial:
     def tracker_process(self, log: Path, *, scored: bool = False) -> TrackerProcess:
         """The tracker, not started yet, on the test stretch's grid and period; its stderr goes to `log`.
 
-        `scored`: whether its forecasts get all scores of a trial, such as those of classes and velocities.
+        `scored`: whether its forecasts get all scores of a trial, such as scores of classes and velocities.
         """
         stream = replace(stream_of(self.test), velocity_scored=scored and OCCLUDED in self.split.strata)
         if self.weights:
@@ -184,7 +184,7 @@ class ComparisonPlan:
 
 
 def with_copied_weights(plan: ComparisonPlan, folder: Path) -> ComparisonPlan:
-    """`plan` with copies of all weights in `folder`, so that every trial uses the files whose hash is recorded.
+    """`plan` with copies of all weights in `folder`, so that every trial uses the files with the recorded hash.
 
     Raises WeightsError, OSError.
     """

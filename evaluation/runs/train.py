@@ -180,7 +180,7 @@ def _stretches(
     recipe: Recipe, named: Mapping[str, Sequence[NamedStretch]], cache: FileCache, progress: Progress
 ) -> tuple[list[GridStream], list[GridStream]]:
     """The stretches to train on and to validate on, `named` by use. Raises ConfigurationError, RecordingError, and
-    WeightsError where those of a site differ in grid, period or site."""
+    WeightsError if stretches of a site differ in grid, period or site."""
     grid = GridSpec.parse(recipe.grid) if recipe.grid else None
     opened: dict[str, list[GridStream]] = {TRAIN: [], VALIDATION: []}
     with progress.stage("recording", sum(map(len, named.values()))) as stage:
@@ -267,7 +267,7 @@ def _of_test_stretches(streams: Sequence[GridStream]) -> Iterator[str]:
 
 
 def _overlap(one: Stretch, other: Stretch) -> bool:
-    """Whether two stretches of a recording have a time in common; an end of None is that of the recording."""
+    """Whether two stretches of a recording have a time in common; an end of None is the recording's."""
     ends_s = [math.inf if end_s is None else end_s for _, end_s in (one, other)]
     return max(one[0], other[0]) < min(ends_s)
 

@@ -13,8 +13,8 @@ from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, TOO_SHORT
 BLOCK_TIMES = 10.0
 """Length of a block in autocorrelation times: the means of neighbouring blocks are then nearly independent."""
 SHORTEST_BLOCK_S = 100.0
-"""No block is shorter, seconds, whatever was measured: longer than people stay and than most cycles of traffic lights.
-A memory that a recording is too short to show cannot be estimated from it."""
+"""The shortest block, seconds, at any measured correlation: longer than people stay and than most cycles of traffic
+lights. A short recording does not show its longer memory."""
 WINDOW = 5.0
 """The autocorrelation is summed up to a lag of this many times the sum itself (Sokal 1997, section 3)."""
 UPPER_QUANTILE = 1.645

@@ -281,7 +281,7 @@ def damage(path):
 
 @pytest.mark.parametrize("file", ["sums.parquet", "outcome.json"])
 @pytest.mark.parametrize("harm", [damage, lambda path: path.unlink()])
-def test_a_trial_whose_files_are_damaged_or_gone_never_passes(short_baseline, write_run, regress, file, harm):
+def test_a_trial_with_damaged_or_missing_files_never_passes(short_baseline, write_run, regress, file, harm):
     run = write_run("now", NAMES, recordings=2)
     harm(run / "kalman@junction-01" / file)
     done = regress(run, "--baseline", short_baseline)

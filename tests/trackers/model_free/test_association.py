@@ -129,7 +129,7 @@ def test_a_separate_leg_belongs_to_its_person():
     assert left == []
 
 
-def test_two_people_whose_returns_touch_remain_two():
+def test_two_people_in_contact_remain_two():
     both = cluster([[0.0, 0.0], [0.1, 0.0], [0.5, 0.0], [0.6, 0.0]])
     shares, left = shared([both], {0: 0}, [(0.0, 0.1), (0.6, 0.1)], reach_m=0.5)
     assert shares[0].points[:, 0].tolist() == [0.0, 0.1]
