@@ -18,6 +18,7 @@ from gridtrack.common.files import read_json, sha256_of, write_text
 from gridtrack.evaluation.regression.baseline import digest_of
 from gridtrack.evaluation.regression.judging import VerdictRow, judged_since
 from gridtrack.evaluation.regression.measurement import Baseline
+from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow
 from gridtrack.evaluation.regression.verdict import Verdict
 
 HISTORY_SCHEMA: Final = 1
@@ -202,31 +203,19 @@ def _content(result: Verdict | Sequence[str]) -> dict[str, Any]:
         "verdict": "worse" if result.worse else "no worse",
         "floors": result.floors,
         "scores": tuple(_score(row, result) for row in result.rows),
-        "speed": (
-            *(
-                HistorySpeed(
-                    label=row.label,
-                    call=row.call,
-                    against=row.reference,
-                    ratio=row.ratio_run,
-                    standing=result.standing_of(row),
-                )
-                for row in result.speed
-            ),
-            *(
-                HistorySpeed(
-                    label=row.label,
-                    call=row.call,
-                    against=row.base,
-                    ratio=row.ratio,
-                    low=row.low,
-                    high=row.high,
-                    standing=result.standing_of(row),
-                )
-                for row in result.turns
-            ),
-        ),
+        "speed": tuple(_time(row, result) for row in (*result.speed, *result.turns)),
     }
+
+
+def _time(row: SpeedRow | TurnsRow, verdict: Verdict) -> HistorySpeed:
+    own = (
+        {"against": row.reference, "ratio": row.ratio_run}
+        if isinstance(row, SpeedRow)
+        else {"against": row.base, "ratio": row.ratio, "low": row.low, "high": row.high}
+    )
+    return HistorySpeed.model_validate(
+        {"label": row.label, "call": row.call, **own, "standing": verdict.standing_of(row)}
+    )
 
 
 def _score(row: VerdictRow, verdict: Verdict) -> HistoryScore:

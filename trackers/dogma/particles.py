@@ -11,15 +11,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.trackers.dogma.random_numbers import (
-    first_normal,
-    fourth_normal,
-    hashed,
-    next_counter,
-    second_normal,
-    third_normal,
-    uniform,
-)
+from gridtrack.trackers.dogma.random_numbers import hashed, next_counter, normal, uniform
 
 Component = NDArray[np.float32]
 
@@ -81,14 +73,14 @@ def predict_particle(x, y, vx, vy, motion, counter):  # type: ignore[no-untyped-
     chance = uniform(bits)
     if vx == 0.0 and vy == 0.0:
         if chance < motion.start:
-            vx, vy = motion.threshold_speed * first_normal(bits), motion.threshold_speed * second_normal(bits)
+            vx, vy = motion.threshold_speed * normal(bits, 0), motion.threshold_speed * normal(bits, 1)
         return x + motion.periods * vx, y + motion.periods * vy, vx, vy
     if chance < motion.stop and vx * vx + vy * vy < motion.threshold_speed * motion.threshold_speed:
         return x, y, np.float32(0.0), np.float32(0.0)
-    ax, ay = motion.velocity * first_normal(bits), motion.velocity * second_normal(bits)
+    ax, ay = motion.velocity * normal(bits, 0), motion.velocity * normal(bits, 1)
     half = np.float32(0.5)
-    x += motion.periods * (vx + half * ax) + motion.position * third_normal(bits)
-    y += motion.periods * (vy + half * ay) + motion.position * fourth_normal(bits)
+    x += motion.periods * (vx + half * ax) + motion.position * normal(bits, 2)
+    y += motion.periods * (vy + half * ay) + motion.position * normal(bits, 3)
     return x, y, vx + ax, vy + ay
 
 
@@ -202,11 +194,11 @@ def _newborn(column, row, returns, point, resting, speed, counter):  # type: ign
     bits, more, choice = hashed(counter), hashed(~counter), hashed(hashed(counter))
     x, y = np.float32(column) + uniform(bits), np.float32(row) + uniform(more)
     if not np.isnan(point[0]) and uniform(choice) < returns.association:
-        x = point[0] + returns.deviation * first_normal(choice)
-        y = point[1] + returns.deviation * second_normal(choice)
+        x = point[0] + returns.deviation * normal(choice, 0)
+        y = point[1] + returns.deviation * normal(choice, 1)
     if uniform(hashed(choice)) < resting:
         return x, y, np.float32(0.0), np.float32(0.0)
-    return x, y, speed * first_normal(bits), speed * second_normal(bits)
+    return x, y, speed * normal(bits, 0), speed * normal(bits, 1)
 
 
 @numba.njit(error_model="numpy")
