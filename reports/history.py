@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import io
 import re
-import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import count
 from typing import TYPE_CHECKING
 
-from gridtrack.common.errors import ConfigurationError, printable
+from gridtrack.common.errors import printable
 from gridtrack.evaluation.regression.history import HistoryEntry
 from gridtrack.evaluation.regression.speed import CALLS
-from gridtrack.reports.print_figures import SETTINGS
+from gridtrack.reports.print_figures import figure_style, file_of
 from gridtrack.reports.styles import FLOOR_GREYS, TRACKER_COLOURS, look_of
 from gridtrack.reports.verdict_text import band_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
 
 HISTORY_PANEL_INCHES, LEAST_INCHES, ENTRY_INCHES = 1.7, 6.0, 0.3
 """Height of a panel, width of the smallest figure, and the width of an entry."""
@@ -49,19 +48,13 @@ Panel = tuple[str, Mapping[str, Mapping[int, Point]]]
 def history_svg(entries: Sequence[HistoryEntry]) -> str:
     """A panel for each F1 of the middle step band, for each other score that was worse in an entry, and for the time of
     each call. `entries`: the oldest first. Raises ConfigurationError if matplotlib is not installed."""
-    try:
-        import matplotlib
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ConfigurationError("a drawing needs matplotlib: pip install 'gridtrack[figures]'") from None
     panels = [panel for panel in (*_score_panels(entries), *_time_panels(entries)) if panel[1]]
     floors = {printable(label) for entry in entries for label in entry.floors}
     colours = _colours(dict.fromkeys(name for _, lines in panels for name in lines), floors)
     titles = _Titles()
-    with matplotlib.rc_context(SETTINGS), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # a name in a script that the font lacks is drawn as boxes
-        width = max(LEAST_INCHES, ENTRY_INCHES * len(entries))
-        figure = Figure((width, HISTORY_PANEL_INCHES * len(panels) + 1.0), layout="constrained")
+    width = max(LEAST_INCHES, ENTRY_INCHES * len(entries))
+    with figure_style("a drawing") as new_figure:
+        figure = new_figure((width, HISTORY_PANEL_INCHES * len(panels) + 1.0), layout="constrained")
         axes = figure.subplots(max(len(panels), 1), sharex=True, squeeze=False)[:, 0]
         for axis, (title, lines) in zip(axes, panels, strict=False):
             axis.set_title(title, fontsize=8, fontweight="bold", loc="left", parse_math=False)
@@ -69,10 +62,8 @@ def history_svg(entries: Sequence[HistoryEntry]) -> str:
             for name, line in lines.items():
                 _draw_line(axis, line, name, colours[name], entries, titles)
         _name_commits(axes[-1], entries)
-        _add_legend(figure, colours)
-        written = io.StringIO()
-        figure.savefig(written, format="svg", metadata={"Date": None, "Creator": "gridtrack"})
-    return titles.added_to(written.getvalue())
+        drawn = file_of(figure, "svg", _legend(figure, colours))
+    return titles.added_to(drawn.decode())
 
 
 class _Titles:
@@ -175,7 +166,7 @@ def _name(entry: HistoryEntry) -> str:
     return f"{entry.commit[:SHORT_COMMIT]}{'+' if entry.changed else ''}" if entry.commit else entry.recorded[:8]
 
 
-def _add_legend(figure: Figure, colours: Mapping[str, str]) -> None:
+def _legend(figure: Figure, colours: Mapping[str, str]) -> Legend:
     """The names in their colours, and the signs."""
     from matplotlib.lines import Line2D
 
@@ -186,9 +177,7 @@ def _add_legend(figure: Figure, colours: Mapping[str, str]) -> None:
         Line2D([], [], color=SOFT, linestyle="dashed"),
     ]
     names = [*colours, "worse", "worse in any score", "not measured"]
-    legend = figure.legend([*lines, *signs], names, loc="outside upper left", ncols=4, frameon=False)
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    return figure.legend([*lines, *signs], names, loc="outside upper left", ncols=4, frameon=False)
 
 
 def _colours(names: Iterable[str], floors: Collection[str]) -> dict[str, str]:
