@@ -31,7 +31,7 @@ Forecasts = list[tuple[int, Forecast]]
 FORECAST_TOLERANCE = 1e-5
 """Largest difference between equal forecasts, in probability: the order of summation may change the rounding."""
 UNSEEN_FRAMES = 4
-"""Frames at the end of a drive in which nothing is visible: the forecast shows what the tracker remembers."""
+"""Frames at the end of a drive in which nothing is visible: the forecast shows the memory of the tracker."""
 PLACE_TOLERANCE = 0.05
 """Limit by which a wall may be more probable at another place than at its own."""
 MISSED_FRAMES = 2

@@ -13,7 +13,7 @@ FEW = tuple(f"junction-{number:02}" for number in range(4))
 
 @pytest.fixture
 def judged(baseline_of, write_run, regress):
-    """`judged(then, now)`: the exit code, the rows that are worse, and what was printed."""
+    """`judged(then, now)`: the exit code, the rows that are worse, and the output."""
 
     def judged(then, now, *options, **run):
         path = baseline_of({"net": then}, **run)

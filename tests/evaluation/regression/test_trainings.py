@@ -14,7 +14,7 @@ MIDDLE = slice(5, 13)
 
 @pytest.fixture
 def baseline_of(write_run, regress, tmp_path):
-    """`baseline_of(*trainings)`: a baseline of one run for each, given as fields of Made, and what was printed."""
+    """`baseline_of(*trainings)`: a baseline of one run for each, given as fields of Made, and the output."""
 
     def baseline_of(*trainings, recordings=20):
         runs = [write_run(f"then-{n}", {"net": made}, recordings) for n, made in enumerate(trainings)]

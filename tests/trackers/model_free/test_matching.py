@@ -216,7 +216,7 @@ def test_a_hidden_side_decays_more_slowly_than_one_in_view_without_returns():
     assert shape.weights[2] > 0.6
     for _ in range(12):
         shape.update(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.ones(len(shape.weights), bool), 0.1, gain=0.1)
-    assert len(shape.weights) == 2, "what has not been there for long is dropped"
+    assert len(shape.weights) == 2, "points of a short time are dropped"
 
 
 @pytest.mark.parametrize("gain", [0.4, 0.02])
