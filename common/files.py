@@ -20,13 +20,14 @@ from typing import Any, BinaryIO
 
 import platformdirs
 
-from gridtrack.common.errors import GridtrackError, printable
+from gridtrack.common.errors import GridtrackError, one_line, printable
 from gridtrack.common.untrusted import parse_json
 
 APPLICATION = "gridtrack"
 PACKED_SUFFIXES = (".gz", ".bz2", ".zst", ".zstd")
 PARTIAL_SUFFIX = ".partial"
 MAX_NAME_BYTES = 160
+LOG_END_BYTES = 4096
 CONFLICT_MARK = re.compile(rb"^(?:<{7}|>{7}) ", re.MULTILINE)
 LFS_POINTER = b"version https://git-lfs"
 NOT_PULLED = "a Git LFS pointer: run `git lfs pull` in its repository"
@@ -137,6 +138,17 @@ def read_bounded(path: Path, max_bytes: int, error: type[GridtrackError]) -> byt
     if len(content) > max_bytes:
         raise error(f"{path}: larger than {max_bytes} bytes: refused")
     return content
+
+
+def last_line(log: Path, max_chars: int) -> str:
+    """The last line with text in a log, at most `max_chars`; empty if there is none, or no such file."""
+    try:
+        with log.open("rb") as file:
+            file.seek(max(0, log.stat().st_size - LOG_END_BYTES))
+            lines = file.read(LOG_END_BYTES).decode(errors="replace").splitlines()
+    except OSError:
+        return ""
+    return next(filter(None, (one_line(line, max_chars) for line in reversed(lines))), "")
 
 
 def read_json(path: Path, max_bytes: int, error: type[GridtrackError]) -> dict[str, Any]:

@@ -44,7 +44,7 @@ def open_stream(
 ) -> GridStream:
     """The stream of `RECORDING` or `RECORDING@STRETCH`; grid and rate default to the recording's.
 
-    `options` are those of open_recording. Raises RecordingError, PluginError and ConfigurationError.
+    `options`: as in open_recording. Raises RecordingError, PluginError and ConfigurationError.
     """
     path, stretch = parse_stretch(str(text))
     recording = open_recording(path, **options)
@@ -269,7 +269,7 @@ class GridStream:
 
 
 def default_grid(survey: Survey) -> GridSpec:
-    """The window of a recording that names none: that of GridSpec, with fewer cells if no sensor measures as far."""
+    """The default window of a recording: GridSpec's, with fewer cells if no sensor measures as far."""
     usual, centre = GridSpec(), next(iter(survey.poses.values()))
     reach_m = max(
         sensor.first.range_max + math.hypot(pose.x - centre.x, pose.y - centre.y)

@@ -1,4 +1,4 @@
-"""A Ray cluster: each task is a Ray task, which is sent the path of its folder and nothing else."""
+"""A Ray cluster: each task is a Ray task, which receives the path of its folder and nothing else."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ENVIRONMENT = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
 
 
 class RayCluster:
-    """A TaskCluster of Ray nodes. Ray trusts whoever reaches it: a cluster belongs behind a firewall.
+    """A TaskCluster of Ray nodes. Ray trusts everybody who reaches it: a cluster belongs behind a firewall.
 
     `run_task` is a function of an importable module, which takes the path of a task's folder. Each task has `cores`
     cores. Without an `address` the cluster of this machine is joined, or one is started here, which listens on loopback

@@ -32,7 +32,7 @@ KILL_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class ProcessExit:
-    """Exit of a supervised program: `status` as of `os.waitpid`, None if unknown; `peak_kb` resident memory, KiB."""
+    """Exit of a supervised program: `status` from `os.waitpid`, None if unknown; `peak_kb` resident memory, KiB."""
 
     status: int | None = None
     peak_kb: int = 0
@@ -82,8 +82,8 @@ class SupervisedProgram:
     """A program started as a child of a supervisor process, in its own session, so that Ctrl-C does not reach it.
 
     The supervisor ends the program and all processes that it started, and removes its temporary folder (`TMPDIR`) and
-    its files in shared memory, also when this process dies. If the supervisor itself was killed, this process ends
-    those that it adopted (`adopt_orphans`). `send` and `receive` are for one thread; the others may be called from any.
+    its files in shared memory, also when this process dies. If the supervisor itself was killed, this process ends the
+    processes that it adopted (`adopt_orphans`). `send` and `receive` are for one thread, other methods for any.
     """
 
     def __init__(

@@ -16,7 +16,7 @@ CLOCK_FACTOR, TRANSPORT_MS = 2.0, 5.0
 LOWEST_MS, HIGHEST_MS, GROWTH = 1e-3, 1e6, 1.02
 LATENCY_BINS = math.ceil(math.log(HIGHEST_MS / LOWEST_MS) / math.log(GROWTH)) + 1
 TWENTIETHS = range(0, 101, 5)
-"""Percentiles between which lie a twentieth of the calls each."""
+"""Percentiles in steps of a twentieth of the calls."""
 
 
 def clock_that_counts(own_ms: float, round_trip_ms: float) -> Clock:

@@ -42,7 +42,7 @@ StoredKinds = KindsOfWindow | KindsOfPlaces | KindsOfTimes
 def cell_kinds_for(stream: GridStream, streams: Iterable[GridStream]) -> StoredKinds:
     """Kinds of the cells of `stream`, one of the `streams` of a training. Raises RecordingError.
 
-    Static cells are those of the true scene. Without truth they are found in the training's own stretches of the
+    Static cells are from the true scene. Without truth they are found in the training's own stretches of the
     recording only: the rest of the recording may be scored later.
     """
     first = next(iter(stream.observations()))

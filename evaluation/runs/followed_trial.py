@@ -56,7 +56,7 @@ class FollowedTrial(TrialRun):
         return self._thresholds
 
     def close_deadline(self, index: int) -> None:
-        """Keep the forecast that is scored at the frame `index`, presented last, whose deadline has passed.
+        """Keep the forecast that is scored at the frame `index`, presented last; its deadline has passed.
 
         Raises OSError.
         """

@@ -50,7 +50,7 @@ class SharedInputs:
     """
 
     def __init__(self, settings: CompareSettings, note: Callable[[str], None], folder: Path, jobs: int = 1) -> None:
-        """`folder` is that of `SharedThresholds`; `jobs` run at the same time.
+        """`folder`: of `SharedThresholds`; `jobs` run at the same time.
 
         The regions of as many recordings are kept: they are megabytes, and a run may have thousands of recordings.
         """

@@ -161,7 +161,7 @@ def leaks_of(split: EvaluationSplit, weights: LearnedWeights | None) -> tuple[st
 
 
 def refuse_leaks(leaks: Iterable[tuple[str, ...]]) -> None:
-    """Raise ConfigurationError if any trial of a comparison has leaks; `leaks` has those of each trial."""
+    """Raise ConfigurationError if any trial of a comparison has leaks; `leaks`: by trial."""
     found = list(dict.fromkeys(chain.from_iterable(leaks)))
     if found:
         more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""

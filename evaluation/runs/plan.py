@@ -116,7 +116,7 @@ class Trial:
     def tracker_process(self, log: Path, *, scored: bool = False) -> TrackerProcess:
         """The tracker, not started yet, on the test stretch's grid and period; its stderr goes to `log`.
 
-        `scored`: whether its forecasts get all scores of a trial, such as those of classes and velocities.
+        `scored`: whether its forecasts get all scores of a trial, such as scores of classes and velocities.
         """
         stream = replace(stream_of(self.test), velocity_scored=scored and OCCLUDED in self.split.strata)
         if self.weights:
@@ -189,7 +189,7 @@ class ComparisonPlan:
 
 
 def with_copied_weights(plan: ComparisonPlan, folder: Path) -> ComparisonPlan:
-    """`plan` with copies of all weights in `folder`, so that every trial uses the files whose hash is recorded.
+    """`plan` with copies of all weights in `folder`, so that every trial uses the files with the recorded hash.
 
     Raises WeightsError, OSError.
     """
@@ -263,11 +263,16 @@ def resolve(
         _refuse_thresholds_of_another_site(trial)
     of_weights = (notice for _, notice in weights.values() if notice)
     notices = [*left_out, *(notice for split in splits for notice in split.notices), *of_weights, *_notices(trials)]
-    if settings.allow_leak:
-        notices += [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
-    else:
-        refuse_leaks(trial.leaks for trial in trials)
+    notices += _leak_notices(settings, trials)
     return ComparisonPlan(settings, splits, trials, tuple(dict.fromkeys(notices)))
+
+
+def _leak_notices(settings: CompareSettings, trials: Sequence[Trial]) -> list[str]:
+    """A line for each allowed leak. Raises the error of `refuse_leaks` for others."""
+    if settings.allow_leak:
+        return [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
+    refuse_leaks(trial.leaks for trial in trials)
+    return []
 
 
 def _notices(trials: Sequence[Trial]) -> Iterator[str]:

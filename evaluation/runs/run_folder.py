@@ -238,7 +238,7 @@ def _is_done(weights_sha256: str, record: TrialRecord, folder: Path) -> bool:
 def without_edited(
     plan: ComparisonPlan, kept: Mapping[str, TrialRecord], note: Callable[[str], None]
 ) -> dict[str, TrialRecord]:
-    """The `kept` records by trial name, without trials of a tracker whose code was edited since; `note` reports them.
+    """The `kept` records by trial name, without trials of a tracker that was edited since; `note` reports them.
 
     Each tracker of the user is started once to hash its code; trackers of gridtrack are not, because the run records
     its version. The scores of a tracker that no longer starts are kept.

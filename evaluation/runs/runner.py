@@ -101,7 +101,7 @@ def _remove_records(folder: Path, names: Iterable[str]) -> None:
 
 
 def engine_of(settings: CompareSettings, progress: JobObserver) -> Engine:
-    """The engine of a run, whose folder exists. Raises a GridtrackError if there is no such cluster."""
+    """The engine of a run; its folder exists. Raises a GridtrackError if there is no such cluster."""
     cores = settings.limits.threads
     if settings.engine == "ray":
         return RemoteEngine(RayCluster(settings.address, cores, execute), settings.out, progress)

@@ -20,7 +20,7 @@ BEGUN = ".begun"
 
 @contextmanager
 def stored_run(url: str, *, resume: bool, again: str | None, note: Callable[[str], None]) -> Iterator[Path]:
-    """The local folder of the run at `url`, whose files are uploaded when the block ends; then it is removed.
+    """The local folder of the run at `url`. At the end of the block it is uploaded and removed.
 
     With `resume` it starts from the run in the store, or from files that an earlier comparison could not upload. If the
     block or the upload raises, the folder stays, and `note` receives a line that names it and the command `again` that

@@ -65,7 +65,7 @@ def summarise(
     reference: str | None = None,
     scores: Sequence[ScoreDefinition] | None = None,
 ) -> RunSummary:
-    """The summary of `trials` on `recordings`; `notices` precede those of the trials.
+    """The summary of `trials` on `recordings`; `notices` precede the trials' own.
 
     `reference` is the label of the row that the others are compared with; None: the default one. `scores`: None are the
     built-in ones. Raises ScoresError.

@@ -85,7 +85,7 @@ def test_an_undefined_score_is_a_dash(run_folder, tmp_path):
     assert not any(cell.best for cell in f1)
 
 
-def test_nothing_is_best_where_trackers_were_delivered_other_frames(run_folder, tmp_path):
+def test_nothing_is_best_if_trackers_received_other_frames(run_folder, tmp_path):
     def differ(summary):
         summary["recordings"]["crossing"]["parity"] = False
 

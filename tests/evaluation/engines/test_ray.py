@@ -25,7 +25,7 @@ from studies.support.plugins import write_distribution
 
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'gridtrack[ray]'")
 OBJECTS = 80 * 1024 * 1024
-"""Memory of a node for objects, bytes: the least that Ray takes."""
+"""Memory of a node for objects, bytes: the smallest amount that Ray accepts."""
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def test_a_sigterm_ends_the_tasks_and_keeps_their_scores(cluster, settings, tmp_
 
 
 def test_a_node_killed_in_mid_run_changes_no_count(cluster, settings, progress, tmp_path):
-    """The trial that it ran starts again on the other node; the tracker that fails by itself never does."""
+    """Its trial starts again on the other node; a tracker that fails by itself is not started again."""
     # hanging before its thresholds are known, the trial has the same stretches when it starts again
     rows = f"staged:crash_at=40,crash_in=1,how=hangs,starts={tmp_path / 'starts'}", "dies:crash_at=60"
     requested = settings(*rows, engine="ray", address=cluster.address)

@@ -175,7 +175,7 @@ def test_files_in_its_memory_count_as_memory(attack, folder):
     assert not Path(folder, "burglar").exists()
 
 
-def test_scores_are_those_without_a_sandbox(compare, tmp_path):
+def test_scores_are_equal_with_and_without_the_sandbox(compare, tmp_path):
     scores = []
     for confined in (False, True):
         limits, out = Limits(sandbox=confined), tmp_path / f"run {confined}"
