@@ -28,6 +28,8 @@ PACKED_SUFFIXES = (".gz", ".bz2", ".zst", ".zstd")
 PARTIAL_SUFFIX = ".partial"
 MAX_NAME_BYTES = 160
 LOG_END_BYTES = 4096
+MAX_FOLDERS = 32
+"""Limit of folders in each other; a run has 6."""
 CONFLICT_MARK = re.compile(rb"^(?:<{7}|>{7}) ", re.MULTILINE)
 LFS_POINTER = b"version https://git-lfs"
 NOT_PULLED = "a Git LFS pointer: run `git lfs pull` in its repository"
@@ -87,6 +89,12 @@ def naming_full_disk(path: Path) -> Iterator[None]:
         raise OSError(error.errno, f"{os.strerror(error.errno)}: {FREE_SPACE}", str(path)) from error
 
 
+def open_new(path: Path) -> BinaryIO:
+    """Open a new file to write in place of one at `path`, which may be a link or another name of any file."""
+    path.unlink(missing_ok=True)
+    return path.open("xb")
+
+
 def remove_partial_files(folder: Path) -> None:
     """Remove files that an earlier process, killed while it wrote, left in `folder`."""
     for partial in folder.glob(f"*{PARTIAL_SUFFIX}"):
@@ -102,15 +110,17 @@ def open_regular(path: Path) -> BinaryIO:
     raise OSError(0, NOT_A_FILE, str(path))
 
 
-def refuse_links(folder: Path, error: type[GridtrackError], unread: str = "") -> None:
+def refuse_links(folder: Path, error: type[GridtrackError], unread: str = "", left: int = MAX_FOLDERS) -> None:
     """Raise `error` for the first link, pipe or device in `folder` or below, but for a folder `unread` in it.
 
-    Its maker could direct our output to any file of the user.
+    Its maker could direct our output to any file of the user. Also for more than `left` folders in each other.
     """
+    if not left:
+        raise error(f"{folder}: more than {MAX_FOLDERS} folders in each other: remove it")
     for entry in os.scandir(folder):
         if entry.is_dir(follow_symlinks=False):
             if entry.name != unread:
-                refuse_links(Path(entry.path), error)
+                refuse_links(Path(entry.path), error, left=left - 1)
         elif not entry.is_file(follow_symlinks=False):
             what = "a link" if entry.is_symlink() else NOT_A_FILE
             raise error(f"{entry.path}: {what}; gridtrack uses a folder of files and folders alone: remove it")

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import mkdtemp
 
+from gridtrack.common.files import open_new
 from gridtrack.evaluation.hosting.host import forget_leader, start_leader
 from gridtrack.trackers.wire import Message, encode, receive, widen, without
 
@@ -105,7 +106,7 @@ class SupervisedProgram:
         control, supervisors_end = socket.socketpair()
         command = [sys.executable, "-I", "-S", str(SUPERVISOR), str(supervisors_end.fileno()), str(memory_mb or 0)]
         command += ["1" if log else "0", self._folder, *argv]
-        with supervisors_end, log.open("wb") if log else contextlib.nullcontext() as stderr:
+        with supervisors_end, open_new(log) if log else contextlib.nullcontext() as stderr:
             self._supervisor = start_leader(
                 lambda: subprocess.Popen(
                     command,

@@ -76,11 +76,15 @@ def run_lock(folder: Path) -> Iterator[None]:
 
 
 def _lock_file(path: Path) -> TextIO:
-    """The file of the lock, open. Raises RunError for a link."""
+    """The file of the lock, open. Raises RunError for a link and for another name of some file."""
     try:
-        return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666), "r+")
+        file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666), "r+")
     except OSError as error:
         raise RunError(f"{path}: cannot be opened ({error.strerror}): remove it, or name another folder") from None
+    if os.fstat(file.fileno()).st_nlink > 1:
+        file.close()
+        raise RunError(f"{path}: a file with a second name, which is not written to: remove it")
+    return file
 
 
 def _lock(file: TextIO, folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import mmap
 import os
 import socket
 import subprocess
@@ -144,6 +145,18 @@ def test_no_key_of_the_kernel_outlives_its_process(attack, confined):
     attack(("leaves_a_key", SESSION_KEYRING), ("leaves_a_key", USER_KEYRING), confined=confined)
     found = attack(("finds_a_key", SESSION_KEYRING), ("finds_a_key", USER_KEYRING), confined=confined)
     assert found == [False, not confined]
+
+
+@pytest.mark.parametrize("confined", [False, True], ids=["open", "sandbox"])
+def test_the_pages_that_a_file_has_in_memory_cannot_be_asked(attack, tmp_path, confined):
+    """A tracker could read some pages of its own files in one pass, and look for them in the next."""
+    own = tmp_path / "site" / "weights.bin"
+    own.parent.mkdir(exist_ok=True)
+    with own.open("wb") as file:
+        file.write(bytes(16 * mmap.PAGESIZE))
+        os.fsync(file)
+    _, found = attack(("leaves_pages", own), ("finds_pages", own), confined=confined)
+    assert len(found) == (0 if confined else 16)
 
 
 @pytest.mark.parametrize("confined", [False, True], ids=["open", "sandbox"])
