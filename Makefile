@@ -23,7 +23,7 @@ folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
 trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))
 
-.PHONY: help demo demo-junction test pytest check coverage lint bench results worlds-results real-results schemas docs figures size screenshots ablations returns junction weights baseline clean
+.PHONY: help demo demo-junction test pytest check coverage lint bench results worlds-results real-results schemas lock docs figures size screenshots ablations returns junction weights baseline clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
@@ -79,6 +79,10 @@ real-results: $(VENV)/.installed-dev ## the same on recordings of real robots, i
 
 schemas: $(VENV)/.installed-dev ## write the JSON Schemas of the result files into docs/schemas
 	$(BIN)/python -m gridtrack.evaluation.schemas docs/schemas
+
+# the oldest Python on which the versions of constraints.txt can all be installed
+lock: $(VENV)/.installed-dev ## write constraints.lock: the versions of constraints.txt, with hashes of their files, for every platform
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11.5 --generate-hashes --no-annotate --no-header --extra dev --constraint constraints.txt --output-file constraints.lock pyproject.toml
 
 docs: $(VENV)/.installed-docs ## build the documentation site in runs/site; every link and heading is checked
 	$(BIN)/python -m mkdocs build --strict

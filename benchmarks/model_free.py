@@ -143,7 +143,7 @@ def measure(
 
 
 def share_column(pipeline: TimedPipeline, seconds: np.ndarray) -> dict[str, str]:
-    """The median of each stage as a share of that of an update and a forecast together."""
+    """The median of each stage as a share of the time of an update and a forecast together."""
     whole = float(np.median(seconds))
     stages = {stage: float(np.median(times[WARM_UP:])) for stage, times in pipeline.seconds.items()}
     return {stage: f"{100 * time_s / whole:.0f} %" for stage, time_s in stages.items()}

@@ -85,7 +85,7 @@ def frame_times_ms(rounds: int) -> dict[str, float]:
 
 
 def frames_in_windows(recording: Recording, grid: GridSpec, columns: Sequence[int]) -> list[GridFrame]:
-    """A frame for each of `columns`, the place of its window in cells to the right of that of the recording."""
+    """A frame for each of `columns`, the place of its window in cells to the right of the recording's window."""
     frames = []
     for scan, column in zip(recording.scans(), columns, strict=False):
         right_m = column * grid.cell_m

@@ -36,7 +36,7 @@ def words_as_typed() -> Iterator[None]:
 
 
 def _joined(broken: Sequence[str]) -> list[str]:
-    """The words, of which bash broke each at its BREAKS."""
+    """The whole words: bash breaks words at its BREAKS."""
     words: list[str] = []
     continues = False
     for part in broken:

@@ -15,7 +15,7 @@ import typer
 from gridtrack.cli.options import DEBUG_OPTION, JsonOption, TrackersTomlOption, run_folder_at, settings_options
 from gridtrack.common.config import validated
 from gridtrack.common.errors import ConfigurationError, GridtrackError, one_line, printable
-from gridtrack.common.files import write_text
+from gridtrack.common.files import naming_full_disk, write_text
 from gridtrack.evaluation.regression.baseline import BaselineError, baseline_of, read_baseline, write_baseline
 from gridtrack.evaluation.regression.confirmation import confirmed
 from gridtrack.evaluation.regression.history import (
@@ -83,51 +83,67 @@ def regress_command(
 ) -> None:
     """Compare a run with a baseline: is any tracker worse?
 
-    A baseline of several trainings holds their spread too. Exit code:
+    A baseline of several trainings has their spread too. Exit code:
     0 no tracker is worse
     1 a tracker is worse
     2 wrong use
     3 not measured: a trial failed, is missing, or has no partner in the baseline
     """
-    if "speed_margin" in values and "speed_reference" not in values and not speed_base:
-        raise ConfigurationError(
-            "--speed-margin: speed is judged only with --speed-reference LABEL or --speed-base LABEL=NAME"
-        )
-    only_judging = {
-        "--confirm": confirm,
-        "--speed-base": speed_base,
-        "--junit": junit,
-        "--markdown": markdown,
-        "--json": as_json,
-    }
-    if update and (given := next((option for option, value in only_judging.items() if value), None)):
-        raise ConfigurationError(f"{given}: --update judges nothing; leave one of the two out")
-    if len(runs) > 1 and not update:
-        raise ConfigurationError(f"{len(runs)} runs: one is judged at a time; --update makes a baseline of several")
+    _refuse_contradictions(
+        values,
+        runs,
+        update,
+        {"--confirm": confirm, "--speed-base": speed_base, "--junit": junit, "--markdown": markdown, "--json": as_json},
+    )
     settings = validated(GateSettings, values, "gridtrack regress")
     if trackers_toml and not (speed_base or confirm):
         raise ConfigurationError("--trackers-toml: it is for the programs that --speed-base or --confirm starts")
-    bases = _bases(speed_base or (), trackers_toml)
-    past = Past(history, read_history(history)) if history else None
+    starting = Starting(confirm, _bases(speed_base or (), trackers_toml), trackers_toml)
+    past, reports = Past(history, read_history(history)) if history else None, Reports(junit, markdown, as_json)
+    raise typer.Exit(_check(runs, baseline, settings, None if update else starting, past, reports))
+
+
+def _check(
+    runs: Sequence[Path],
+    baseline: Path,
+    settings: GateSettings,
+    starting: Starting | None,
+    past: Past | None,
+    reports: Reports,
+) -> int:
+    """Judge a run and report the verdict, or without `starting` write a new baseline. Returns the exit code."""
     try:
-        if update:
+        if starting is None:
             _update_baseline(runs, baseline, settings, past)
-            return
+            return 0
         stored = read_baseline(baseline)
-        verdict = _judge(runs[0], stored, settings, Starting(confirm, bases, trackers_toml), past)
-        _report_verdict(verdict, junit, markdown, as_json)
+        verdict = _judge(runs[0], stored, settings, starting, past)
+        reports.write(verdict)
     except Exception as error:
         reasons = _reasons_unmeasured(error)
         if not reasons:
             raise
-        _report_unmeasured(reasons, junit, markdown, as_json)
-        if past and not update:
+        reports.write_unmeasured(reasons)
+        if past and starting:
             past.add(new_entry(past.entries, baseline, reasons))
-        raise typer.Exit(UNMEASURED) from None
+        return UNMEASURED
     if past:
         past.add(new_entry(past.entries, baseline, verdict, digest_of_frames(stored)))
-    if verdict.worse:
-        raise typer.Exit(WORSE)
+    return WORSE if verdict.worse else 0
+
+
+def _refuse_contradictions(
+    values: Mapping[str, Any], runs: Sequence[Path], update: bool, only_judging: Mapping[str, object]
+) -> None:
+    """Raises ConfigurationError for options that exclude or need each other."""
+    if "speed_margin" in values and "speed_reference" not in values and not only_judging["--speed-base"]:
+        raise ConfigurationError(
+            "--speed-margin: speed is judged only with --speed-reference LABEL or --speed-base LABEL=NAME"
+        )
+    if update and (given := next((option for option, value in only_judging.items() if value), None)):
+        raise ConfigurationError(f"{given}: --update judges nothing; leave one of the two out")
+    if len(runs) > 1 and not update:
+        raise ConfigurationError(f"{len(runs)} runs: one is judged at a time; --update makes a baseline of several")
 
 
 @dataclass(frozen=True)
@@ -150,8 +166,8 @@ class Past:
 
 
 def _update_baseline(runs: Sequence[Path], baseline: Path, settings: GateSettings, past: Past | None) -> None:
-    """Write `runs` as the baseline; print its content, the scores worse than in the replaced one, and with a
-    history the change since its first and its best entry."""
+    """Write `runs` as the baseline. Print its content, the scores worse than in the replaced baseline, and with a
+    history the changes since its first and its best entry."""
     if len({run.resolve() for run in runs}) < len(runs):
         raise ConfigurationError("a run is given twice: each run of a baseline is a training or a seed of its own")
     first = measure_run(runs[0], None, settings.scores)
@@ -177,7 +193,7 @@ def _update_baseline(runs: Sequence[Path], baseline: Path, settings: GateSetting
 
 
 def _replaced(baseline: Path) -> Baseline | str | None:
-    """The baseline that is replaced, or why it cannot be read; None if there is none."""
+    """The replaced baseline, or why it cannot be read; None if there is none."""
     try:
         return read_baseline(baseline) if baseline.exists() else None
     except (BaselineError, Unmeasured) as reason:
@@ -185,7 +201,7 @@ def _replaced(baseline: Path) -> Baseline | str | None:
 
 
 def _against_replaced(run: Path, stored: Baseline, settings: GateSettings) -> Verdict | str:
-    """The verdict on the run by the baseline that is replaced, or why there is none."""
+    """The verdict on the run by the replaced baseline, or why there is none."""
     try:
         return _judge(run, stored, GateSettings(scores=settings.scores), Starting(), past=None)
     except Unmeasured as reason:
@@ -194,9 +210,9 @@ def _against_replaced(run: Path, stored: Baseline, settings: GateSettings) -> Ve
 
 @dataclass(frozen=True)
 class Starting:
-    """The trackers that a check starts, with programs of the user's `trackers_toml` alone.
+    """The trackers that a check starts, with programs only from the user's `trackers_toml`.
 
-    `confirm` repeats worse rows; `bases`, by label, are trackers with times that are measured in turns with it.
+    `confirm`: repeat worse rows. `bases`: by label, the tracker to time in turns with it.
     """
 
     confirm: bool = False
@@ -211,7 +227,12 @@ def _judge(run: Path, stored: Baseline, settings: GateSettings, starting: Starti
     measured = measure_run(run, stored.first, settings.scores)
     verdict = compare_with_baseline(stored, measured, settings)
     if starting.confirm:
-        verdict = _confirmed(verdict, stored, measured, settings, run, starting.trackers_toml)
+
+        def again(trials: Trials, timed: bool) -> list[Measurement]:
+            with RunProgress() as progress:
+                return run_again(run, trials, stored.first, timed, progress, settings.scores, starting.trackers_toml)
+
+        verdict = confirmed(verdict, stored, measured, settings, again)
     if past:
         verdict = judged_by_history(verdict, past.entries, digest_of_frames(stored))
     if not starting.bases:
@@ -232,23 +253,6 @@ def _bases(texts: Sequence[str], trackers_toml: Path | None) -> dict[str, Launch
     return bases
 
 
-def _confirmed(
-    verdict: Verdict,
-    baseline: Baseline,
-    measured: Measurement,
-    settings: GateSettings,
-    run: Path,
-    trackers_toml: Path | None,
-) -> Verdict:
-    """The verdict after a second run of the worse rows."""
-
-    def again(trials: Trials, timed: bool) -> list[Measurement]:
-        with RunProgress() as progress:
-            return run_again(run, trials, baseline.first, timed, progress, settings.scores, trackers_toml)
-
-    return confirmed(verdict, baseline, measured, settings, again)
-
-
 def _reasons_unmeasured(error: Exception) -> Sequence[str]:
     """Why there is no verdict, one line each; none if `error` is wrong use, which the command line reports.
 
@@ -265,19 +269,28 @@ def _reasons_unmeasured(error: Exception) -> Sequence[str]:
     return [f"regress failed ({crash}); {DEBUG_OPTION} shows the traceback"]
 
 
-def _report_verdict(verdict: Verdict, junit: Path | None, markdown: Path | None, as_json: bool) -> None:
-    _write_report(junit, junit_of, verdict)
-    _write_report(markdown, markdown_of, verdict)
-    typer.echo(json.dumps(data_of(verdict), indent=1) if as_json else text_of(verdict))
+@dataclass(frozen=True)
+class Reports:
+    """The outputs of a check: on the terminal as text or JSON, and in files."""
 
+    junit: Path | None
+    markdown: Path | None
+    as_json: bool
 
-def _report_unmeasured(reasons: Sequence[str], junit: Path | None, markdown: Path | None, as_json: bool) -> None:
-    _write_report(junit, junit_of_unmeasured, reasons)
-    _write_report(markdown, markdown_of_unmeasured, reasons)
-    if as_json:
-        typer.echo(json.dumps({"verdict": "not measured", "reasons": list(reasons)}, indent=1))
-    for reason in reasons:
-        typer.echo(f"gridtrack: not measured: {printable(reason)}", err=True)
+    def write(self, verdict: Verdict) -> None:
+        """Print a verdict and write its files."""
+        _write_report(self.junit, junit_of, verdict)
+        _write_report(self.markdown, markdown_of, verdict)
+        typer.echo(json.dumps(data_of(verdict), indent=1) if self.as_json else text_of(verdict))
+
+    def write_unmeasured(self, reasons: Sequence[str]) -> None:
+        """Print the reasons why there is no verdict, and write them to the files."""
+        _write_report(self.junit, junit_of_unmeasured, reasons)
+        _write_report(self.markdown, markdown_of_unmeasured, reasons)
+        if self.as_json:
+            typer.echo(json.dumps({"verdict": "not measured", "reasons": list(reasons)}, indent=1))
+        for reason in reasons:
+            typer.echo(f"gridtrack: not measured: {printable(reason)}", err=True)
 
 
 def _write_report(path: Path | None, rendered: Callable[[Any], str], content: Any) -> None:
@@ -285,6 +298,7 @@ def _write_report(path: Path | None, rendered: Callable[[Any], str], content: An
     if path is None:
         return
     if path.exists() and not path.is_file():
-        path.write_text(rendered(content), "utf-8")
+        with naming_full_disk(path):
+            path.write_text(rendered(content), "utf-8")
     else:
         write_text(path, rendered(content))

@@ -20,13 +20,16 @@ from typing import Any, BinaryIO
 
 import platformdirs
 
-from gridtrack.common.errors import GridtrackError, printable
+from gridtrack.common.errors import GridtrackError, one_line, printable
 from gridtrack.common.untrusted import parse_json
 
 APPLICATION = "gridtrack"
 PACKED_SUFFIXES = (".gz", ".bz2", ".zst", ".zstd")
 PARTIAL_SUFFIX = ".partial"
 MAX_NAME_BYTES = 160
+LOG_END_BYTES = 4096
+MAX_FOLDERS = 32
+"""Limit of folders in each other; a run has 6."""
 CONFLICT_MARK = re.compile(rb"^(?:<{7}|>{7}) ", re.MULTILINE)
 LFS_POINTER = b"version https://git-lfs"
 NOT_PULLED = "a Git LFS pointer: run `git lfs pull` in its repository"
@@ -61,19 +64,35 @@ def atomic_write(path: Path, *, keep_on_error: bool = False) -> Iterator[BinaryI
 def replacing(path: Path, *, keep_on_error: bool = False) -> Iterator[Path]:
     """The name of a new file beside `path`, for the block to write, that replaces `path` as in `atomic_write`.
 
-    The OSError of a full disk names `path` and the remedy: that of a write names no file.
+    A full disk is as in `naming_full_disk`.
     """
     partial = path.with_name(f"{path.name}.{secrets.token_hex(8)}{PARTIAL_SUFFIX}")
+    with naming_full_disk(path):
+        try:
+            yield partial
+        except BaseException:
+            if keep_on_error and partial.exists():
+                partial.replace(path)
+            partial.unlink(missing_ok=True)
+            raise
+        partial.replace(path)
+
+
+@contextmanager
+def naming_full_disk(path: Path) -> Iterator[None]:
+    """For a block that writes `path`: the OSError of a full disk names it and the remedy; that of a write does not."""
     try:
-        yield partial
-    except BaseException as error:
-        if keep_on_error and partial.exists():
-            partial.replace(path)
-        partial.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.errno in FULL:
-            raise OSError(error.errno, f"{os.strerror(error.errno)}: {FREE_SPACE}", str(path)) from error
-        raise
-    partial.replace(path)
+        yield
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        raise OSError(error.errno, f"{os.strerror(error.errno)}: {FREE_SPACE}", str(path)) from error
+
+
+def open_new(path: Path) -> BinaryIO:
+    """Open a new file to write in place of one at `path`, which may be a link or another name of any file."""
+    path.unlink(missing_ok=True)
+    return path.open("xb")
 
 
 def remove_partial_files(folder: Path) -> None:
@@ -91,15 +110,17 @@ def open_regular(path: Path) -> BinaryIO:
     raise OSError(0, NOT_A_FILE, str(path))
 
 
-def refuse_links(folder: Path, error: type[GridtrackError], unread: str = "") -> None:
+def refuse_links(folder: Path, error: type[GridtrackError], unread: str = "", left: int = MAX_FOLDERS) -> None:
     """Raise `error` for the first link, pipe or device in `folder` or below, but for a folder `unread` in it.
 
-    Its maker could direct our output to any file of the user.
+    Its maker could direct our output to any file of the user. Also for more than `left` folders in each other.
     """
+    if not left:
+        raise error(f"{folder}: more than {MAX_FOLDERS} folders in each other: remove it")
     for entry in os.scandir(folder):
         if entry.is_dir(follow_symlinks=False):
             if entry.name != unread:
-                refuse_links(Path(entry.path), error)
+                refuse_links(Path(entry.path), error, left=left - 1)
         elif not entry.is_file(follow_symlinks=False):
             what = "a link" if entry.is_symlink() else NOT_A_FILE
             raise error(f"{entry.path}: {what}; gridtrack uses a folder of files and folders alone: remove it")
@@ -127,6 +148,17 @@ def read_bounded(path: Path, max_bytes: int, error: type[GridtrackError]) -> byt
     if len(content) > max_bytes:
         raise error(f"{path}: larger than {max_bytes} bytes: refused")
     return content
+
+
+def last_line(log: Path, max_chars: int) -> str:
+    """The last line with text in a log, at most `max_chars`; empty if there is none, or no such file."""
+    try:
+        with log.open("rb") as file:
+            file.seek(max(0, log.stat().st_size - LOG_END_BYTES))
+            lines = file.read(LOG_END_BYTES).decode(errors="replace").splitlines()
+    except OSError:
+        return ""
+    return next(filter(None, (one_line(line, max_chars) for line in reversed(lines))), "")
 
 
 def read_json(path: Path, max_bytes: int, error: type[GridtrackError]) -> dict[str, Any]:

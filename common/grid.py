@@ -92,7 +92,7 @@ class GridSpec:
         )
 
     def cells_of(self, points: NDArray[np.floating]) -> tuple[NDArray[np.int64], Mask]:
-        """Cells (N, 2) as [row, column] of points (N, 2) in the grid frame, and which of them lie inside (N,)."""
+        """Cells (N, 2) as [row, column] of points (N, 2) in the grid frame, and whether each lies inside (N,)."""
         scaled = (np.asarray(points, np.float64) - np.array(self.origin)) / self.cell_m
         scaled = np.floor(snapped(scaled)).astype(np.int64)
         return scaled[:, ::-1], ((scaled >= 0) & (scaled < self.size)).all(axis=1)

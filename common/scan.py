@@ -39,12 +39,12 @@ class PoseQuality:
 
     @property
     def failed(self) -> bool:
-        """Whether the pose is that of the prior."""
+        """Whether the pose is the prior's."""
         return self.outcome in ("few-returns", "few-inliers", "far")
 
     @property
     def fell_back(self) -> bool:
-        """Whether the pose is that of the prior, in full or in part."""
+        """Whether the pose is the prior's, in full or in part."""
         return self.failed or self.outcome == "partial"
 
 

@@ -1,4 +1,4 @@
-"""Hook of `mkdocs`: the files of the site are those of the repository, at their own paths.
+"""Hook of `mkdocs`: the files of the site are the repository's, at their own paths.
 
 So a link from a page to a page, a heading or a file means the same on the site as in the repository, and `--strict`
 checks those that leave docs/ too.
@@ -30,7 +30,7 @@ def on_startup(**_: object) -> None:
 
 
 def on_files(files: Files, *, config: MkDocsConfig) -> Files:
-    """The files of the site in place of those of docs/ alone."""
+    """The files of the site in place of the files of docs/ alone."""
     found = (path for pattern in ("docs/**/*", *OUTSIDE) for path in sorted(ROOT.glob(pattern)))
     shown = dict.fromkeys(path for path in found if path.is_file() and path.suffix not in NOT_SHOWN)
     kept = [file for file in files if file.src_dir != config.docs_dir]  # of the theme and of plugins

@@ -17,7 +17,7 @@ from gridtrack.common.scan import Scan
 
 DEGRADE_OPTION = "--degrade"
 JITTER_LEVER_M = 5.0
-"""Standard deviation of the position over that of the heading: at this distance both move a point equally."""
+"""Standard deviation of the position over the heading's: at this distance both move a point equally."""
 
 
 class Degradation(Settings):

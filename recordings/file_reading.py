@@ -13,6 +13,7 @@ from typing import Self
 import zstandard
 
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.files import atomic_write
 
 FREE_BYTES, BYTES_PER_BYTE = 64 << 20, 100
 """Limit of the unpacked bytes of a file: a free amount, and more for each byte of the file."""
@@ -76,7 +77,7 @@ def unpacked(path: Path) -> Iterator[Path]:
         try:
             with (
                 zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True) as content,
-                copy.open("wb") as out,
+                atomic_write(copy) as out,
             ):
                 while block := content.read(UNPACKED_BLOCK_BYTES):
                     budget.take_bytes(len(block), file.tell())

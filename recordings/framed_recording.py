@@ -202,7 +202,7 @@ class FramedRecording(Recording):
             for message in type(self)(first, self.options).messages():
                 if message.topic.endswith(STATIC_TRANSFORMS):
                     self._add_to(tree, message)
-        self.notify(f"its static transforms are those of {first.name}")
+        self.notify(f"its static transforms are from {first.name}")
 
     def _add_to(self, tree: FrameTree, message: EncodedMessage) -> None:
         content, topic = self.content_of(message), message.topic

@@ -54,7 +54,7 @@ def import_recording(
     options give the same bytes. Warnings about the file are written too, so reading the result repeats them. `site`
     defaults to the site in the source, or to its file name. With `ego_motion` "kiss-icp" the poses come from matching
     the scans, and a single sensor needs no usable recorded poses; with "refined" the recorded motion is the prior of
-    the matches. `options` are those of `open_recording`. An existing file at `out` is replaced only with `overwrite`.
+    the matches. `options`: as in `open_recording`. An existing file at `out` is replaced only with `overwrite`.
     Raises RecordingError and ConfigurationError; `out` is then not changed.
     """
     out = Path(out)

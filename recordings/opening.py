@@ -103,7 +103,7 @@ def recordings_at(path: Path, format: str | None = None) -> list[Path]:
     """`path`, or all recordings in a folder of recordings, sorted by name. Raises RecordingError without any.
 
     A folder that is itself a recording, such as a ROS 2 bag, is one recording; its files then have the same format.
-    `format` is that of ReadOptions.
+    `format`: as in ReadOptions.
     """
     if not path.is_dir():
         return [path]

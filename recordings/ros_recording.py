@@ -134,7 +134,7 @@ def bearings_of(points: NDArray[np.float64], beams: int | None) -> Bearings:
 def scan_of_cloud(message: Any, sensor: str, received_ns: int, cut: CloudSlice, bearings: Bearings) -> Scan:
     """A height slice of a sensor_msgs/PointCloud2 as a scan: one revolution of `bearings`.
 
-    A cloud without any point gives no information about free space, whatever `empty` says.
+    A cloud without any point gives no information about free space, with any `empty`.
     """
     points = cloud_points(message)
     is_unknown = cut.empty == "unknown" or not len(points)

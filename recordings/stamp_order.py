@@ -241,16 +241,16 @@ def _contradiction_of(scan: Scan) -> str:
     """
     steps = scan.ranges.size - 1
     counted_rad = scan.angle_increment * steps
-    told_rad = counted_rad if scan.last_angle is None else scan.last_angle - scan.angle_min
-    off_rad = abs(told_rad - counted_rad)
-    fits = off_rad <= BEAMS_OFF * abs(scan.angle_increment) + ANGLE_ROUNDING * abs(told_rad)
+    declared_rad = counted_rad if scan.last_angle is None else scan.last_angle - scan.angle_min
+    off_rad = abs(declared_rad - counted_rad)
+    fits = off_rad <= BEAMS_OFF * abs(scan.angle_increment) + ANGLE_ROUNDING * abs(declared_rad)
     if steps < 1 or (fits and scan.angle_increment != 0.0):
         return ""
-    first, told, counted = (math.degrees(angle) for angle in (scan.angle_min, told_rad, counted_rad))
+    first, declared, counted = (math.degrees(angle) for angle in (scan.angle_min, declared_rad, counted_rad))
     return (
         f"its header contradicts itself: {steps + 1} beams every {scan.angle_increment:g} rad cover {counted:.4g} deg,"
-        f" and angle_max is {told:.4g} deg from angle_min: import the recording with the angles of the first and the"
-        f" last beam, as in --angles {first:.5g}deg,{first + told if told else first + 180.0:.5g}deg"
+        f" and angle_max is {declared:.4g} deg from angle_min: import the recording with the angles of the first and"
+        f" the last beam, as in --angles {first:.5g}deg,{first + declared if declared else first + 180.0:.5g}deg"
     )
 
 

@@ -44,7 +44,7 @@ def open_stream(
 ) -> GridStream:
     """The stream of `RECORDING` or `RECORDING@STRETCH`; grid and rate default to the recording's.
 
-    `options` are those of open_recording. Raises RecordingError, PluginError and ConfigurationError.
+    `options`: as in open_recording. Raises RecordingError, PluginError and ConfigurationError.
     """
     path, stretch = parse_stretch(str(text))
     recording = open_recording(path, **options)
@@ -173,15 +173,22 @@ class GridStream:
         """The ticks of the stretch; if a sensor moves, also those since the last tick with a scan of each sensor."""
         survey, ticks = self.recording.survey, self._ticks
         if survey.moves:
-            stamps_ns = survey.first_ns + np.arange(ticks.start + 1) * self.period_ns
+            since = self._end_of_last_long_gap()
+            stamps_ns = survey.first_ns + np.arange(since, ticks.start + 1) * self.period_ns
             missing = [sensor.missing(stamps_ns, self.period_ns) for sensor in survey.sensors.values()]
             complete = np.flatnonzero(~np.any(missing, axis=0))
-            ticks = range(int(complete[-1]) if len(complete) else 0, ticks.stop)
+            ticks = range(since + (int(complete[-1]) if len(complete) else 0), ticks.stop)
         margin_s = 3 * self.period_s
         start_s, end_s = ticks[0] * self.period_s, ticks[-1] * self.period_s
         scans = self.recording.scans(max(start_s - margin_s, 0.0), end_s + margin_s)
         alone = len(survey.sensors) == 1
         return resample_scans(scans, self.period_ns, origin_ns=survey.first_ns, ticks=ticks, bridged=alone)
+
+    def _end_of_last_long_gap(self) -> int:
+        """The first tick after the last gap of more than MAX_EMPTY_FRAMES before the stretch; it may last for years."""
+        long_gaps = self.recording.survey.gaps(MAX_EMPTY_FRAMES * self.period_ns)
+        ends = (long_gaps[:, 1] - self.recording.survey.first_ns) // self.period_ns
+        return int(ends[ends <= self._ticks.start].max(initial=0))
 
     def _observation(
         self, tick: Tick, poses: Mapping[str, SE2], world_T_grid: SE2, reference_T_world: SE2
@@ -269,7 +276,7 @@ class GridStream:
 
 
 def default_grid(survey: Survey) -> GridSpec:
-    """The window of a recording that names none: that of GridSpec, with fewer cells if no sensor measures as far."""
+    """The default window of a recording: GridSpec's, with fewer cells if no sensor measures as far."""
     usual, centre = GridSpec(), next(iter(survey.poses.values()))
     reach_m = max(
         sensor.first.range_max + math.hypot(pose.x - centre.x, pose.y - centre.y)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.files import atomic_write
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.alternation import Alternation
@@ -297,7 +298,7 @@ def write_survey(recording: Recording, path: Path) -> None:
     arrays: dict[str, Any] = {}
     for n, sensor in enumerate(survey.sensors.values()):
         arrays |= {f"stamps_{n}": sensor.stamps_ns, f"ranges_{n}": sensor.first.ranges}
-    with path.open("wb") as file:
+    with atomic_write(path) as file:
         np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
 
 

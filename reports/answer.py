@@ -1,5 +1,4 @@
-"""The answer of a run: its main result in a sentence, and below it a line each on the recordings, the weights, trackers
-that keep up, and trackers that are not ranked."""
+"""The answer of a run: its main result in a sentence, and lines on recordings, weights, speed and missing ranks."""
 
 from __future__ import annotations
 
@@ -25,15 +24,15 @@ MOST_CHARS = 300
 WEIGHTS_WORDS = {"site": "of the site", "general": "general", "general, site": "general or of the site", "": "none"}
 UNTIMED = "not measured: gridtrack compare --latency measures it"
 KEEPING_UP = ("no", "updates only", "yes")
-"""From the worst: a tracker has the worst of its recordings."""
+"""The worst first: a tracker has the worst verdict of its recordings."""
 
 RowStanding = Literal["different", "alike", ""]
-"""The result of the tests of a row against those at the top: significantly different, not so, or not tested."""
+"""The tests of a row against the rows at the top: significantly different, not significantly, or not tested."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The main result of one run in a sentence for each main table, and the lines below that say something."""
+    """The main result of one run in a sentence for each main table, and the lines below it that are not empty."""
 
     run: str
     leads: tuple[str, ...]
@@ -48,11 +47,10 @@ def answer_of(run: ReportedRun) -> Answer:
 
 
 def lead_of(runs: Sequence[ReportedRun], table: HeadlineTable) -> str:
-    """The main result: the best score in the decisive column, the floor's, and which rows differ significantly; empty
-    if rows do not compare.
+    """The main result: the best score in the decisive column, the floor's, and the rows that differ significantly.
 
-    `runs`: those of the table. No tracker is called the best. Where the rows were not tested, a second sentence says
-    that their order may be chance.
+    Empty if rows do not compare. `runs`: the runs of the table. No tracker is called the best. Without tests a second
+    sentence says that the order may be chance.
     """
     return _MainResult(runs, table).sentence if table.comparable else ""
 
@@ -95,7 +93,7 @@ class _MainResult:
         return rows[0].cells[self._at].text
 
     def _best_score(self, value: str) -> str:
-        """The trackers with the best score; of a single tracker its score."""
+        """The trackers with the best score; the score of a single tracker."""
         if len(self.table.rows_in("ranked")) == 1:
             return f"{self._top[0].name} has {self._column.title_with_article} of {value} on {self._place}"
         verb, each = ("have", " each") if len(self._top) > 1 else ("has", "")
@@ -106,14 +104,14 @@ class _MainResult:
         return "highest" if self._column.better > 0 else "lowest"
 
     def _unbeaten(self) -> str:
-        """That the floor has the best score."""
+        """The sentence if the floor has the best score."""
         alone = len(self.table.rows_in("ranked")) == 1
         best = _names(self._top) if alone else f"the {self._best_word} of the trackers, {_names(self._top)},"
         floor = f"{_names(self._floor)} has {self._column.title_with_article} of {self._text(self._floor)}"
         return f"No tracker beats the floor on {self._place}: {floor}, {best} {self._text(self._top)}"
 
     def _standings_of(self, others: Sequence[TableRow]) -> dict[str, RowStanding]:
-        """By the key of each row its standing against all rows at the top, in the tests of the decisive score."""
+        """The standing of each row, by its key, against all rows at the top, in the tests of the decisive score."""
         verdicts = self._verdicts()
         found: dict[str, RowStanding] = {}
         for row in others:
@@ -136,7 +134,7 @@ class _MainResult:
         }
 
     def _of_floor(self) -> RowStanding:
-        """The standing of the best rows of the floor together: one that does not differ decides."""
+        """The standing of the best rows of the floor together: `alike` if any of them is."""
         found = {self._standings[row.key] for row in self._floor}
         return "alike" if "alike" in found else "different" if "different" in found else ""
 
@@ -171,7 +169,7 @@ class _MainResult:
         return f"{_names(self._floor)} at {self._text(self._floor)}"
 
     def _may_be_chance(self) -> str:
-        """That the order of rows that were not tested may be chance, and why they were not."""
+        """The sentence on rows without tests: their order may be chance, and why they were not tested."""
         why = "these rows were not tested against each other"
         if not self.table.has_intervals:
             why = f"there are fewer than the {LEAST_UNITS} units that a test needs"
@@ -180,7 +178,7 @@ class _MainResult:
         return f"The order may be chance: {why}."
 
     def _why_none(self) -> str:
-        """The result if no tracker has a score to be ranked by."""
+        """The result if no tracker has a rank."""
         table = self.table
         if table.rows_in("ranked"):
             return (
@@ -216,7 +214,7 @@ def _compared(run: ReportedRun) -> Fact:
 
 
 def _most_scored(run: ReportedRun, recording: str) -> int:
-    """The largest number of forecasts scored on a recording: some rows may have failed."""
+    """The largest number of forecasts of a row scored on a recording: some rows may have failed."""
     rows = (row.recordings.get(recording) for row in run.summary.trackers.values() if not row.ceiling)
     return max((trial.frames_scored for trial in rows if trial is not None), default=0)
 

@@ -57,10 +57,10 @@ class ExportedTable:
 
 
 def exported_tables(runs: Sequence[ReportedRun], rows: str = "", columns: str = "") -> tuple[ExportedTable, ...]:
-    """The table of each recording, first of all pooled: the rows with labels that match one of `rows`, in `columns`.
+    """The table of each recording, pooled ones first: the rows with labels that match one of `rows`, in `columns`.
 
-    `rows`: patterns of labels as of file names, separated by commas; `columns`: as of parse_score_choices. Empty: those
-    of the main table. Raises ConfigurationError if nothing matches, RunError and ReportError.
+    `rows`: patterns like file names, separated by commas; `columns`: as in parse_score_choices. Empty: as in the main
+    table. Raises ConfigurationError if nothing matches, RunError and ReportError.
     """
     choices = parse_score_choices(columns, runs) if columns else ()
     labels = names_matching(rows or "*", [label for run in runs for label in run.summary.trackers], "--rows", "row")

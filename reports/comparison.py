@@ -31,7 +31,7 @@ from gridtrack.reports.page import render_report
 from gridtrack.reports.run_progress import LiveTable, RunProgress
 
 INCOMPLETE = 3
-"""Exit code of a comparison with a trial that is not complete, or that lacks a requested measurement."""
+"""Exit code if a trial is not complete, or lacks a requested measurement."""
 ROW_WEIGHTS_URL = re.compile(rf'(?<=[:,])\s*weights\s*=\s*("?)(?P<url>{URL.pattern}[^",]*)\1')
 """`weights=URL` among the options of a tracker."""
 
@@ -88,7 +88,7 @@ def comparison(
 
 
 def local_values(values: Mapping[str, Any], note: Callable[[str], None]) -> dict[str, Any]:
-    """`values` with the local copies of recordings and weights that are named by URLs. Raises StoreError."""
+    """`values` with local copies in place of the URLs of recordings and weights. Raises StoreError."""
     fetch: dict[str, Callable[[str], Any]] = {
         "recordings": partial(fetched, note=note),
         "trackers": partial(_with_local_weights, note=note),
@@ -105,7 +105,7 @@ def local_values(values: Mapping[str, Any], note: Callable[[str], None]) -> dict
 
 
 def _with_local_weights(row: str, note: Callable[[str], None]) -> str:
-    """[LABEL=]NAME[:KEY=VALUE,...] with the local copy of weights that are named by a URL. Raises StoreError."""
+    """[LABEL=]NAME[:KEY=VALUE,...] with a local copy in place of the URL of weights. Raises StoreError."""
 
     def local(match: re.Match[str]) -> str:
         return f"weights={json.dumps(str(local_folder(match['url'], 'weights', note)), ensure_ascii=False)}"
@@ -147,8 +147,8 @@ def _follow(
 
 
 def _note_missing(plan: ComparisonPlan, summary: RunSummary, note: Callable[[str], None]) -> bool:
-    """Note each recording without an occupied cell, and each requested measurement that a complete trial lacks; whether
-    there are any."""
+    """Note each recording without an occupied cell, and each requested measurement that a complete trial lacks. Returns
+    whether there are any."""
     records = [read_trial_record(plan.settings.out / trial.name) for trial in plan.trials]
     complete = [record for record in records if record and record.outcome == "ok"]
     missing = [line for record in complete for line in missing_measurements(plan.settings, record)]
@@ -164,6 +164,6 @@ def _note_missing(plan: ComparisonPlan, summary: RunSummary, note: Callable[[str
 
 
 def _nothing_occupied(trials: Sequence[TrialSummary]) -> bool:
-    """Whether trials of one recording were scored, and F1 is defined at no step, for want of an occupied cell."""
+    """Whether trials of one recording were scored, but F1 is undefined at every step: no cell was occupied."""
     curves = [found.value for trial in trials if (found := trial.estimate("visible", "f1", "f1")) is not None]
     return bool(curves) and all(value is None for curve in curves for value in curve)

@@ -15,7 +15,7 @@ NAME_WIDTH = max(len(clause.name) for clause in CLAUSES)
 
 
 def clause_lines(result: ClauseResult) -> list[str]:
-    """One line for a clause; of a broken one also its requirement and the remedy."""
+    """One line for a clause; for a failed one also its requirement and the remedy."""
     lines = [f"{result.verdict:{VERDICT_WIDTH}}  {result.clause.name:{NAME_WIDTH}}  {printable(result.observed)}"]
     if result.verdict == "failed":
         lines += [f"{'':{VERDICT_WIDTH}}  requires: {result.clause.requirement}"]

@@ -1,5 +1,5 @@
-"""Tests of differences as tables: each tracker against the reference, trackers by their trainings, and the groups of
-rows that do not differ significantly."""
+"""Tests of differences as tables: each tracker against the reference, the trainings of each tracker, and groups of rows
+that do not differ significantly."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from statistics import fmean, stdev
 from gridtrack.evaluation.runs.finished import HEADLINE_STRATA
 from gridtrack.evaluation.runs.summary import (
     HeadlineTest,
-    OutputDescription,
     PairFamily,
     PointEstimate,
     TrackerDifference,
@@ -49,7 +48,7 @@ class DifferenceRow:
 
     tracker: str
     name: str
-    """The label of the tracker as it is shown."""
+    """The displayed label of the tracker."""
     score: str
     leads: bool
     """Whether it is the row of the headline score."""
@@ -91,7 +90,7 @@ def difference_table(run: ReportedRun, recording: str) -> DifferenceTable | None
 
 
 def _rows_of(run: ReportedRun, one: TrackerDifference, columns: Sequence[HeadlineTest]) -> Iterator[DifferenceRow]:
-    """The row of the headline score, and rows of the run's other tested scores if there was a comparison."""
+    """The row of the headline score, and if there was a comparison, rows of the run's other tested scores."""
     name = name_in(run, one.tracker, one.recordings)
     score, output = run.summary.find(run.summary.headline)
     if one.interval:
@@ -110,11 +109,8 @@ def _rows_of(run: ReportedRun, one: TrackerDifference, columns: Sequence[Headlin
     for other in (own for own in run.summary.scores if own.name != score.name and own.lead.tested):
         estimates = [one.at(at.stratum, other.name, other.lead.name, at.step) for at in columns]
         if any(found.value is not None for found in estimates):
-            yield DifferenceRow(one.tracker, name, other.lead.heading, False, _uncorrected(estimates, other.lead), "")
-
-
-def _uncorrected(estimates: Sequence[PointEstimate], output: OutputDescription) -> tuple[DifferenceCell, ...]:
-    return tuple(DifferenceCell.of(found, output.decimals, found.p, "uncorrected") for found in estimates)
+            uncorrected = (DifferenceCell.of(at, other.lead.decimals, at.p, "uncorrected") for at in estimates)
+            yield DifferenceRow(one.tracker, name, other.lead.heading, False, tuple(uncorrected), "")
 
 
 def interval_text(found: PointEstimate, decimals: int) -> str:
@@ -130,7 +126,7 @@ def p_text(p: float | None) -> str:
 
 
 def difference_markdown(differences: DifferenceTable, text: Callable[[str], str] = cell_text) -> str:
-    """The table as Markdown, with names as `text` writes them."""
+    """The table as Markdown; `text` escapes names."""
     headings = ["tracker", *(f"{stratum} {horizon_s:g} s" for stratum, horizon_s in differences.columns)]
     empty = [""] * (len(differences.columns) - 1)
     rows = []
@@ -141,11 +137,11 @@ def difference_markdown(differences: DifferenceTable, text: Callable[[str], str]
 
 
 def groups_of(family: PairFamily) -> tuple[tuple[str, ...], ...]:
-    """Groups of labels: two rows differ significantly exactly where no group has both, among the tested pairs.
+    """Groups of labels: two tested rows differ significantly exactly if no group has both.
 
-    Groups are grown one after another, each from the first pair that no group has yet: they cover the pairs without a
-    significant difference by sets in which no pair has one (Piepho, J. Comp. Graph. Stat. 13, 2004, draws such groups
-    as letters). A row that differs from all others is in none.
+    Each group grows from the first pair that no earlier group has. No pair of a group differs significantly, and every
+    pair that does not is in a group (Piepho, J. Comp. Graph. Stat. 13, 2004, draws such groups as letters). A row that
+    differs from all others is in none.
     """
     labels = list(dict.fromkeys(label for test in family.pairs for label in (test.tracker, test.other)))
     alike = {frozenset((test.tracker, test.other)) for test in family.pairs if test.verdict not in SIGNIFICANT_VERDICTS}
@@ -164,7 +160,7 @@ def groups_of(family: PairFamily) -> tuple[tuple[str, ...], ...]:
 @dataclass(frozen=True)
 class TrainingsCell:
     """One stratum and horizon, as text: the mean, the spread between trainings, and below them the difference from the
-    reference, or of several runs the lowest and highest value."""
+    reference or, for several runs, the lowest and highest value."""
 
     mean: str
     spread: str
@@ -175,7 +171,7 @@ class TrainingsCell:
 
 @dataclass(frozen=True)
 class TrainingsRow:
-    """One tracker; `count` trainings, the rows of the page with these `keys`. `reason`: why its difference has no
+    """One tracker. `count` trainings are the rows of the page with these `keys`. `reason`: why its difference has no
     interval."""
 
     name: str
@@ -187,16 +183,17 @@ class TrainingsRow:
 
 @dataclass(frozen=True)
 class TrainingsTable:
-    """Every tracker by its trainings, on one recording or pooled over all."""
+    """The trainings of every tracker, on one recording or pooled over all.
+
+    `title`: the score's. `reference`: the other trackers are compared with it; empty for trainings of several runs,
+    which are not compared. `units`: their number in the comparison.
+    """
 
     title: str
-    """Of the score."""
     reference: str
-    """The tracker that others are compared with; empty for trainings of several runs, which are not compared."""
     columns: tuple[tuple[str, float], ...]
     """Stratum and horizon, seconds."""
     units: int
-    """Of the comparison."""
     rows: tuple[TrainingsRow, ...]
 
 
@@ -229,7 +226,7 @@ def _trainings_cell(score: TrainingsScore, decimals: int) -> TrainingsCell:
 
 
 def trainings_across(runs: Sequence[ReportedRun], table: HeadlineTable) -> TrainingsTable | None:
-    """The rows of several runs that differ in their weights alone; None if there are no two, or other frames."""
+    """The rows of several runs that differ only in their weights; None without two such rows, or with other frames."""
     by_run = {run.name: run for run in runs}
     trainings: dict[str, dict[str, TableRow]] = {}
     for row in table.rows if table.comparable else ():
@@ -258,7 +255,7 @@ def trainings_across(runs: Sequence[ReportedRun], table: HeadlineTable) -> Train
 
 
 def _name_of_all(rows: Sequence[TableRow]) -> str:
-    """The label that all rows have, else the name of their tracker."""
+    """The common label of the rows, else the name of their tracker."""
     labels = {row.label for row in rows}
     return name_of(rows[0].label, rows[0].trial) if len(labels) == 1 else rows[0].entry.tracker
 

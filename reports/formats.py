@@ -1,4 +1,4 @@
-"""The formats of an exported report, each from the same rows and columns. The page is one more: reports/page.py."""
+"""The formats of an exported report, all from the same rows and columns, except the page (reports/page.py)."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ SPECIAL = {
     **{sign: f"\\{sign}" for sign in "{}$&#%_"},
 }
 LIGATURE = re.compile("([-,])(?=\\1)")
-"""Two of them in a row are another sign: a dash, a quotation mark."""
+"""TeX turns two of these in a row into another sign: a dash, a quotation mark."""
 
 Render = Callable[[Sequence[ReportedRun], Sequence[ExportedTable], str], str | bytes]
-"""From the runs, their tables as chosen, and the columns as the user gave them ("" for none)."""
+"""From the runs, the chosen tables, and the user's option for columns ("" if not given)."""
 
 
 def check_format(name: str) -> None:
@@ -49,8 +49,8 @@ def check_format(name: str) -> None:
 
 
 def render_as(name: str, runs: Sequence[Path], rows: str = "", columns: str = "", recordings: str = "") -> bytes:
-    """The results of `runs` in the format `name` of FORMATS: `rows` and `columns` as `exported_tables` takes them,
-    `recordings` as `chosen_runs`.
+    """The results of `runs` in the format `name` of FORMATS; `rows` and `columns` as in `exported_tables`,
+    `recordings` as in `chosen_runs`.
 
     Raises ConfigurationError, RunError and ReportError.
     """
@@ -126,7 +126,7 @@ def _text(text: str) -> str:
 
 
 def latex_text(text: str) -> str:
-    """Text on one line in which no character has a meaning for TeX, and none becomes another."""
+    """Text on one line, escaped so that TeX shows every character as it is."""
     return LIGATURE.sub(r"\1{}", "".join(SPECIAL.get(sign, sign) for sign in printable(text)))
 
 
@@ -143,7 +143,8 @@ def _lines(table: HeadlineTable) -> Iterator[str]:
     yield f"  \\caption{{{caption if table.has_intervals else caption.partition(' with')[0]}}}"
     yield f"  \\begin{{tabular}}{{l{'r' * len(table.columns)}}}"
     yield "    \\toprule"
-    yield f"    {' & '.join(['', *_group_headings(table)])} \\\\"
+    groups = (f"\\multicolumn{{{columns}}}{{c}}{{{latex_text(group)}}}" for group, columns in table.groups)
+    yield f"    {' & '.join(['', *groups])} \\\\"
     yield f"    {' '.join(_rules(table))}"
     yield f"    {' & '.join(['tracker', *(latex_text(column.heading) for column in table.columns)])} \\\\"
     yield "    \\midrule"
@@ -155,11 +156,6 @@ def _lines(table: HeadlineTable) -> Iterator[str]:
     yield "    \\bottomrule"
     yield "  \\end{tabular}"
     yield "\\end{table}"
-
-
-def _group_headings(table: HeadlineTable) -> Iterator[str]:
-    for group, columns in table.groups:
-        yield f"\\multicolumn{{{columns}}}{{c}}{{{latex_text(group)}}}"
 
 
 def _rules(table: HeadlineTable) -> Iterator[str]:

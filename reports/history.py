@@ -1,26 +1,25 @@
-"""The history of a regression check as a drawing: scores and times over commits, an SVG file that opens by itself."""
+"""The drawing of the history of a regression check: scores and times over commits, as an SVG file."""
 
 from __future__ import annotations
 
-import io
 import re
-import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import count
 from typing import TYPE_CHECKING
 
-from gridtrack.common.errors import ConfigurationError, printable
+from gridtrack.common.errors import printable
 from gridtrack.evaluation.regression.history import HistoryEntry
 from gridtrack.evaluation.regression.speed import CALLS
-from gridtrack.reports.print_figures import SETTINGS
+from gridtrack.reports.print_figures import figure_style, file_of
 from gridtrack.reports.styles import FLOOR_GREYS, TRACKER_COLOURS, look_of
 from gridtrack.reports.verdict_text import band_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
 
 HISTORY_PANEL_INCHES, LEAST_INCHES, ENTRY_INCHES = 1.7, 6.0, 0.3
 """Height of a panel, width of the smallest figure, and the width of an entry."""
@@ -43,25 +42,19 @@ class Point:
 
 
 Panel = tuple[str, Mapping[str, Mapping[int, Point]]]
-"""A title, and by tracker the points of its line by the number of the entry."""
+"""A title, and the line of each tracker: its points by the number of the entry."""
 
 
 def history_svg(entries: Sequence[HistoryEntry]) -> str:
-    """A panel for each F1 of the middle step band, for each other score that was worse at any of the `entries`, the
-    oldest first, and for the time of each call. Raises ConfigurationError if matplotlib is not installed."""
-    try:
-        import matplotlib
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ConfigurationError("a drawing needs matplotlib: pip install 'gridtrack[figures]'") from None
+    """A panel for each F1 of the middle step band, for each other score that was worse in an entry, and for the time of
+    each call. `entries`: the oldest first. Raises ConfigurationError if matplotlib is not installed."""
     panels = [panel for panel in (*_score_panels(entries), *_time_panels(entries)) if panel[1]]
     floors = {printable(label) for entry in entries for label in entry.floors}
     colours = _colours(dict.fromkeys(name for _, lines in panels for name in lines), floors)
     titles = _Titles()
-    with matplotlib.rc_context(SETTINGS), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # a name in a script that the font lacks is drawn as boxes
-        width = max(LEAST_INCHES, ENTRY_INCHES * len(entries))
-        figure = Figure((width, HISTORY_PANEL_INCHES * len(panels) + 1.0), layout="constrained")
+    width = max(LEAST_INCHES, ENTRY_INCHES * len(entries))
+    with figure_style("a drawing") as new_figure:
+        figure = new_figure((width, HISTORY_PANEL_INCHES * len(panels) + 1.0), layout="constrained")
         axes = figure.subplots(max(len(panels), 1), sharex=True, squeeze=False)[:, 0]
         for axis, (title, lines) in zip(axes, panels, strict=False):
             axis.set_title(title, fontsize=8, fontweight="bold", loc="left", parse_math=False)
@@ -69,20 +62,18 @@ def history_svg(entries: Sequence[HistoryEntry]) -> str:
             for name, line in lines.items():
                 _draw_line(axis, line, name, colours[name], entries, titles)
         _name_commits(axes[-1], entries)
-        _add_legend(figure, colours)
-        written = io.StringIO()
-        figure.savefig(written, format="svg", metadata={"Date": None, "Creator": "gridtrack"})
-    return titles.added_to(written.getvalue())
+        drawn = file_of(figure, "svg", _legend(figure, colours))
+    return titles.added_to(drawn.decode())
 
 
 class _Titles:
-    """Titles of drawn things, which a browser shows at the pointer: matplotlib writes ids alone."""
+    """Titles of drawn elements, which a browser shows at the pointer. matplotlib writes only ids."""
 
     def __init__(self) -> None:
         self._titles: list[str] = []
 
     def id_of(self, title: str) -> str:
-        """The id of a thing with this title."""
+        """The id of an element with this title."""
         self._titles.append(title)
         return f"title-{len(self._titles) - 1}"
 
@@ -125,11 +116,11 @@ def _time_panels(entries: Sequence[HistoryEntry]) -> Iterator[Panel]:
                 title = f"{time.label} takes {time.ratio:.3f} times as long as {time.against}"
                 low, high = (time.ratio if end is None else end for end in (time.low, time.high))
                 times.setdefault(printable(time.label), {})[at] = Point(time.ratio, time.standing, low, high, title)
-        yield f"time of {call}, as a multiple of that of the base or the reference", times
+        yield f"time of {call}, as a multiple of the time of the base or the reference", times
 
 
 def _draw_verdicts(axis: Axes, entries: Sequence[HistoryEntry], titles: _Titles) -> None:
-    """A line from top to bottom in every panel where a run was worse; broken if nothing was measured."""
+    """A vertical line in every panel for each run that was worse; dashed if nothing was measured."""
     for at, entry in enumerate(entries):
         if entry.verdict != "no worse":
             measured = entry.verdict == "worse"
@@ -139,8 +130,7 @@ def _draw_verdicts(axis: Axes, entries: Sequence[HistoryEntry], titles: _Titles)
 
 
 def _worse_text(entry: HistoryEntry) -> str:
-    """The scores and times that were worse, by tracker; an entry has no scores of single recordings, and no
-    recoveries."""
+    """The worse scores and times, by tracker. An entry has no scores of single recordings and no recoveries."""
     found: dict[str, list[str]] = {}
     for row in (one for one in entry.scores if one.standing == "worse"):
         found.setdefault(row.label, []).append(_score_name(row.score, row.stratum, row.band))
@@ -165,7 +155,7 @@ def _draw_line(
 
 
 def _name_commits(axis: Axes, entries: Sequence[HistoryEntry]) -> None:
-    """The commit below each entry, of long histories below every few."""
+    """The commit below each entry; in a long history only below every few entries."""
     shown = range(0, len(entries), -(-len(entries) // MAX_LABELS) or 1)
     axis.set_xticks(list(shown), [_name(entries[at]) for at in shown], rotation=40, ha="right", color=SOFT)
     axis.set_xlim(-0.5, max(len(entries), 1) - 0.5)
@@ -176,7 +166,7 @@ def _name(entry: HistoryEntry) -> str:
     return f"{entry.commit[:SHORT_COMMIT]}{'+' if entry.changed else ''}" if entry.commit else entry.recorded[:8]
 
 
-def _add_legend(figure: Figure, colours: Mapping[str, str]) -> None:
+def _legend(figure: Figure, colours: Mapping[str, str]) -> Legend:
     """The names in their colours, and the signs."""
     from matplotlib.lines import Line2D
 
@@ -187,9 +177,7 @@ def _add_legend(figure: Figure, colours: Mapping[str, str]) -> None:
         Line2D([], [], color=SOFT, linestyle="dashed"),
     ]
     names = [*colours, "worse", "worse in any score", "not measured"]
-    legend = figure.legend([*lines, *signs], names, loc="outside upper left", ncols=4, frameon=False)
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    return figure.legend([*lines, *signs], names, loc="outside upper left", ncols=4, frameon=False)
 
 
 def _colours(names: Iterable[str], floors: Collection[str]) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""JUnit XML: of a run a test case for each trial; and the elements of any such file."""
+"""JUnit XML: a test case for each trial of a run; and the elements of any such file."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ REPORT_SUITE = "gridtrack report"
 
 
 def junit_of_tables(exported: Sequence[ExportedTable]) -> str:
-    """A test case for each tracker on each recording: a trial that is not ranked is a failure, with its reason; the
-    output of each has its scores."""
+    """A test case for each tracker on each recording, with its scores as output. A trial without a rank is a failure,
+    with its reason."""
     cases = [(one.table, row) for one in exported if not one.table.pooled for row in one.table.rows]
     failures = sum(row.group == "unranked" for _, row in cases)
     suite = junit_suite(REPORT_SUITE, tests=len(cases), failures=failures, errors=0, skipped=0)

@@ -13,7 +13,7 @@ from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable
 
 CONDITION_STRATA = (MAIN_STRATUM, "dynamic", "visible")
 RATE = "rate"
-"""The condition of frames that arrive at a multiple of the stream's rate, on a simulated clock."""
+"""The condition in which frames arrive at a multiple of the stream's rate, on a simulated clock."""
 DEGRADATION_TEXTS = {
     "beam_dropout": ("beams without a return", ""),
     "range_noise": ("range noise", " m"),
@@ -63,7 +63,7 @@ def _quantiles(times: Quantiles) -> list[float]:
 
 
 def condition_texts(tables: Sequence[HeadlineTable]) -> dict[str, dict[str, str]]:
-    """Name, unit and meaning of each condition that any row was scored under."""
+    """Name, unit and meaning of each condition with scores."""
     trials = [row.trial for table in tables for row in table.rows]
     kinds = dict.fromkeys(kind for trial in trials if trial.robustness for kind in trial.robustness.kinds)
     texts = {kind: DEGRADATION_TEXTS.get(kind, (kind, "")) for kind in kinds}
@@ -76,7 +76,7 @@ def condition_texts(tables: Sequence[HeadlineTable]) -> dict[str, dict[str, str]
 
 
 def conditions_of(trial: TrialSummary, step: int) -> dict[str, dict[str, Any]]:
-    """By condition its `values`, the F1 at each by stratum at `step`, and notes of missed frames."""
+    """For each condition its `values`, the F1 at each value by stratum at `step`, and notes of missed frames."""
     found: dict[str, dict[str, Any]] = {}
     if trial.deadline:
         own = {name: trial.estimate(name, F1.name, F1.lead.name) for name in CONDITION_STRATA}

@@ -1,10 +1,10 @@
-"""Kept forecasts for the page: which of them come first, and how they are packed.
+"""Kept forecasts for the page: their order, and their packing.
 
 A packed moment is planes of M x M bytes, rows from the bottom up, deflated, as base64: the input (0 not visible, 1
 free, 2 occupied); for each horizon the state of each cell (`evaluation/referee/targets.py`), plus IN_MOTION for the
 visible cells of that stratum; and for each tracker and horizon the forecast: its level of PACKED_LEVELS, plus CALLED
-from the tracker's threshold on. A kept probability is exact to 0.5 / 255, so a cell nearer to the threshold than that
-may be called otherwise than it was scored.
+from the tracker's threshold on. A kept probability is exact to 0.5 / 255, so CALLED may be wrong for cells that are
+nearer to the threshold.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from gridtrack.reports.run import ReportError
 from gridtrack.reports.table import MAIN_STRATUM
 
 FEW_CELLS = 5
-"""A moment with fewer occupied cells stands out after all others: F1 of one cell is 0 or 1 by chance."""
+"""Moments with fewer occupied cells come last: F1 of one cell is 0 or 1 by chance."""
 LEAST_DIFFERENCE = 0.01
-"""A moment in which the trackers' F1 differ by less does not count as one of different forecasts."""
+"""Moments with a smaller difference of the trackers' F1 are not `different`."""
 PACKED_LEVELS = 32
 """Levels of probability: 5 bits."""
 CALLED, IN_MOTION = 32, 8
@@ -57,7 +57,7 @@ class FrameScore:
 
 @dataclass(frozen=True)
 class ChosenMoment:
-    """A kept forecast, by the stamp of frame t, and why it is on the page: `worst`, `different` or `ordinary`."""
+    """The stamp of frame t of a kept forecast, and why it is on the page: `worst`, `different` or `ordinary`."""
 
     stamp_ns: int
     reason: str
@@ -66,12 +66,12 @@ class ChosenMoment:
 def moments_in_order(
     scores: Mapping[str, Mapping[int, FrameScore]], trackers: Sequence[str]
 ) -> tuple[ChosenMoment, ...]:
-    """Every moment that all of `scores` have, once, in the order in which they are kept: worst, different and ordinary
-    ones in turns.
+    """Every moment with scores of all trials, in the order of their importance: worst, different and ordinary moments
+    in turns.
 
-    `scores`: the scores of each trial by label and stamp; `trackers`: the labels by which moments are judged. Worst: by
-    the mean F1 of the trackers, where a cell was occupied. Different: by the range of their F1. Both have moments of
-    few cells last. Ordinary: each as far in time as possible from those before it.
+    `scores`: by label and stamp; `trackers`: the labels that judge moments. Worst: the lowest mean F1 of the trackers,
+    if a cell was occupied. Different: the largest range of their F1. Both have moments of few cells last. Ordinary: as
+    far in time as possible from the moments before.
     """
     stamps = sorted(set.intersection(*(set(frames) for frames in scores.values()))) if scores else []
     occupied = [s for s in stamps if any(frames[s].occupied for frames in scores.values())]
@@ -91,7 +91,7 @@ def moments_in_order(
 
 
 def _spread(stamps: Sequence[int]) -> list[int]:
-    """The stamps, each as far as possible from those before it; the first two are the ends."""
+    """The stamps, each as far as possible from the stamps before it; the first two are the ends."""
     rest = list(stamps)
     order: list[int] = []
     while rest:
@@ -120,7 +120,7 @@ def frame_scores(folder: Path, steps: Sequence[int]) -> dict[int, dict[int, Fram
 
 @dataclass(frozen=True)
 class TrackerPlanes:
-    """The forecasts (H, M, M) uint8 of one tracker for one moment, as they are packed."""
+    """The packed forecasts (H, M, M) uint8 of one tracker for one moment."""
 
     planes: NDArray[np.uint8]
 
@@ -133,7 +133,7 @@ class TrackerPlanes:
 
 
 def pack_moment(seen: Sample, trackers: Sequence[TrackerPlanes | None]) -> str:
-    """The input and the targets of `seen` and the forecasts of all trackers; one that has none is all zero."""
+    """The input and the targets of `seen`, and the forecasts of all trackers; a missing forecast is zero."""
     observed = np.where(seen.visible, np.where(seen.occupied, 2, 1), 0).astype(np.uint8)
     targets = seen.state
     if seen.in_motion is not None:
@@ -145,6 +145,6 @@ def pack_moment(seen: Sample, trackers: Sequence[TrackerPlanes | None]) -> str:
 
 
 def level_colours() -> list[list[int]]:
-    """Colours (PACKED_LEVELS + 1, 3) sRGB: of the levels, then of a cell that is not visible."""
+    """Colours (PACKED_LEVELS + 1, 3) sRGB: the levels, then cells that are not visible."""
     at = np.rint(np.linspace(0, SHADES - 1, PACKED_LEVELS)).astype(int)
     return [[int(value) for value in colour] for colour in palette()[[*at, SHADES]]]

@@ -1,4 +1,4 @@
-"""Notices above the scores: trials that are not complete with the reason, warnings of the run, missing intervals."""
+"""Notices above the scores: incomplete trials with the reason, warnings of the run, missing intervals."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow, joined_names, outcome_words
 
 MOST_RECORDINGS = 3
-"""Further recordings of a notice are counted."""
+"""A notice names so many recordings, and gives the number of further ones."""
 
 
 @dataclass(frozen=True)
 class Notice:
-    """One notice; `serious` if a trial or a recording is not ranked because of it, or the run did not end."""
+    """One notice; `serious` if because of it a trial or a recording is not ranked, or the run did not end."""
 
     text: str
     serious: bool = False
 
 
 def notices_of(runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable]) -> list[Notice]:
-    """Every notice: first failures with their reasons, then other serious ones, then the rest. Raises RunError."""
+    """Every notice: failures with their reasons, other serious notices, then the rest. Raises RunError."""
     serious = [*_of_trials(tables), *_of_ends(runs), *_of_parity(tables)]
     return list(dict.fromkeys([*serious, *_of_code(runs), *_of_runs(runs), *_of_intervals(tables)]))
 
 
 def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
-    """A line for each row that is not ranked and each reason; if recordings are pooled, one for all of them."""
+    """A line for each row without a rank and each reason; if recordings are pooled, one for all of them."""
     known: set[str] = set()
     found: dict[tuple[str, str], list[str]] = defaultdict(list)
     for table in sorted(tables, key=lambda table: not table.pooled):
@@ -44,7 +44,7 @@ def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
 
 
 def outcome_text(row: TableRow) -> str:
-    """Why a row on one recording is not ranked, and how much of it was scored."""
+    """Why a row on one recording is not ranked, and the number of its scored frames."""
     return "; ".join(filter(None, (row.outcome, row.trial.reason, _scored(row))))
 
 
@@ -53,7 +53,7 @@ def _scored(row: TableRow) -> str:
 
 
 def failures_of(trials: Sequence[TrialSummary], most_chars: int = MAX_LINE_CHARS) -> Iterator[str]:
-    """Each outcome for which `trials` of a row are not ranked, on how many recordings if there are several, and the
+    """Each outcome of the `trials` of a row that are not ranked, its number of recordings if there are several, and the
     first reason, cut to `most_chars` characters."""
     reasons: dict[str, list[str]] = defaultdict(list)
     for trial in (one for one in trials if not one.ranked):
@@ -89,8 +89,7 @@ def _of_code(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
 
 
 def _of_runs(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
-    """The notices of the runs; texts that differ only in the name of a recording become one, and so do equal texts of
-    several runs."""
+    """The notices of the runs. Texts that differ only in the name of a recording, or in the run, become one."""
     runs_with: dict[str, list[str]] = defaultdict(list)
     for run in runs:
         described = run.summary.recordings.items()
@@ -102,7 +101,7 @@ def _of_runs(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
 
 
 def _joined(texts: Iterable[str], names: Collection[str], of_run: int) -> Iterator[str]:
-    """`texts`; texts that differ in one of the `names` alone are joined; the run has `of_run` recordings."""
+    """`texts`, in which texts that differ only in one of the `names` are joined; the run has `of_run` recordings."""
     alike: dict[tuple[str, str], list[str]] = defaultdict(list)
     for text in texts:
         before, name, after = _around_name(text, names)
@@ -136,12 +135,12 @@ def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
 
 
 def _before(names: Sequence[str], runs: Sequence[ReportedRun]) -> str:
-    """The names of the runs that have a notice, before it; empty if there is one run alone."""
+    """The names of the runs with a notice, as its beginning; empty if there is only one run."""
     return f"{' and '.join(names)}: " if len(runs) > 1 else ""
 
 
 def _counted(recordings: Sequence[str], of_run: int) -> str:
-    """Recordings by name if they are few, else by number: `of_run` is that of all."""
+    """The names of the recordings if they are few, else their number; `of_run`: the number of all recordings."""
     if len(recordings) <= MOST_RECORDINGS:
         return joined_names(recordings)
     return f"{'all ' if len(recordings) == of_run else ''}{len(recordings)} recordings"

@@ -33,25 +33,26 @@ from gridtrack.reports.styles import TEMPLATES, page_css, styles_of
 from gridtrack.reports.table import HeadlineTable, headline_tables, main_tables
 
 PAGE_BYTES = 24_000_000
-"""The most bytes of data of a page: moments get the share that scores leave, so that a page stays below 25 MB."""
+"""Limit of a page's data, bytes: moments fill the rest after the scores, so that a page stays below 25 MB."""
 MOST_VALUES = 2_500_000
-"""Values of all curves on a page. One takes five bytes, so that half of a page of 25 MB is left for moments."""
+"""Limit of the values of all curves on a page. A value takes five bytes: half of 25 MB is left for moments."""
 LEFT_OUT = (
-    "{} of {} recordings are not on this page, which would be too large: it has those on which the trackers differ"
-    " most. gridtrack report RUN --recordings NAME,... shows others, and --format csv has the scores of all"
+    "{} of {} recordings are not on this page, which would be too large: it has the recordings with the largest"
+    " differences between trackers. gridtrack report RUN --recordings NAME,... shows others, and --format csv has the"
+    " scores of all"
 )
 FIGURES = Path(__file__).parents[1] / "docs" / "figures.md"
-"""Part of the package too."""
+"""The package contains this page."""
 _REMARK = re.compile(r" \(\[[^\]]*\]\([^)]*\)\)")
-"""A link in parentheses: it has no words of the sentence."""
+"""A link in parentheses, which is no part of the sentence."""
 _MARKUP = re.compile(r"\[([^\]]*)\]\([^)]*\)|`([^`]*)`|\*([^*]*)\*")
 
 
 def render_report(runs: Sequence[Path], out: Path | None = None, recordings: str = "") -> Path:
-    """Write the report of `runs` and return its path: index.html in the folder `out`, or report of the run's folder.
+    """Write the report of `runs` and return its path: index.html in the folder `out`, by default the run's report/.
 
-    Several runs are on one page, side by side: without `out` it is report/side-by-side.html of the first. `recordings`:
-    patterns as of chosen_runs. Raises ConfigurationError, RunError and ReportError.
+    The page of several runs is by default report/side-by-side.html of the first. `recordings`: patterns as in
+    chosen_runs. Raises ConfigurationError, RunError and ReportError.
     """
     if out is not None and (out.is_file() or out.suffix in (".html", ".htm")):
         raise ReportError(
@@ -143,8 +144,8 @@ def section_of(runs: Sequence[ReportedRun], table: HeadlineTable) -> Section:
 def tables_of_page(tables: Sequence[HeadlineTable]) -> tuple[list[HeadlineTable], int]:
     """The tables that fit on a page, in their order, and the number of the others.
 
-    The pooled one comes first, then the recordings on which the trackers differ most in the decisive score. One table
-    is on the page whatever its size.
+    The pooled table has priority, then recordings with large differences between trackers in the decisive score. One
+    table is always on the page.
     """
     kept: set[str] = set()
     values = 0
@@ -157,7 +158,7 @@ def tables_of_page(tables: Sequence[HeadlineTable]) -> tuple[list[HeadlineTable]
 
 
 def _range(table: HeadlineTable) -> float:
-    """The difference between the best and the worst of the complete trials."""
+    """The difference between the best and the worst score of complete trials."""
     at = table.columns.index(table.decisive)
     rows = (*table.rows_in("ranked"), *table.rows_in("floor"))
     scores = [value for row in rows if (value := row.cells[at].value) is not None]
@@ -174,7 +175,7 @@ class Meaning:
 
 
 def meanings() -> list[Meaning]:
-    """The sections of docs/figures.md, one for each figure and table of the page, as text that needs no link."""
+    """The sections of docs/figures.md, one for each figure and table of the page, as plain text."""
     _, *sections = re.split(r"^## ", FIGURES.read_text("utf-8"), flags=re.MULTILINE)
     return [_meaning(section) for section in sections]
 

@@ -1,4 +1,4 @@
-"""The data of the page's scripts, as JSON: one key for each thing that they show."""
+"""The data of the page's scripts, as JSON."""
 
 from __future__ import annotations
 
@@ -22,15 +22,14 @@ def page_data(
     styles: Mapping[str, str],
     figures: Mapping[tuple[str, str], Figures],
 ) -> dict[str, Any]:
-    """The data of the page except the recordings that have a player, `players`, and `priors`.
+    """The data of the page, without `players` and `priors`.
 
-    `trackers`: the key of every row as `label`, its name in the first table that has it and its style (CSS classes), in
-    the order of `styles`. `scores`: the descriptions of those that any row has, as in summary.json. `headline`: the
-    score, cells and horizon that are shown first. `recordings`: for each the horizons, classes and the rows in the
-    order of the table, with their estimates by stratum, score and output as in summary.json, `figures`, times, scores
-    under other conditions, and `label_budget`; the groups of rows that do not differ significantly, by
-    "score.output/stratum/step", and why there may be none. `conditions`: their names. `level_colours`: those of the
-    cells of moments.
+    `trackers`: the key of every row as `label`, its name in its first table and its style (CSS classes), in the order
+    of `styles`. `scores`: descriptions of all scores with a value, as in summary.json. `headline`: score, cells and
+    horizon at the start. `recordings`: horizons, classes, and the rows in the order of the table, with estimates by
+    stratum, score and output as in summary.json, `figures`, times, scores under other conditions, and `label_budget`;
+    also the groups of rows that do not differ significantly, by "score.output/stratum/step", or why there are none.
+    `conditions`: their names. `level_colours`: the colours of the cells of moments.
     """
     first = tables[0].decisive
     names = {row.key: row.name for table in reversed(tables) for row in table.rows}
@@ -95,7 +94,7 @@ def _recording(
 
 
 def _strata(row: TableRow, steps: int) -> dict[str, Any]:
-    """The estimates by stratum, score and output, to five digits; without estimates that are defined nowhere."""
+    """The estimates by stratum, score and output, to five digits, without wholly undefined ones."""
     found = {stratum: _scores(scores, steps) for stratum, scores in row.trial.strata.items()}
     return {stratum: scores for stratum, scores in found.items() if scores}
 
@@ -133,7 +132,7 @@ def _groups(run: ReportedRun, recording: str) -> dict[str, Any]:
 
 
 def _why_untested(runs: Sequence[ReportedRun], table: HeadlineTable) -> str:
-    """Why the order of a ranking is not tested, where it is not."""
+    """Why the order of a ranking may not be tested."""
     if len(runs) > 1:
         return "rows of several runs"
     complete = [row.trial for row in table.rows if row.group in ("ranked", "floor")]
@@ -142,10 +141,10 @@ def _why_untested(runs: Sequence[ReportedRun], table: HeadlineTable) -> str:
 
 
 def _label_budget(runs: Sequence[ReportedRun], table: HeadlineTable, row: TableRow) -> dict[str, Any] | None:
-    """The labelled `scans` that the weights of a row learned its classes from, and its `method`.
+    """The number of labelled `scans` in the training of a row's weights, and its `method`.
 
-    `method`: the tracker with its options and points, alike in rows that differ in their weights alone. None if the
-    number of scans is not known, or pooled recordings differ in it.
+    `method`: the tracker with its options and points, equal for rows that differ only in their weights. None if the
+    number of scans is unknown, or differs between pooled recordings.
     """
     run = next(run for run in runs if row.run in (run.name, ""))
     names = run.recordings if table.pooled else (table.recording,)

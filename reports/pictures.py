@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gridtrack.common.grid import Mask
 
 SHADES = 65
-"""Number of shades of probability from 0 to 1: finer than the eye can resolve, and small to store."""
+"""Number of shades of probability from 0 to 1: finer than the eye resolves."""
 UNOBSERVED = SHADES
 """Palette index of cells that are not visible."""
 UNOBSERVED_RGB = (198, 200, 204)

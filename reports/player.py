@@ -1,5 +1,5 @@
-"""The player of one recording: kept forecasts of every tracker, as many moments as its share of the page allows, and
-one moment as still pictures for pages without scripts."""
+"""The player of one recording: kept forecasts of every tracker, in as many moments as fit on the page, and one moment
+as still pictures for pages without scripts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from gridtrack.reports.scripts import json_in_page
 from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableRow
 
 OBJECTS_SHOWN = 60
-"""Of each forecast, at most."""
+"""Limit for each forecast."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,9 @@ class Picture:
 
 @dataclass(frozen=True)
 class Still:
-    """The input, the frame observed at one horizon, and each tracker's forecast of it.
+    """The input, the observed frame at one horizon, and each tracker's forecast of it.
 
-    `sensors`: their positions in the input, cells from its upper left corner. In the observed frame, which has the
-    same window, a sensor may have moved on.
+    `sensors`: their positions in the input, cells from its upper left corner. In the observed frame they may differ.
     """
 
     grid: GridSpec
@@ -66,10 +65,10 @@ class Player:
 def players_of(
     runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable], budget: int
 ) -> tuple[tuple[Player, ...], tuple[str, ...]]:
-    """The player of each recording that kept forecasts, and notices of files that could not be read.
+    """The player of each recording with kept forecasts, and notices of unreadable files.
 
-    The recordings share `budget` bytes for their moments, and have one moment each whatever it is.
-    There are none on the page of several runs. Raises ReportError.
+    The recordings share `budget` bytes for their moments, but have at least one moment each. The page of several runs
+    has no players. Raises ReportError.
     """
     if len(runs) > 1:
         return (), ()
@@ -91,11 +90,10 @@ def players_of(
 def player_of(
     table: HeadlineTable, folders: Mapping[str, Path], described: RecordingIdentity, budget: int
 ) -> tuple[Player | None, tuple[str, ...]]:
-    """The player of one recording with moments of `budget` bytes, and notices of samples that cannot be read.
+    """The player of one recording with moments of `budget` bytes, and notices of unreadable samples.
 
-    `folders`: the folder of each trial by label. Moments are judged by the scores of cells in motion at the decisive
-    step; their times are seconds since the start of the recording. The player is None if no trial kept samples.
-    Raises ReportError.
+    `folders`: the folder of each trial by label. The scores of cells in motion at the decisive step order the moments;
+    times are seconds since the start of the recording. The player is None if no trial kept samples. Raises ReportError.
     """
     samples, notices = _kept_samples(table.rows, folders)
     trackers = sorted((row for row in table.rows if samples.get(row.label)), key=lambda row: row.group == "ceiling")
@@ -137,8 +135,10 @@ def player_of(
 
 
 def _clock(described: RecordingIdentity, first_ns: int) -> Callable[[int], float]:
-    """The time of a stamp, seconds since the start of the recording; `first_ns`: of the first scored forecast, which is
-    made after the warm-up of the stretch and always kept."""
+    """The time of a stamp, seconds since the start of the recording.
+
+    `first_ns`: the stamp of the first scored forecast, which follows the warm-up of the stretch and is always kept.
+    """
     first_s = described.stretch_s[0] + described.warm_up_frames * described.period_s
     return lambda stamp_ns: first_s + (stamp_ns - first_ns) / 1e9
 
@@ -155,7 +155,7 @@ def _order(
     samples: Mapping[str, Mapping[int, Sample]],
     scores: Mapping[str, Mapping[int, FrameScore]],
 ) -> tuple[ChosenMoment, ...]:
-    """The kept moments of `rows`, the ones to show first; judged by the trackers that are no floor and no ceiling."""
+    """The kept moments of `rows` in the order of their importance for trackers other than floors and ceilings."""
     kept = {row.label: {s: f for s, f in scores[row.label].items() if s in samples[row.label]} for row in rows}
     judged = [row.label for row in rows if row.group not in ("floor", "ceiling")]
     return moments_in_order(kept, judged or list(kept))
@@ -164,7 +164,7 @@ def _order(
 def _kept_samples(
     rows: Sequence[TableRow], folders: Mapping[str, Path]
 ) -> tuple[dict[str, dict[int, Sample]], tuple[str, ...]]:
-    """The samples of each trial by label and stamp; of a damaged file, those before the damage, and a notice."""
+    """The samples of each trial by label and stamp; a damaged file has its samples before the damage, and a notice."""
     samples: dict[str, dict[int, Sample]] = {}
     notices = []
     for row in rows:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
 from gridtrack.common.errors import ConfigurationError, printable
@@ -16,6 +17,8 @@ from gridtrack.reports.table import TableColumn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
     from matplotlib.lines import Line2D
 
 PANEL_INCHES = (2.6, 2.2)
@@ -30,25 +33,45 @@ SETTINGS: dict[Any, Any] = {
 }
 
 
-def print_figure(
-    runs: Sequence[ReportedRun], exported: Sequence[ExportedTable], kind: Literal["svg", "pdf"], scores: str
-) -> bytes:
-    """The scores of `exported` over every horizon, a row of panels for each recording; bands are 95 % intervals.
+@contextmanager
+def figure_style(what: str) -> Iterator[type[Figure]]:
+    """matplotlib's Figure, with the style of SETTINGS in the block.
 
-    Without `scores`, the columns as the user chose them, the headline score is drawn in each stratum. Raises
-    ConfigurationError where matplotlib is not installed.
+    Raises ConfigurationError, about the figure `what`, if matplotlib is not installed.
     """
     try:
         import matplotlib
         from matplotlib.figure import Figure
     except ImportError:
-        raise ConfigurationError(f"{kind} needs matplotlib: pip install 'gridtrack[figures]'") from None
+        raise ConfigurationError(f"{what} needs matplotlib: pip install 'gridtrack[figures]'") from None
+    with matplotlib.rc_context(SETTINGS), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # a name in a script that the font lacks is drawn as boxes
+        yield Figure
+
+
+def file_of(figure: Figure, kind: Literal["svg", "pdf"], legend: Legend) -> bytes:
+    """The file of a figure, without its date; names in its `legend` are plain text."""
+    for text in legend.get_texts():
+        text.set_parse_math(False)
+    written = io.BytesIO()
+    date = "Date" if kind == "svg" else "CreationDate"
+    figure.savefig(written, format=kind, metadata={date: None, "Creator": "gridtrack"})
+    return written.getvalue()
+
+
+def print_figure(
+    runs: Sequence[ReportedRun], exported: Sequence[ExportedTable], kind: Literal["svg", "pdf"], scores: str
+) -> bytes:
+    """The scores of `exported` over every horizon, a row of panels for each recording; bands are 95 % intervals.
+
+    `scores`: the user's choice of columns; empty: the headline score in each stratum. Raises ConfigurationError if
+    matplotlib is not installed.
+    """
     panels = [_panels(one, bool(scores)) for one in exported]
     width, height = PANEL_INCHES
     looks = {key: look_of(style) for key, style in styles_of(runs).items()}
-    with matplotlib.rc_context(SETTINGS), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # a name in a script that the font lacks is drawn as boxes
-        figure = Figure((width * max(map(len, panels)), height * len(panels)), layout="constrained")
+    with figure_style(kind) as new_figure:
+        figure = new_figure((width * max(map(len, panels)), height * len(panels)), layout="constrained")
         axes = figure.subplots(len(panels), max(map(len, panels)), squeeze=False)
         lines: dict[str, Line2D] = {}
         for one, columns, beside in zip(exported, panels, axes, strict=True):
@@ -57,12 +80,7 @@ def print_figure(
             for column, axis in zip(columns, beside, strict=False):
                 lines |= _draw(axis, one, column, looks, titled=len(exported) > 1)
         legend = figure.legend(list(lines.values()), list(lines), loc="outside right upper", frameon=False)
-        for text in legend.get_texts():
-            text.set_parse_math(False)
-        written = io.BytesIO()
-        date = "Date" if kind == "svg" else "CreationDate"
-        figure.savefig(written, format=kind, metadata={date: None, "Creator": "gridtrack"})
-    return written.getvalue()
+        return file_of(figure, kind, legend)
 
 
 def _panels(one: ExportedTable, chosen: bool) -> list[TableColumn]:

@@ -1,4 +1,4 @@
-"""The expectation of trackers for a place before their first frame, beside the recording, packed for the page.
+"""The expectation of trackers for a place before their first frame, and the recorded occupancy, packed for the page.
 
 A plane is M x M bytes, rows from the bottom up, deflated, as base64: the logarithm of a probability from LEAST to 1 in
 PRIOR_LEVELS steps, 0 for LEAST and below, and NEVER_SEEN for a cell that was never visible.
@@ -29,7 +29,7 @@ PRIOR_LEVELS, NEVER_SEEN = 254, 255
 
 @dataclass(frozen=True)
 class PriorOfPlace:
-    """`probability` (M, M) in [0, 1], expected by a tracker, and `recorded` (M, M): NaN, or the share of occupied."""
+    """`probability` (M, M) in [0, 1], a tracker's; `recorded` (M, M): the occupied share, NaN if never visible."""
 
     probability: NDArray[np.float32]
     recorded: NDArray[np.float32]
@@ -38,7 +38,7 @@ class PriorOfPlace:
 def priors_of(
     runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable], styles: Mapping[str, str]
 ) -> tuple[tuple[dict[str, Any], ...], tuple[str, ...]]:
-    """The priors of each recording that has any, for the page of one run, and notices of files that cannot be read."""
+    """The priors of each recording for the page of one run, and notices of unreadable files."""
     if len(runs) > 1:
         return (), ()
     (run,) = runs

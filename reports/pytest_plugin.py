@@ -1,5 +1,4 @@
-"""The pytest plugin: tests in the repository of a tracker that fail when the tracker breaks the contract, or is worse
-than its baseline.
+"""The pytest plugin for a tracker's repository: tests fail if the tracker breaks the contract or is worse than before.
 
     def test_it_keeps_the_contract(tracker_contract):
         tracker_contract("my-tracker")
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 
 UPDATE = "--gridtrack-update-baseline"
 WRITTEN = pytest.StashKey[dict[Path, str]]()
-"""In the configuration of a session: each baseline that a test has written, and the comparison in it."""
+"""In the configuration of a session: the written baselines, and the comparison in each."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -76,9 +75,9 @@ class TrackerRegression:
     """The value of the fixture: a function of a tracker and a recording."""
 
     def __init__(self, beside: Path, scratch: Path, test: str, written: dict[Path, str] | None) -> None:
-        """`beside`: the folder of the test, to which paths are relative; `scratch`: the folder of the runs.
+        """`beside`: the folder of the test, for relative paths; `scratch`: the folder of the runs.
 
-        `written`: the baselines that this session has written; None: it compares with them.
+        `written`: the baselines of this session; None if it compares instead of writing.
         """
         self._beside, self._scratch, self._test, self._written = beside, scratch, test, written
 
@@ -94,7 +93,7 @@ class TrackerRegression:
     ) -> Verdict | None:
         """Compare `tracker`, [LABEL=]NAME[:key=value,...], on `recording`, RECORDING[@range], with `baseline`.
 
-        Paths are relative to the test's folder. `margin` and `tolerance` are those of `gridtrack regress`; None: its
+        Paths are relative to the test's folder. `margin` and `tolerance` are options of `gridtrack regress`; None: its
         defaults. `options` are the fields of `CompareSettings`: horizon_s, every_s, grid, rate_hz, seed, weights, ...
         Returns the verdict; None if the baseline was written instead.
         """
@@ -164,5 +163,5 @@ class TrackerRegression:
         return measure_run(plan.settings.out, like)
 
     def _how_to(self, error: str) -> str:
-        """The command that makes the baseline, where `error` says that there is none."""
+        """The command that makes the baseline, if `error` says that there is none."""
         return f"\nTo make it: pytest {self._test} {UPDATE}" if "--update" in error else ""

@@ -45,7 +45,7 @@ class Run:
 
     @cached_property
     def scores(self) -> pl.DataFrame:
-        """Every score, a row for each recording, tracker, stratum and step, pooled ones as "all recordings".
+        """Every score, a row for each recording, tracker, stratum and step; pooled scores have "all recordings".
 
         Columns: `recording`, `tracker` (its label), `outcome`, `stratum`, `step`, `horizon_s`, and each score of
         docs/scores.md by its name in summary.json, with the ends of its 95 % interval (`f1`, `f1 low`, `f1 high`, ...).
@@ -88,8 +88,8 @@ def compare(*recordings: str | Path, trackers: str | Sequence[str] = (), **setti
 
     `recordings` as RECORDING[@RANGE], `trackers` as [LABEL=]NAME[:KEY=VALUE,...], one or several; none: every
     registered one. `settings` are the other fields of `CompareSettings`: out, horizon_s, every_s, limits, ... Trackers
-    run in processes of their own, and the rest in this one, which other processes cannot read meanwhile. Trials that
-    failed are in the run, with their outcomes. Raises GridtrackError if nothing can be compared, and KeyboardInterrupt
+    run in their own processes, and everything else in this one, which other processes cannot read meanwhile. Failed
+    trials are in the run, with their outcomes. Raises GridtrackError if nothing can be compared, and KeyboardInterrupt
     after an interrupt; `Run.load` then has the scores so far.
     """
     values = {
@@ -107,8 +107,8 @@ def compare(*recordings: str | Path, trackers: str | Sequence[str] = (), **setti
 
 
 def default_report_folder(runs: Sequence[str]) -> Path | None:
-    """The folder of a report without a named one: of a run in a store `NAME-report` in the working folder, of several
-    `NAME-side-by-side`; None is the run's own folder."""
+    """The default folder of a report: for a run in a store `NAME-report` in the working folder, for several runs
+    `NAME-side-by-side`; None: the run's own folder."""
     if not is_url(runs[0]):
         return None
     return Path(f"{folder_name(runs[0])}-{'report' if len(runs) == 1 else 'side-by-side'}")
@@ -119,7 +119,7 @@ def _print_note(line: str) -> None:
 
 
 def score_frame(summary: RunSummary) -> pl.DataFrame:
-    """Every score, a row for each recording, tracker, stratum and step; of all recordings pooled "all recordings".
+    """Every score, a row for each recording, tracker, stratum and step; pooled scores have "all recordings".
 
     A column for each output, `f1` or `f1.recall`, and `... low` and `... high` for the ends of its interval.
     """

@@ -34,17 +34,17 @@ OUTLINE_Z_M = 0.03
 SENSOR_ARROW_M = 0.6
 
 VIEW_COLOUR = (225, 225, 225)
-"""Of a view: where the probability is 0, the grid is white."""
+"""The background of a view; the grid is white where the probability is 0."""
 
 Rgb = tuple[float, float, float]
 
 
 @contextmanager
 def rerun_scene(path: Path, name: str, identity: str) -> Iterator[RerunScene]:
-    """A scene that becomes the file `path` when the block ends; when the block raises, there is no file.
+    """A scene that becomes the file `path` when the block ends; if the block raises, there is no file.
 
-    `name` is shown by the viewer, which takes files of one `identity` for one recording. Raises ConfigurationError
-    if rerun-sdk is not installed, OSError where the file cannot be written.
+    The viewer shows `name`, and joins files of one `identity` to one recording. Raises ConfigurationError if rerun-sdk
+    is not installed, OSError if the file cannot be written.
     """
     rerun = _library()
     stream = rerun.RecordingStream("gridtrack", recording_id=identity)
@@ -75,7 +75,7 @@ def _library() -> Any:
 
 
 class RerunScene:
-    """The drawing, entity by entity; a name that the user gave is one part of an entity's path, escaped."""
+    """The drawing, entity by entity. A name from the user is one escaped part of an entity's path."""
 
     def __init__(self, stream: rr.RecordingStream, library: Any) -> None:
         self._stream, self._rr = stream, library
@@ -90,12 +90,12 @@ class RerunScene:
         self._stream.log(self.path(*entity), *content, static=static)
 
     def at(self, stamp_ns: int, start_ns: int) -> None:
-        """The time of all that follows; `start_ns` is the stamp that SINCE_START counts from."""
+        """Set the time of all following calls; SINCE_START counts from the stamp `start_ns`."""
         self._stream.set_time(STAMPS, timestamp=np.datetime64(stamp_ns, "ns"))
         self._stream.set_time(SINCE_START, duration=np.timedelta64(stamp_ns - start_ns, "ns"))
 
     def show(self, shown: Any) -> None:
-        """Show a view made by `view`, or a container of such."""
+        """Show a view made by `view`, or a container of views."""
         from rerun import blueprint as rrb
 
         self._stream.send_blueprint(
@@ -103,7 +103,7 @@ class RerunScene:
         )
 
     def view(self, title: str, entities: Sequence[str], grid: GridSpec, world_T_grid: SE2) -> Any:
-        """A view of `entities`, paths or their patterns, looked down on the window; x to the right and y up."""
+        """A view of `entities`, paths or their patterns, from above the window; x to the right and y up."""
         from rerun import blueprint as rrb
 
         side = grid.size * grid.cell_m
@@ -162,7 +162,7 @@ class RerunScene:
         )
 
     def sensor(self, entity: Sequence[str]) -> None:
-        """Draw an arrow along x of a sensor, at all times where its pose is."""
+        """Draw an arrow along x of a sensor, at its pose at all times."""
         shape = {"vectors": [[SENSOR_ARROW_M, 0.0, 0.0]], "origins": [[0.0, 0.0, OUTLINE_Z_M]], "radii": 0.05}
         self.log(entity, self._rr.Arrows3D(colors=[[213, 94, 0]], **shape), static=True)
 
@@ -193,7 +193,7 @@ class RerunScene:
         self.log((*entity, "velocity"), rerun.Arrows3D(origins=centres, vectors=vectors, colors=[[26, 115, 230]]))
 
     def clear(self, entity: Sequence[str]) -> None:
-        """Nothing of an entity, and of those below it, from here on."""
+        """Remove an entity and the entities below it from now on."""
         self.log(entity, self._rr.Clear(recursive=True))
 
     def _turn(self, theta: float) -> Any:

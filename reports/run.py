@@ -1,4 +1,4 @@
-"""A run as a report reads it: its record and its summary, with all recordings pooled shown as one more recording."""
+"""A run for a report: its record and its summary, in which all recordings pooled are one more recording."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ THRESHOLD = ScoreDescription(
     thresholded=False,
     outputs=(OutputDescription(name="threshold", title="Threshold"),),
 )
-"""The threshold of each step, which is shown as a score is."""
+"""The threshold of each step, which is shown like a score."""
 
 
 class ReportError(GridtrackError):
-    """A run's folder that cannot be reported."""
+    """The folder of a run cannot be reported."""
 
 
 @dataclass(frozen=True)
 class ReportedRun:
-    """A run's folder, read; `name` is the run's name on the page; `summary` as of `shown_summary`."""
+    """The content of a run's folder; `name`: on the page; `summary`: a `shown_summary`."""
 
     path: Path
     name: str
@@ -70,7 +70,7 @@ class ReportedRun:
         return [one for one in self.summary.differences if one.recordings == recording]
 
     def identity_of(self, recording: str) -> Any:
-        """Everything that decides the scores on one recording, its hash included: equal for runs of the same frames."""
+        """The settings and hash of one recording, equal for runs of the same frames."""
         recordings = self.record.configuration.recordings
         return recordings if self.is_pooled(recording) else recordings.get(recording)
 
@@ -142,8 +142,7 @@ def read_results(path: Path) -> tuple[RunRecord, RunSummary]:
 
 
 def shown_summary(summary: RunSummary) -> RunSummary:
-    """The summary with thresholds as one more score, and if recordings are pooled, with all of them together as the
-    first of its recordings."""
+    """The summary with thresholds as one more score, and pooled recordings as its first recording."""
     pooled = summary.has_pooled
     trackers = {label: _shown_row(row, pooled) for label, row in summary.trackers.items()}
     scores = (*summary.scores, THRESHOLD) if summary.scores else ()
@@ -172,7 +171,7 @@ def _together(summary: RunSummary) -> Any:
 
 def _shown_row(row: TrackerSummary, pooled: bool) -> TrackerSummary:
     trials = dict(row.recordings)
-    if pooled and row.pooled is not None:  # nothing was timed of it
+    if pooled and row.pooled is not None:  # it has no times
         fields = {name: getattr(row.pooled, name) for name in ScopeSummary.model_fields}
         trials = {ALL_RECORDINGS: TrialSummary(**fields), **trials}
     return row.model_copy(update={"recordings": {name: _with_thresholds(trial) for name, trial in trials.items()}})
@@ -189,10 +188,10 @@ def _threshold(curve: Curve) -> Estimates:
 
 
 def chosen_runs(runs: Sequence[ReportedRun], recordings: str) -> tuple[ReportedRun, ...]:
-    """The runs with only the recordings that match one of `recordings`, each alone and nothing pooled.
+    """The runs with only the recordings that match one of `recordings`, not pooled; runs without any are left out.
 
-    `recordings`: patterns as of file names, separated by commas; empty: the runs as they are. A run without any of
-    them is left out. Raises ConfigurationError for a pattern that matches nothing.
+    `recordings`: patterns like file names, separated by commas; empty: the runs as they are. Raises ConfigurationError
+    for a pattern that matches nothing.
     """
     if not recordings:
         return tuple(runs)
@@ -213,9 +212,9 @@ def _with_recordings(run: ReportedRun, chosen: Set[str]) -> ReportedRun:
 
 
 def names_matching(patterns: str, names: Collection[str], option: str, noun: str) -> set[str]:
-    """The `names` that match one of `patterns`, as of file names and separated by commas.
+    """The `names` that match one of `patterns`, which are like file names and separated by commas.
 
-    Raises ConfigurationError, with the `option` and the `noun` of the names, for a pattern that matches nothing.
+    Raises ConfigurationError for a pattern that matches nothing; its message has the `option` and the names' `noun`.
     """
     found: set[str] = set()
     for pattern in (part.strip() for part in patterns.split(",")):
@@ -227,12 +226,12 @@ def names_matching(patterns: str, names: Collection[str], option: str, noun: str
 
 
 def output_name(score: ScoreDescription, output: OutputDescription) -> str:
-    """The name of an output as users write it: `f1` of the leading output, else `f1.recall`."""
+    """The name of an output in options and columns: `f1` for the leading output, else `f1.recall`."""
     return score.name if output.name == score.lead.name else f"{score.name}.{output.name}"
 
 
 def scores_of(runs: Sequence[ReportedRun]) -> dict[str, ScoreDescription]:
-    """The scores of all runs by name, in the order of the first run that has each."""
+    """The scores of all runs by name, each in its place in the first run with it."""
     found: Mapping[str, ScoreDescription] = {
         score.name: score for run in reversed(runs) for score in run.summary.scores
     }

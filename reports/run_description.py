@@ -11,11 +11,11 @@ from typing import Any
 from gridtrack.reports.run import UNDEFINED, ReportedRun
 
 MAX_PROVENANCE_LINES = 2000
-"""Lines of run.json beyond this number are counted and not shown."""
+"""Limit of the lines of run.json; the number of further lines is shown."""
 OF_CARDS = "of the card of the weights, 0.5 without one"
 """The thresholds of a recording without a validation stretch."""
 MAX_CHANGES = 200
-"""Lines beyond this number are counted and not shown."""
+"""Limit of the lines; the number of further lines is shown."""
 DEFAULT = "default"
 """The value of an option that was not given."""
 CODE_DIGITS = 12
@@ -45,7 +45,7 @@ def title_of(runs: Sequence[ReportedRun]) -> str:
 
 
 def run_facts(run: ReportedRun, recordings: Collection[str]) -> tuple[Fact, ...]:
-    """The run's own of `recordings`, its command, machine and versions, as far as its folder holds them."""
+    """The run's share of `recordings`, its command, machine and versions, as far as its folder has them."""
     facts = [Fact(f"recording {name}", _recording(run, name)) for name in run.recordings if name in recordings]
     record = run.record
     if record.command:
@@ -83,7 +83,7 @@ def provenance_of(run: ReportedRun) -> tuple[Fact, ...]:
 
 
 def flattened(prefix: str, value: Any) -> Iterator[Fact]:
-    """JSON as lines, each named by its path below `prefix`; a list of words is a line as a shell reads it."""
+    """JSON as lines, each named by its path below `prefix`; a list of words is a line in shell quoting."""
     if isinstance(value, Mapping) and value:
         for key, inner in value.items():
             yield from flattened(f"{prefix}.{key}" if prefix else str(key), inner)
@@ -101,16 +101,16 @@ FieldTexts = Mapping[str, str]
 
 @dataclass(frozen=True)
 class Change:
-    """One line in which runs differ, with its value in each run: DEFAULT for an option that was not given, a dash for
-    any other field that the run does not have."""
+    """One line that differs between runs, with its value in each run: DEFAULT for an option that was not given, a dash
+    for another missing field."""
 
     name: str
     values: tuple[str, ...]
 
 
 def changes_of(runs: Sequence[ReportedRun]) -> tuple[Change, ...]:
-    """The differences between runs: rows and recordings that a run lacks, code and fields of trackers, the other fields
-    of run.json, and last the command; times of the runs are left out. Raises RunError."""
+    """The differences between runs: missing rows and recordings, code and fields of trackers, other fields of run.json
+    without times, and last the command. Raises RunError."""
     recordings = [run.recordings for run in runs]
     changes = [
         *_missing("trackers not in every run", [tuple(run.summary.trackers) for run in runs]),
@@ -127,7 +127,7 @@ def changes_of(runs: Sequence[ReportedRun]) -> tuple[Change, ...]:
 
 
 def _missing(name: str, of_runs: Sequence[Sequence[str]]) -> Iterator[Change]:
-    """The names that not every run has; none where all have the same."""
+    """The names that are not in every run; nothing if all runs have the same."""
     in_every = set.intersection(*map(set, of_runs))
     values = tuple(", ".join(one for one in names if one not in in_every) or UNDEFINED for names in of_runs)
     if set(values) != {UNDEFINED}:
@@ -135,7 +135,7 @@ def _missing(name: str, of_runs: Sequence[Sequence[str]]) -> Iterator[Change]:
 
 
 def _of_code(runs: Sequence[ReportedRun]) -> Iterator[Change]:
-    """A line for each tracker that every run has, if its known code is not the same in all."""
+    """A line for each tracker of every run, if its known code differs."""
     for label in _in_every(runs):
         of_runs = [run.code_of(label) for run in runs]
         if len({frozenset(codes) for codes in of_runs if codes}) > 1:
@@ -144,7 +144,7 @@ def _of_code(runs: Sequence[ReportedRun]) -> Iterator[Change]:
 
 
 def _in_every(runs: Sequence[ReportedRun]) -> Iterator[str]:
-    """The labels that every run has."""
+    """The labels in every run."""
     return (label for label in runs[0].summary.trackers if all(label in run.summary.trackers for run in runs))
 
 
@@ -156,7 +156,7 @@ def _differing(records: Sequence[FieldTexts]) -> Iterator[Change]:
 
 
 def _of_trackers(runs: Sequence[ReportedRun]) -> list[Change]:
-    """The fields of the trackers that every run has, options first; trackers that differ alike share a line."""
+    """The fields of the trackers in every run, options first; trackers with equal differences share a line."""
     alike: dict[Change, list[str]] = {}
     for label in _in_every(runs):
         records = [_of_tracker(run, label) for run in runs]
@@ -167,7 +167,7 @@ def _of_trackers(runs: Sequence[ReportedRun]) -> list[Change]:
 
 
 def _with_defaults(change: Change, records: Sequence[FieldTexts]) -> Change:
-    """A change of an option; a run that did not give it has its default."""
+    """A change of an option, with DEFAULT for runs without the option."""
     trackers = {record.get("tracker") for record in records}
     if not change.name.startswith(_OPTION) or len(trackers) > 1 or None in trackers:
         return change
@@ -175,7 +175,7 @@ def _with_defaults(change: Change, records: Sequence[FieldTexts]) -> Change:
 
 
 def _of_tracker(run: ReportedRun, label: str) -> FieldTexts:
-    """The fields of a tracker's trials and weights; where they differ between recordings, all values."""
+    """The fields of a tracker's trials and weights; all values if they differ between recordings."""
     found: dict[str, dict[str, None]] = {}
     for trial in (f"{label}@{name}" for name in run.recordings):
         identity, weights = run.record.configuration.trials.get(trial), run.record.weights.get(trial)
@@ -189,7 +189,7 @@ def _of_tracker(run: ReportedRun, label: str) -> FieldTexts:
 
 
 def _other_fields(run: ReportedRun, recordings: Sequence[Sequence[str]]) -> FieldTexts:
-    """The other lines of run.json; of recordings that every run has."""
+    """The other lines of run.json, without recordings that another run lacks."""
     missing = {name for names in recordings for name in names if not all(name in other for other in recordings)}
     left_out = (*_FIELDS_OF_TRACKERS, *(f"configuration.recordings.{name}." for name in missing))
     lines = flattened("", run.record.model_dump(mode="json", by_alias=True))

@@ -1,5 +1,7 @@
-"""The progress of a run on standard error: bars on a terminal and plain lines elsewhere, with the time left for all
-trials; of a followed recording a table that changes in place, and elsewhere a line every few seconds."""
+"""The progress of a run on standard error, with the time left: bars on a terminal, plain lines elsewhere.
+
+For a followed recording it is a table that changes in place, or elsewhere a line every few seconds.
+"""
 
 from __future__ import annotations
 
@@ -47,10 +49,10 @@ class RunProgress:
         self._tasks: dict[str, TaskID] = {}
         self._lock = threading.Lock()
         self._frames: dict[str, int] = {}
-        """Of each trial that is planned, has started or has ended in this run."""
+        """By trial: every trial that is planned, has started or has ended in this run."""
         self._ended: set[str] = set()
         self._starting: dict[str, tuple[float, threading.Timer]] = {}
-        """Of each trial without a frame yet, its start, and the timer of the message about a long start."""
+        """By trial without a frame yet: its start, and the timer of the message about a long start."""
         self._then = ""
         self._delivered: dict[str, int] = {}
         self._began_s = self._last_line_s = time.monotonic()
@@ -73,16 +75,16 @@ class RunProgress:
         self._console.print(escape(printable(text)), highlight=False, soft_wrap=True)
 
     def planned(self, frames: Mapping[str, int], then: Sequence[str] = ()) -> None:
-        """The trials that will run, and about how many frames each will receive.
+        """The trials that will run, and the approximate number of frames of each.
 
-        `then`: what follows them; it is named beside the time left, which does not count it.
+        `then`: the work after them, which is named beside the time left but not included in it.
         """
         self._frames, self._then = dict(frames), "".join(f", then {what}" for what in then)
         self._began_s = time.monotonic()
         self._all = self._bars.add_task(self._all_text(), total=self._total(), left="")
 
     def started(self, trial: str, frames: int) -> None:
-        """Show a bar for a trial of `frames` frames, which may start again if its machine was lost."""
+        """Show a bar for a trial of `frames` frames; a trial on a lost machine starts again."""
         with self._lock:
             self._has_started(trial)
             if trial in self._tasks:
@@ -106,7 +108,7 @@ class RunProgress:
             self.note(f"{trial}: {self._delivered[trial]}/{self._frames[trial]} frames; {self._overall()}")
 
     def ended(self, trial: str, record: TrialRecord) -> None:
-        """Print the outcome of a trial that has ended, or is kept from an earlier run."""
+        """Print the outcome of a trial that ended now or in an earlier run."""
         with self._lock:
             self._has_started(trial)
             if trial in self._tasks:
@@ -121,7 +123,7 @@ class RunProgress:
         self._show_all()
 
     def _has_started(self, trial: str) -> None:
-        """The trial has received a frame, or has ended. Its start is left out of the rate, if nothing ran meanwhile."""
+        """The trial has received a frame, or has ended. If it ran alone, its start does not count for the rate."""
         if trial not in self._starting:
             return
         since_s, timer = self._starting.pop(trial)
@@ -143,7 +145,7 @@ class RunProgress:
         return f"{len(self._ended)} of {len(self._frames)} trials"
 
     def _left(self) -> str:
-        """The time left for all trials at the rate so far; "" before it can be estimated."""
+        """The time left for all trials at the current rate; "" before it can be estimated."""
         with self._lock:
             share = sum(self._delivered.values()) / max(self._total(), 1)
         if share < MIN_SHARE or share >= 1.0:
@@ -155,7 +157,7 @@ class RunProgress:
 
 
 class LiveTable:
-    """A LiveObserver, for standard error. A context manager."""
+    """A LiveObserver that writes to standard error. A context manager."""
 
     def __init__(self, console: Console | None = None) -> None:
         self._console = console or Console(stderr=True)

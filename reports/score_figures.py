@@ -28,9 +28,9 @@ def score_figures(
 ) -> tuple[dict[tuple[str, str], Figures], tuple[str, ...]]:
     """The figures of each row with scores, by recording and the name of the row, and notices of unreadable files.
 
-    They are of the strata that are tested and the steps of the headline, and of scores of classes also of step 0. Rows
-    over all recordings have the trials of their scores, and ratios have an interval where the scores have one, of the
-    same units. Raises RunError and ReportError.
+    They are for the tested strata and the steps of the headline; scores of classes also for step 0. Pooled rows have
+    the trials of their scores. Ratios have an interval if the scores have one, from the same units. Raises RunError and
+    ReportError.
     """
     found: dict[tuple[str, str], Figures] = {}
     notices: dict[str, None] = {}
@@ -53,7 +53,7 @@ def _rows_of(run: ReportedRun, tables: Sequence[HeadlineTable]) -> Iterator[tupl
 
 
 class _TrialsOfRows:
-    """The trials of the rows of a run, and their units; `notices` as keys."""
+    """The trials of the rows of a run, and their units. The keys of `notices` are the notices."""
 
     def __init__(self, run: ReportedRun) -> None:
         self._run, self._trials = run, run.scored_trials()
@@ -105,7 +105,7 @@ class _TrialsOfRows:
         return found
 
     def _trials_of(self, row: TableRow, table: HeadlineTable) -> list[FinishedTrial]:
-        """The trials of the scores of the row. Raises ScoresError."""
+        """The trials behind the scores of the row. Raises ScoresError."""
         if table.pooled and self._run.summary.recordings[table.recording].horizons_s != self._all.horizons_s:
             raise ScoresError(
                 f"{self._run.path / SUMMARY_FILE}: pooled scores at other horizons than its recordings have"
@@ -128,7 +128,7 @@ class _TrialsOfRows:
 
 
 def _shown(points: NDArray[np.float64] | Ratio) -> Any:
-    """Points (N,) or (N, M), of ratios with their intervals if there are any."""
+    """Points (N,) or (N, M); ratios with their intervals if there are any."""
     if not isinstance(points, Ratio):
         return _short(points)
     found = interval(ratio_replicates(points), "odds")

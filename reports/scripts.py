@@ -1,16 +1,16 @@
-"""Scripts, data and styles of the page, all inside it, and the policy that lets a browser run these and nothing else.
+"""Scripts, data and styles inside the page, and the policy that lets a browser run only these.
 
 A script is an ES module in `reports/assets`. To add one:
 
 1. Write `assets/NAME.js`. It imports from its neighbours with lines such as `import { make } from "./drawing.js";`,
    and exports with `export` before a declaration. Names at the top level are unique over all modules.
 2. Import it in `main.js`, and call its exports there.
-3. What it needs to know of the run is one key of the page's data: add it in `page_data.py`, and read it from `pageData`
-   of `page_data.js`. Texts of a run go into the page with `textContent`, never as HTML.
+3. Its data of the run is one key of the page's data: add it in `page_data.py`, and read it from `pageData` of
+   `page_data.js`. Texts of a run go into the page with `textContent`, never as HTML.
 
-At render time the modules that `main.js` needs are joined into one inline module, those imported first. Whatever
-changes with the run is in the data, so the hash of the script changes with the package alone. A style is set by a
-class, or by a property of `element.style`: the policy refuses `style` attributes in HTML.
+At render time `main.js` and its imports are joined into one inline module, imports first. The run changes only the
+data, so the hash of the script changes only with the package. Set a style by a class, or by a property of
+`element.style`: the policy refuses `style` attributes in HTML.
 """
 
 from __future__ import annotations
@@ -38,8 +38,7 @@ _EXPORT = re.compile(r"^export (?=(?:async )?(?:function|class|const|let)\b)", r
 def joined_script(folder: Path = ASSETS) -> Markup:
     """`main.js` of `folder` and its imports as one module, each once and after its own imports.
 
-    Raises ValueError if modules import each other in a circle, or in another form than the one described above, or
-    declare a name twice.
+    Raises ValueError for imports in a circle or of another form than described above, and for a name declared twice.
     """
     parts: dict[str, str] = {}
     _add_module(folder, MAIN_SCRIPT, (), parts)
@@ -70,12 +69,12 @@ def data_in_page(data: Any) -> Markup:
 
 
 def json_in_page(data: Any) -> Markup:
-    """`data` as JSON, in which no text can end the element: for what is deflated inside, and read when it is shown."""
+    """`data` as JSON, in which no text can end the element, for data that is already deflated inside."""
     return Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"))
 
 
 def policy_of(scripts: Iterable[str], styles: Iterable[str]) -> str:
-    """The Content-Security-Policy under which these inline scripts and styles are used, and nothing is fetched."""
+    """The Content-Security-Policy that allows these inline scripts and styles, and no request."""
     return (
         f"default-src 'none'; img-src data:; script-src {_hashes(scripts)}; style-src {_hashes(styles)};"
         " base-uri 'none'; form-action 'none'"

@@ -1,4 +1,4 @@
-"""Tables of the scores that the main table has no room for: on hidden cells, and of strata of their own."""
+"""Tables of scores outside the main table: on hidden cells, and in further strata."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class StrataTable:
     columns: tuple[TableColumn, ...]
     rows: tuple[tuple[TableRow, tuple[tuple[TableCell, DifferenceCell | None], ...]], ...]
     reference: str
-    """The row that the differences are taken from; empty without differences."""
+    """The other row of the differences; empty without differences."""
     why_no_interval: str
     """Why the scores have no interval; empty if they have one."""
     thresholds_matter: bool = False
-    """Whether the ranked rows are in another order at another threshold."""
+    """Whether the order of ranked rows depends on the threshold."""
 
     @property
     def has_p(self) -> bool:
@@ -68,10 +68,10 @@ def _hidden_columns(table: HeadlineTable) -> Iterator[TableColumn]:
 
 
 def _own_columns(table: HeadlineTable) -> Iterator[TableColumn]:
-    """The scores that are not defined on the cells of the main table, in each of their strata.
+    """The scores that are undefined on the cells of the main table, in each of their strata.
 
-    Of a score its lead, and beside a loss an output of which higher is better. Scores of classes also now: the class of
-    a visible cell is a question of its own.
+    Each has its leading output; a loss also has an output with better higher values. Scores of classes are also at step
+    0, because the class of a visible cell may be wrong too.
     """
     trials = [row.trial for row in table.rows]
     for score in table.scores:
@@ -90,7 +90,7 @@ def _own_columns(table: HeadlineTable) -> Iterator[TableColumn]:
 def _made(
     table: HeadlineTable, run: ReportedRun | None, title: str, about: str, columns: Sequence[TableColumn]
 ) -> StrataTable | None:
-    """The table, of the columns in which any row has a score; None without such columns."""
+    """The table of the columns with a score in any row; None without such columns."""
     shown = tuple(column for column in columns if any(column.cell(row.trial).value is not None for row in table.rows))
     if not shown:
         return None
@@ -125,7 +125,7 @@ def _less(difference: TrackerDifference, column: TableColumn) -> DifferenceCell 
 
 
 def _thresholds_matter(table: HeadlineTable, columns: Sequence[TableColumn]) -> bool:
-    """Whether two ranked rows change places between two thresholds of one score on the same cells."""
+    """Whether two thresholds order ranked rows differently, for one score on the same cells."""
     by_score: dict[tuple[str, str, int], list[TableColumn]] = {}
     for column in columns:
         if column.score.thresholded:

@@ -14,10 +14,8 @@ TEMPLATES = Path(__file__).parent / "templates"
 TRACKER_COLOURS = 8
 REPEATS = ("", " again", " again2", " again3")
 """Further trackers repeat the colours, with other dashes and dots in each round."""
-FLOOR_GREYS = 5
-"""Floors beyond this many repeat the greys."""
-RUN_DASHES = 4
-"""Runs beyond this many repeat the dashes."""
+FLOOR_GREYS, RUN_DASHES = 5, 4
+"""Further floors repeat the greys; further runs repeat the dashes."""
 DASHES: Mapping[str, tuple[float, ...]] = {
     "f0": (7, 3),
     "f1": (3, 2),
@@ -33,7 +31,7 @@ DASHES: Mapping[str, tuple[float, ...]] = {
     "run2": (2, 2),
     "run3": (9, 2, 2, 2),
 }
-"""Dashes of each class of a style, as page.css has them; the last class of a style decides."""
+"""Dashes of each class of a style, as in page.css; the last class of a style decides."""
 
 
 @cache
@@ -55,7 +53,7 @@ def look_of(style: str) -> tuple[str, tuple[float, ...]]:
 def styles_of(runs: Sequence[ReportedRun]) -> dict[str, str]:
     """The style (CSS classes) of each row on the page by its key: a colour for a tracker, a grey for the floor.
 
-    A tracker has one colour in all runs, and of several runs each has its own dashes; a repeated colour then has wide
+    A tracker has one colour in all runs; each of several runs has its own dashes, and then repeated colours have wide
     lines.
     """
     colours = _colours_of(runs)

@@ -20,16 +20,18 @@ from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, output_name, scores_of
 
 MAIN_STRATUM = HEADLINE_STRATA[0]
-"""The stratum of the other scores, by which the rows are sorted too."""
+"""The stratum of the other scores and of the order of rows."""
 STANDING = "standing"
-"""A stratum outside the headline tests: the headline score at the detail horizon is a column beside the others."""
+"""A stratum without headline tests; its only column is the headline score at the detail horizon."""
 
 LEAK = "learned from these frames"
-"""The mark of a row with weights that learned from scored frames."""
+"""The mark of a row if its weights learned from scored frames."""
+MEMORY = "may remember"
+"""The mark of a row with a sign that it remembers a recording."""
 
 RowGroup = Literal["ceiling", "ranked", "floor", "unranked"]
-"""The ceiling; complete trials of trackers; complete trials of the floor; trials that are not complete, or scored on
-frames that they learned from."""
+"""The ceiling; complete trials of trackers; complete trials of the floor; trials that are incomplete, or scored on
+frames of their training."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class TableColumn:
 
     @property
     def name(self) -> str:
-        """The output as users write it."""
+        """The name of the output in options."""
         return output_name(self.score, self.output)
 
     @property
@@ -66,7 +68,7 @@ class TableColumn:
 
     @property
     def title_with_article(self) -> str:
-        """`a log loss`, `an F1`: of an abbreviation by the sound of its first letter."""
+        """`a log loss`, `an F1`: the sound of the first letter decides for an abbreviation."""
         vowels = "aeiou" if self.title[1:2].islower() else "AEFHILMNORSX"
         return f"{'an' if self.title[:1] in vowels else 'a'} {self.title}"
 
@@ -108,7 +110,7 @@ class TableCell:
 
 
 def outcome_words(trial: TrialSummary) -> str:
-    """The outcome of a trial, and whether it learned from frames that it is scored on."""
+    """The outcome of a trial, and whether it learned from scored frames."""
     return f"{trial.outcome}, {LEAK}" if trial.leak else trial.outcome
 
 
@@ -118,17 +120,17 @@ def joined_names(names: Sequence[str]) -> str:
 
 
 def row_key(run: str, label: str) -> str:
-    """A row's label after the name of its run; that is empty on the page of one run."""
+    """A row's label after the name of its run, which is empty on the page of one run."""
     return f"{run}: {label}" if run else label
 
 
 def name_of(label: str, trial: TrialSummary) -> str:
-    """The label as it is shown: with a word if the weights are general."""
+    """The displayed label, which says if the weights are general."""
     return f"{label} (general)" if "general" in trial.card else label
 
 
 def name_in(run: ReportedRun, label: str, recording: str) -> str:
-    """The same of a row of a run on a recording, or pooled."""
+    """The displayed label of a row of a run on a recording, or pooled."""
     entry = run.summary.trackers.get(label)
     trial = entry.recordings.get(recording) if entry else None
     return name_of(label, trial) if trial else label
@@ -152,7 +154,7 @@ class TableRow:
 
     @property
     def name(self) -> str:
-        """The label as it is shown, and before it the name of the run if there are several."""
+        """The displayed label, after the name of the run if there are several."""
         return row_key(self.run, name_of(self.label, self.trial))
 
     @property
@@ -162,21 +164,22 @@ class TableRow:
 
     @property
     def outcome(self) -> str:
-        """The outcome of the trial; of a pooled row without scores, the outcomes of its trials."""
+        """The outcome of the trial; for a pooled row without scores, the outcomes of its trials."""
         if self.trial.outcome == "partial" and not self.trial.frames_scored:
             return ", ".join(dict.fromkeys(map(outcome_words, self.trials)))
         return outcome_words(self.trial)
 
     @property
     def remark(self) -> str:
-        """The outcome of a row that is not ranked, or the best floor of a tracker that is worse; else empty."""
+        """The outcome of a row without a rank; else the best floor if the tracker is below it, and a memory."""
         if self.group == "unranked":
             return self.outcome
-        return f"below {self.trial.best_floor}" if self.trial.below_floor else ""
+        below = f"below {self.trial.best_floor}" if self.trial.below_floor else ""
+        return ", ".join(filter(None, (below, MEMORY if self.trial.memory else "")))
 
     @property
     def frames(self) -> str:
-        """Frames scored, of those expected where they differ."""
+        """The number of scored frames, and of expected ones if it differs."""
         scored, expected = self.trial.frames_scored, self.trial.frames_expected
         return str(scored) if scored == expected else f"{scored} of {expected}"
 
@@ -189,17 +192,17 @@ class HeadlineTable:
     columns: tuple[TableColumn, ...]
     rows: tuple[TableRow, ...]
     decisive: TableColumn
-    """The column that rows are sorted by."""
+    """The column that orders the rows."""
     headline: tuple[str, str]
     """The names of the headline score and its output."""
     scores: tuple[ScoreDescription, ...]
-    """The scores that any run has."""
+    """The scores of all runs."""
     comparable: bool
     """Whether all rows are scored on the same frames: only then the best are marked."""
     pooled: bool
     """Whether it is pooled over all recordings."""
     horizons_s: tuple[float, ...]
-    """The horizons that every run has, seconds."""
+    """The common horizons of all runs, seconds."""
 
     @property
     def has_intervals(self) -> bool:
@@ -264,7 +267,7 @@ def _headline_table(runs: Sequence[ReportedRun], recording: str) -> HeadlineTabl
 
 
 def _sorted(rows: Sequence[TableRow], at: int, better: int) -> list[TableRow]:
-    """The rows by group, and from the best down in the column `at`; equal ones in their order."""
+    """The rows by group, the best in the column `at` first; equal rows keep their order."""
     order, labels = ("ceiling", "ranked", "floor", "unranked"), list(dict.fromkeys(row.label for row in rows))
 
     def place(row: TableRow) -> tuple[int, bool, float, int]:
@@ -280,7 +283,7 @@ def _headline_of(runs: Sequence[ReportedRun]) -> tuple[str, str]:
 
 
 def _common_horizons(runs: Sequence[ReportedRun], recording: str) -> tuple[float, ...]:
-    """The horizons that every run has. Raises ReportError if their rates differ."""
+    """The common horizons of all runs. Raises ReportError if their rates differ."""
     stretches = [run.summary.recordings[recording] for run in runs]
     for run, stretch in zip(runs, stretches, strict=True):
         if abs(stretch.period_s - stretches[0].period_s) > 1e-6:
@@ -299,10 +302,10 @@ def _same_frames(runs: Sequence[ReportedRun], recording: str) -> bool:
 def _columns(
     runs: Sequence[ReportedRun], trials: Sequence[TrialSummary], horizons_s: Sequence[float]
 ) -> Iterator[TableColumn]:
-    """The headline score at the headline horizons (at the last horizon if the run reaches none), and at one horizon
-    the lead of every other tested score.
+    """The headline score at the headline horizons, or else at the last horizon, and the leading output of every other
+    tested score at one horizon.
 
-    Without intervals a score that needs no threshold is first: few frames choose a threshold poorly.
+    Without intervals a score without a threshold is first, because few frames determine a threshold poorly.
     """
     scores = scores_of(runs)
     name, output_of = _headline_of(runs)
@@ -333,7 +336,7 @@ def _over_horizons(
 
 
 def _unscored(name: str, output: str) -> ScoreDescription:
-    """The headline score of a run in which nothing was scored."""
+    """The headline score of a run without scores."""
     title = name.upper()
     lead = OutputDescription(name=output, title=title, better="higher")
     return ScoreDescription(name=name, title=title, thresholded=False, outputs=(lead,))
@@ -362,7 +365,7 @@ def _group_of(entry: TrackerSummary, trial: TrialSummary) -> RowGroup:
 
 
 def with_best(rows: Sequence[TableRow], columns: Sequence[TableColumn]) -> Iterator[TableRow]:
-    """Mark the best complete trials of each column; values that are equal to the digits shown are equally good."""
+    """Mark the best complete trials of each column; trials with equal displayed digits are equally good."""
     best: list[str | None] = []
     for i, column in enumerate(columns):
         known = [row.cells[i] for row in rows if row.group in ("ranked", "floor") and row.cells[i].value is not None]
@@ -375,14 +378,15 @@ def with_best(rows: Sequence[TableRow], columns: Sequence[TableColumn]) -> Itera
 
 
 def headline_markdown(table: HeadlineTable, text: Callable[[str], str] = cell_text) -> str:
-    """The table as Markdown, with names as `text` writes them; the best values are bold."""
+    """The table as Markdown, with the best values in bold; `text` escapes names."""
     headings = ["tracker", *(f"{c.group} {c.heading}" for c in table.columns), "frames", "outcome"]
     rows = [
-        [text(row.name), *(_cell_markdown(cell) for cell in row.cells), row.frames, text(row.remark or row.outcome)]
+        [
+            text(row.name),
+            *(f"{f'**{c.text}**' if c.best else c.text} {c.interval_text}".rstrip() for c in row.cells),
+            row.frames,
+            text(row.remark or row.outcome),
+        ]
         for row in table.rows
     ]
     return markdown_table(headings, rows, aligned_right=range(1, len(headings) - 1))
-
-
-def _cell_markdown(cell: TableCell) -> str:
-    return f"{f'**{cell.text}**' if cell.best else cell.text} {cell.interval_text}".rstrip()

@@ -1,4 +1,4 @@
-"""The result of a run on a terminal, as wide as it is and with whole names; Markdown if there is no terminal."""
+"""The result of a run as a table for a terminal, as wide as it is and with whole names, or else as Markdown."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GROUP_STYLES = {"ceiling": "italic", "ranked": "", "floor": "dim", "unranked": "
 CHANCE = "°"
 """The mark of a difference that may be chance."""
 UNBOUNDED_WIDTH = 10_000
-"""Characters of a terminal on which every table is as wide as it likes."""
+"""Width in characters that no table needs."""
 
 
 def print_result(run: Path) -> None:
@@ -57,7 +57,7 @@ def _print_line(console: Console, text: str) -> None:
 
 
 def _columns(table: HeadlineTable, differences: DifferenceTable | None) -> Iterator[tuple[str, list[str]]]:
-    """A heading and a text for each row: the decisive score, and at its horizon the headline score of other strata."""
+    """A heading, and a text for each row: the decisive score, and the headline score of other strata at its horizon."""
     decisive = table.decisive
     names = (f"{row.name} ({row.remark})" if row.remark else row.name for row in table.rows)
     yield "tracker", list(names)
@@ -95,7 +95,7 @@ def _decisive_differences(differences: DifferenceTable, table: HeadlineTable) ->
 
 
 def _formatted(console: Console, table: HeadlineTable, headings: Sequence[str], rows: Sequence[list[str]]) -> Table:
-    """The table, with intervals and the words of headings on lines of their own where it is too wide otherwise."""
+    """The table; if it is too wide, intervals and the words of headings are on lines of their own."""
     wide = _table_of(table, headings, rows)
     if console.measure(wide, options=console.options.update_width(UNBOUNDED_WIDTH)).maximum <= console.width:
         return wide

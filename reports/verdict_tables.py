@@ -35,7 +35,7 @@ from gridtrack.reports.verdict_text import (
 
 SUITE = "gridtrack regress"
 MAX_TABLE_ROWS = 40
-"""Further rows of a table are counted and not shown."""
+"""Limit of the rows of a table; the number of further rows is shown."""
 _HEADINGS = (
     "tracker",
     "score",
@@ -60,7 +60,7 @@ def markdown_of(verdict: Verdict) -> str:
         "Over all units",
         ["verdict", *_HEADINGS, "p"],
         changed,
-        lambda row: [_verdict_text(verdict, row), *_row_cells(row), _p_value_text(row)],
+        lambda row: [_verdict_text(verdict, row), *_row_cells(row), UNDEFINED if row.p is None else p_digits(row.p)],
     )
     parts += _section(
         "Since the best entry of the history",
@@ -110,25 +110,23 @@ def data_of(verdict: Verdict) -> dict[str, Any]:
         "units": verdict.units,
         "trainings": verdict.trainings,
         "significance": verdict.significance,
-        "rows": [_row_data(row, verdict.standing_of(row)) for row in verdict.rows],
-        "below_best": [_row_data(row, verdict.standing_of(row)) for row in verdict.below_best],
-        "on_recordings": [_row_data(row, verdict.standing_of(row)) for row in verdict.on_recordings],
-        "recoveries": [_row_data(row, verdict.standing_of(row)) for row in verdict.recoveries],
-        "speed": [_row_data(row, verdict.standing_of(row)) for row in verdict.speed],
-        "turns": [_row_data(row, verdict.standing_of(row)) for row in verdict.turns],
+        **{
+            name: [_row_data(row, verdict.standing_of(row)) for row in getattr(verdict, name)]
+            for name in ("rows", "below_best", "on_recordings", "recoveries", "speed", "turns")
+        },
         "second_looks": [_second_data(look) for look in verdict.second_looks],
         "notes": list(verdict.notes),
     }
 
 
 def _second_data(look: SecondLook) -> dict[str, Any]:
-    """Rows that looked worse, in both runs."""
+    """A worse row in both runs."""
     second = look.second and _row_data(look.second, look.second.verdict)
     return {"confirmed": look.confirmed, "first": _row_data(look.first, look.first.verdict), "second": second}
 
 
 def _row_data(row: AnyRow, standing: Standing) -> dict[str, Any]:
-    """The fields of a row; a fall that cannot be found, of whatever size, is null."""
+    """The fields of a row; an infinite smallest fall is null."""
     values = {key: None if value == np.inf else value for key, value in asdict(row).items() if key != "verdict"}
     return {**values, "standing": standing}
 
@@ -160,13 +158,9 @@ def _verdict_text(verdict: Verdict, row: VerdictRow) -> str:
     return standing if row.verdict == "worse" or not row.recording else NO_COLLAPSE
 
 
-def _p_value_text(row: VerdictRow) -> str:
-    return UNDEFINED if row.p is None else p_digits(row.p)
-
-
 def junit_of(verdict: Verdict) -> str:
-    """A test case for each tracker, score, stratum and step band, for each collapse, each tracker that recovered from
-    failures, and each speed. A worse one is a failure; the output of each has the smallest fall that would be one."""
+    """A test case for each tracker, score, stratum and step band, for each collapse, each tracker with recoveries, and
+    each speed. A worse row is a failure; the output has the smallest fall that would have been one."""
     rows, failures = verdict.decisive, len(verdict.worse)
     skipped = sum(row.verdict == "nothing to find" for row in rows)
     suite = junit_suite(SUITE, tests=len(rows), failures=failures, errors=0, skipped=skipped)

@@ -1,4 +1,4 @@
-"""The verdict of the regression gate in sentences, for a terminal and for other outputs with one of its rows."""
+"""The verdict of the regression gate in sentences, for a terminal, and its rows for other outputs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gridtrack.common.errors import printable
-from gridtrack.evaluation.regression.judging import COLLAPSE, Criterion, VerdictRow
+from gridtrack.evaluation.regression.judging import COLLAPSE, VerdictRow
 from gridtrack.evaluation.regression.measurement import BANDS, Baseline
 from gridtrack.evaluation.regression.recoveries import RecoveryRow
 from gridtrack.evaluation.regression.rows import paired_rows
@@ -23,15 +23,8 @@ MAX_FALLEN = 3
 """Largest number of lines on single recordings in the text."""
 LEAST_DECIMALS, MOST_DECIMALS, LEAST_P = 4, 9, 0.0001
 NO_COLLAPSE = "no collapse"
-"""The standing of a change on one recording that is listed and does not decide."""
+"""The standing of a change on one recording that does not decide."""
 UNKNOWN_SPREAD = "the baseline has one run: the spread between trainings is unknown and not taken into account"
-REASONS: dict[Criterion, str] = {
-    "": "",
-    "margin": "",
-    "significant": "",
-    "collapse": ", a collapse",
-    "best": "",
-}
 
 
 def text_of(verdict: Verdict) -> str:
@@ -53,10 +46,10 @@ def text_of(verdict: Verdict) -> str:
 def text_of_update(
     path: Path, baseline: Baseline, replaced: Verdict | str | None, since: Mapping[str, Sequence[VerdictRow]]
 ) -> str:
-    """The baseline that `--update` wrote, for a terminal: its runs, and the range of F1 of each tracker over them.
+    """The new baseline of `--update`, for a terminal: its runs, and the range of F1 of each tracker over them.
 
-    `replaced`: the verdict on its first run by the baseline that it replaces, if any, or why there is no verdict.
-    `since`: its scores against the `first` and the `best` entries of the history.
+    `replaced`: the verdict of the replaced baseline, if any, on the first run, or why there is none. `since`: scores
+    against the `first` and the `best` entries of the history.
     """
     if len(baseline.runs) == 1:
         lines = [f"baseline: {path}; {UNKNOWN_SPREAD}"]
@@ -66,7 +59,7 @@ def text_of_update(
 
 
 def _lines_since(since: Mapping[str, Sequence[VerdictRow]]) -> Iterator[str]:
-    """The largest change to the worse of each tracker since the first, and since the best entry of a history."""
+    """The largest fall of each tracker since the first entry of a history, and since the best one."""
     for which, rows in since.items():
         for label in dict.fromkeys(row.label for row in rows):
             worst = max((row for row in rows if row.label == label), key=lambda row: row.severity)
@@ -86,7 +79,7 @@ def _replaced_lines(replaced: Verdict | str | None) -> list[str]:
 
 
 def _ranges_of(baseline: Baseline) -> Iterator[str]:
-    """How far the runs of a baseline differ in F1, by tracker."""
+    """The largest difference in F1 between the runs of a baseline, by tracker."""
     rows = [row for row in paired_rows(baseline, baseline.first, built_in()) if row.key[1] == "f1.f1"]
     for label in baseline.first.trackers:
         own = (row for row in rows if row.label == label)
@@ -136,12 +129,12 @@ def _change_text(row: AnyRow) -> str:
     return (
         f"{row.name} {then} to {now}, "
         f"{_fall_text(row)}{f' since {row.since}' if row.since else ''}{significance}{spread}"
-        f"{REASONS[row.criterion]}"
+        f"{', a collapse' if row.criterion == 'collapse' else ''}"
     )
 
 
 def _fall_text(row: VerdictRow) -> str:
-    """The change as a fall or a rise; `fall` of a log loss is its rise."""
+    """The change in words; the `fall` of a log loss is a rise."""
     if not row.fall:
         return "no change"
     worse, better = _worse_and_better(row)
@@ -154,7 +147,7 @@ def _worse_and_better(row: VerdictRow) -> tuple[str, str]:
 
 
 def _limit_text(row: VerdictRow) -> str:
-    """The smallest change that would have been worse, and the margin over all units if it is another."""
+    """The smallest change that would have been worse, and the margin over all units if it differs."""
     worse, _ = _worse_and_better(row)
     where = " on one recording" if row.recording else ""
     if not np.isfinite(row.smallest):
@@ -168,7 +161,7 @@ def _limit_text(row: VerdictRow) -> str:
 
 
 def _no_limit_text(row: VerdictRow, worse: str, where: str) -> str:
-    """Why no change would have been found, of whatever size."""
+    """Why no change of any size would have been found."""
     if row.higher_is_better and not row.baseline:
         return "no fall is possible"
     if row.verdict == "worse":
@@ -179,7 +172,7 @@ def _no_limit_text(row: VerdictRow, worse: str, where: str) -> str:
 
 
 def second_lines(verdict: Verdict) -> list[str]:
-    """Both results of everything that looked worse."""
+    """Both results of each row that was worse in the first run."""
     return [
         f"{verdict.standing_of(look.first)}: {sentence_of(look.first)}{second_text(verdict, look.first)}"
         for look in verdict.second_looks
@@ -192,8 +185,8 @@ def place_of(row: VerdictRow) -> str:
 
 
 def _smallest_found(verdict: Verdict) -> list[str]:
-    """The smallest falls in F1 over all units that would have been worse, of each tracker that is not worse: in the
-    place where the smallest is found, and in the one where only the largest is."""
+    """For each tracker that is not worse, the smallest fall in F1 over all units that would have been worse: in the
+    most and in the least sensitive row."""
     lines: list[str] = []
     if not verdict.significance:
         return lines
@@ -204,12 +197,12 @@ def _smallest_found(verdict: Verdict) -> list[str]:
             continue
         best, worst = (choose(found, key=lambda row: row.smallest) for choose in (min, max))
         if not np.isfinite(best.smallest):
-            lines.append(f"{label}: this baseline could have shown no fall in F1, of whatever size")
+            lines.append(f"{label}: this baseline could not have shown any fall in F1")
             continue
         sizes = [f"{amount_text(row, row.smallest)} ({place_of(row)})" for row in (best, worst)]
         alike = amount_text(best, best.smallest) == amount_text(worst, worst.smallest)
-        told = sizes[0] if alike else f"{sizes[0]} at best, {sizes[1]} at worst"
-        lines.append(f"{label}: the smallest fall in F1 that this baseline could have shown: {told}")
+        range_text = sizes[0] if alike else f"{sizes[0]} at best, {sizes[1]} at worst"
+        lines.append(f"{label}: the smallest fall in F1 that this baseline could have shown: {range_text}")
     return lines
 
 
@@ -230,7 +223,7 @@ def rule_of(verdict: Verdict) -> str:
         trainings = (
             UNKNOWN_SPREAD
             if verdict.trainings == 1
-            else f"the spread between trainings is that of the {verdict.trainings} runs of the baseline"
+            else f"the spread between trainings is from the {verdict.trainings} runs of the baseline"
         )
         return (
             f"{over}: worse is a change beyond the margin with p of at most {ALPHA:g}, corrected for all comparisons,"
@@ -261,7 +254,7 @@ def turns_texts(row: TurnsRow) -> list[str]:
 
 
 def amount_text(row: VerdictRow, value: float) -> str:
-    """A change as margins are given: of F1, or a share of a log loss; none if no change can be found."""
+    """A change in the unit of margins: of F1, or a share of a log loss; `none` if it is infinite."""
     if not np.isfinite(value):
         return "none"
     return f"{value:.{_decimals(value * 100, 1)}%}" if row.relative else number_text(value)

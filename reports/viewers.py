@@ -30,21 +30,21 @@ from gridtrack.reports.run import ReportedRun, ReportError, chosen_runs, read_ru
 LAYOUT_FILE = Path(__file__).parent / "assets" / "foxglove_layout.json"
 _INPUT, _SENSORS, _OBSERVED, _TRUTH = "input", "sensors", "observed", "truth"
 _FORECAST, _TRACKS, _OUTLINES, _OBJECTS = "forecast", "tracks", "outlines", "objects"
-"""Entities of `world`; static outlines and outlines of road users are the ground truth of a recording."""
+"""Entities of `world`. Ground truth of a recording: static outlines, and the outlines of objects."""
 _HIDDEN = (2, 3)
 _CELL_OF_STATE = np.array([FREE_CELL, OCCUPIED_CELL, FREE_CELL, OCCUPIED_CELL, UNKNOWN_CELL], np.uint8)
 """Seen free, seen occupied, hidden and free, hidden and occupied, not scored: the states of a target."""
 
 
 def foxglove_layout() -> str:
-    """The layout as Foxglove imports it, JSON."""
+    """The layout for Foxglove, JSON."""
     return LAYOUT_FILE.read_text("utf-8")
 
 
 def write_rerun_recording(stream: GridStream, path: Path, on_frame: Callable[[], None] = lambda: None) -> None:
     """Write the stretch of `stream` as a Rerun recording; `on_frame` is called after each frame.
 
-    Everything is in the world of ground truth. Raises ConfigurationError if rerun-sdk is not installed,
+    The frame is the world of ground truth. Raises ConfigurationError if rerun-sdk is not installed,
     RecordingError and OSError.
     """
     with rerun_scene(path, stream.name, f"{stream.recording.sha256}@{stream.stretch_s}") as scene:
@@ -105,7 +105,7 @@ def write_rerun_run(
 ) -> tuple[list[Path], list[str]]:
     """Write RECORDING.rrd for each recording of a run with kept forecasts, in `out` or the folder of its report.
 
-    `rows` and `recordings` are patterns, as of `exported_tables` and `chosen_runs`. Returns the files, and a notice for
+    `rows` and `recordings` are patterns, as in `exported_tables` and `chosen_runs`. Returns the files, and a notice for
     each damaged file of forecasts. Raises ConfigurationError, RunError, ReportError and OSError.
     """
     (reported,) = chosen_runs(read_runs([run]), recordings)
@@ -128,7 +128,7 @@ def write_rerun_run(
 
 
 class _RecordingOfRun:
-    """One recording: observed frames are drawn once, from the first tracker that kept a moment."""
+    """One recording. Each observed frame is drawn once, from the first tracker with its sample."""
 
     def __init__(self, run: ReportedRun, recording: str, labels: Sequence[str]) -> None:
         self._run, self._recording, self._labels = run, recording, labels
@@ -167,7 +167,7 @@ class _RecordingOfRun:
             self._clear_missing(scene, done)
 
     def _samples(self, label: str) -> Iterator[Sample]:
-        """The samples of a trial one at a time; of a damaged file, those before the damage, and a notice."""
+        """The samples of a trial one at a time; a damaged file has its samples before the damage, and a notice."""
         path = self._run.trial_folder(label, self._recording) / SAMPLES
         if not path.exists():
             return
@@ -187,7 +187,7 @@ class _RecordingOfRun:
                 scene.grid(("world", _TRUTH, _seconds(horizon)), _CELL_OF_STATE[sample.state[i]], *window)
 
     def _clear_missing(self, scene: RerunScene, stamps: set[int]) -> None:
-        """A tracker that kept nothing at a stamp shows nothing there, not its last forecast."""
+        """Show nothing at the stamps without a sample of a tracker, instead of its last forecast."""
         for label, kept in self._stamps.items():
             for stamp_ns in sorted(stamps - kept):
                 scene.at(stamp_ns, self._start_ns)

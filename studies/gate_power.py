@@ -95,7 +95,7 @@ def simulated(runs: Runs, fall: Fall, rng: np.random.Generator) -> Iterator[Pair
 def simulated_twice(
     runs: Runs, fall: Fall, rng: np.random.Generator, seconds: int = 1
 ) -> Iterator[tuple[PairedRow, PairedRow]]:
-    """The rows of one comparison, and those of a second run of the judged training."""
+    """The rows of one comparison, and of a second run of the judged training."""
     sides = runs.trainings + 1 + seconds
     traffic = np.exp(0.5 * rng.standard_normal(RECORDINGS))
     difficulty = 0.5 * rng.standard_normal(RECORDINGS)

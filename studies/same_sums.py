@@ -147,7 +147,7 @@ def _dense(table: object, index: str, values: str, size: int) -> NDArray[np.floa
 
 
 def _classes(folder: Path, stamps: NDArray[np.int64], layouts: Mapping[str, Layout], steps: int) -> Sums:
-    """The sums of classes: those of rows that are not there are 0."""
+    """The sums of classes; missing rows have 0."""
     found: Sums = {}
     at = {stamp: f for f, stamp in enumerate(stamps.tolist())}
     if "class_recall" in layouts and (folder / "classes.parquet").exists():

@@ -1,7 +1,7 @@
 """Velocity error against the truth at the junction, on the visible cells of moving bodies.
 
 `python -m studies.velocity_errors [TRACKER...]` (default: dogma and kalman; five minutes). The true velocity of a cell
-is the rigid motion of the body whose outline crosses it, from its poses one frame before and after. If a tracker gives
+is the rigid motion of the body there, from its poses one frame before and after. If a tracker gives
 objects instead of a velocity field, the cells of an object's box have its velocity; of overlapping boxes the smallest
 counts, as when a bus passes a person. A cell without a velocity counts as 0.
 """

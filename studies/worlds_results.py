@@ -31,7 +31,7 @@ AIM_TRACKERS, AIM_HORIZONS_S, AIM_F1 = ("dilated-convgru", "kalman"), (0.5, 1.0)
 """The aim: on dynamic cells at these horizons these trackers exceed the reference by AIM_F1, significantly."""
 
 CONTENDERS = ("kalman", "factor-graph", "dogma", "dilated-convgru")
-"""The trackers that forecast motion and have similar scores: which of them is best?"""
+"""The trackers that forecast motion and have similar scores, for comparisons in pairs."""
 CONTENDER_SCORES = {"F1": ("f1", 3), "PR-AUC": ("pr_auc", 3), "log loss": ("log_loss", 4), "soft IoU": ("soft_iou", 3)}
 """The scores in which they are compared, and the decimals of a difference: log losses are small."""
 

@@ -154,7 +154,7 @@ def test_the_help_of_a_command_cuts_nothing_at_80_columns(words, monkeypatch):
     assert [metavar for metavar in metavars if metavar not in shown] == []
 
 
-def test_the_help_of_all_commands_is_that_of_each():
+def test_the_help_of_all_commands_has_the_help_of_each():
     lazy: Any = typer.main.get_command(app)
     for (name, *_), command in [(words, one) for words, one in COMMANDS.items() if len(words) == 1]:
         assert command.help.split("\n\n")[0] == lazy.commands[name].help

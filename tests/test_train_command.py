@@ -64,7 +64,7 @@ def asked(monkeypatch):
     return recipes
 
 
-def test_the_start_on_the_command_line_overrides_that_of_the_recipe(asked, tmp_path):
+def test_the_start_on_the_command_line_overrides_the_recipes(asked, tmp_path):
     recipe = tmp_path / "recipe.toml"
     recipe.write_text(f'tracker = "dogma"\nrecordings = ["{DEMO}"]\nfrom_scratch = true\n')
     train("--recipe", recipe)

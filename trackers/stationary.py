@@ -160,7 +160,7 @@ def _counted(frame: GridFrame, window: SE2, bins: NDArray[np.int64], cell_m: flo
 def smoothed_rates(occupied: NDArray[np.float64], visible: NDArray[np.float64]) -> NDArray[np.float32]:
     """The occupied rate (horizons, rates, distances, ages) float32 of counts of the same shape.
 
-    The prior of a bin is the rate over all distances, whose prior is the rate of all cells at the horizon.
+    The prior of a bin is the rate over all distances; its prior is the rate of all cells at the horizon.
     """
     rates = occupied.sum((1, 2, 3), keepdims=True) / np.maximum(visible.sum((1, 2, 3), keepdims=True), 1.0)
     for found, seen in ((one.sum(axis=2, keepdims=True) for one in (occupied, visible)), (occupied, visible)):

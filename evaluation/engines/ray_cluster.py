@@ -1,8 +1,9 @@
-"""A Ray cluster: each task is a Ray task, which is sent the path of its folder and nothing else."""
+"""A Ray cluster: each task is a Ray task, which receives the path of its folder and nothing else."""
 
 from __future__ import annotations
 
 import os
+import signal
 import socket
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,7 +23,7 @@ ENVIRONMENT = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
 
 
 class RayCluster:
-    """A TaskCluster of Ray nodes. Ray trusts whoever reaches it: a cluster belongs behind a firewall.
+    """A TaskCluster of Ray nodes. Ray trusts everybody who reaches it: a cluster belongs behind a firewall.
 
     `run_task` is a function of an importable module, which takes the path of a task's folder. Each task has `cores`
     cores. Without an `address` the cluster of this machine is joined, or one is started here, which listens on loopback
@@ -72,7 +73,7 @@ class RayCluster:
         try:
             if address not in (None, "auto", "local"):
                 _knock(address)
-            with _on_loopback(self._ray):
+            with _on_loopback(self._ray), _own_sigterm():
                 self._ray.init(address, log_to_driver=False, include_dashboard=False, logging_level="error")
         except (ValueError, OSError, RuntimeError) as error:
             raise ConfigurationError(
@@ -95,8 +96,8 @@ class RayCluster:
 def _on_loopback(ray: Any) -> Iterator[None]:
     """A cluster that is started in the block listens on loopback only; joining one is not changed.
 
-    Ray does that on macOS and Windows. Elsewhere it replaces even `_node_ip_address="127.0.0.1"` by an address of the
-    network, and its environment variable would also reach the trackers.
+    Ray does that on macOS and Windows. Elsewhere there is no public way: Ray replaces even
+    `_node_ip_address="127.0.0.1"` by an address of the network, and reads its environment variable at import only.
     """
     constants = ray._private.ray_constants
     before, constants.ENABLE_RAY_CLUSTER = constants.ENABLE_RAY_CLUSTER, False
@@ -104,6 +105,17 @@ def _on_loopback(ray: Any) -> Iterator[None]:
         yield
     finally:
         constants.ENABLE_RAY_CLUSTER = before
+
+
+@contextmanager
+def _own_sigterm() -> Iterator[None]:
+    """Keep the handler of SIGTERM: Ray's exits, without the summary of a run. Ray sets it in the main thread only."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        if callable(before) and signal.getsignal(signal.SIGTERM) is not before:
+            signal.signal(signal.SIGTERM, before)
 
 
 def _knock(address: str) -> None:

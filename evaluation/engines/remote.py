@@ -28,7 +28,7 @@ REPLY_S = 60.0
 
 
 class TaskEnd(NamedTuple):
-    """The end of a task: `lost` with its machine or its process, so that the job may run again; and the reason."""
+    """The end of a task. `lost`: with its machine or its process, so the job may run again."""
 
     lost: bool
     reason: str
@@ -50,7 +50,7 @@ class TaskCluster(Protocol[Task]):
     def cancel(self, tasks: Iterable[Task], *, force: bool) -> None:
         """End `tasks`: by an interrupt, after which they may reply, or with `force` at once.
 
-        Raises EngineError, which says what may still run, if the cluster does not answer.
+        Raises EngineError, with the jobs that may still run, if the cluster does not answer.
         """
 
     def close(self) -> None:
@@ -68,7 +68,7 @@ class _Submitted:
     starts: int = 0
     seen: TaskProgress = field(default_factory=TaskProgress)
     ended_s: float | None = None
-    """When its task was found to have ended without a reply."""
+    """When the end of its task without a reply was noticed."""
 
 
 class RemoteEngine(Generic[Task]):
@@ -135,7 +135,7 @@ class RemoteEngine(Generic[Task]):
 
     @contextmanager
     def _noting_errors(self) -> Iterator[None]:
-        """If the cluster fails to end tasks, tell the user once and continue: the results so far are kept."""
+        """Note each error of the cluster once and continue: the results so far are kept."""
         try:
             yield
         except EngineError as error:
@@ -152,7 +152,7 @@ class RemoteEngine(Generic[Task]):
         self._running.update(zip(tasks, entries, strict=True))
 
     def _watch(self) -> None:
-        """Until the engine is left, collect what has ended; an error here ends every job with it."""
+        """Collect ended tasks until the engine is left; an error here becomes the error of every job."""
         while not self._closed.wait(POLL_S):
             try:
                 with self._lock:
@@ -227,7 +227,7 @@ class RemoteEngine(Generic[Task]):
             entry.future.set_exception(EngineError(reply.error))
 
     def _retry(self, entry: _Submitted, reason: str) -> None:
-        """Start the job of a lost machine again, or end it after RETRIES."""
+        """Start a lost job again, or end it after RETRIES."""
         shutil.rmtree(entry.folder.path, ignore_errors=True)
         if entry.starts > RETRIES:
             error = f"lost by the engine {entry.starts} times, the last time because {reason}: compare with --resume"
@@ -239,7 +239,7 @@ class RemoteEngine(Generic[Task]):
 
 
 def _end_as_cancelled(future: Future[Any]) -> None:
-    """End a future without a result; one that is cancelled and not notified would be waited for forever."""
+    """End a future without a result. Without the notification, `wait` would never return."""
     if future.cancel():
         future.set_running_or_notify_cancel()
 

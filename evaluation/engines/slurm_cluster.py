@@ -32,7 +32,7 @@ from pydantic import ConfigDict, Field
 
 from gridtrack.common.config import Settings, parse_pairs, validated
 from gridtrack.common.errors import ConfigurationError, one_line
-from gridtrack.common.files import write_text
+from gridtrack.common.files import last_line, write_text
 from gridtrack.evaluation.engines.engine import EngineError
 from gridtrack.evaluation.engines.remote import TaskEnd
 from gridtrack.evaluation.engines.task import TaskFolder
@@ -52,7 +52,6 @@ SILENCE_S = 600.0
 ANSWER_S = 60.0
 SCANCEL_IDS = 1000
 MAX_SLURM_REASON = 200
-MAX_TAIL_BYTES = 4096
 ENDED_BY_SLURM = {"BOOT_FAIL", "CANCELLED", "DEADLINE", "NODE_FAIL", "PREEMPTED", "TIMEOUT"}
 FAILED = {"FAILED", "OUT_OF_MEMORY"}
 UNUSABLE = ("down", "drain", "fail")
@@ -191,11 +190,11 @@ class SlurmCluster:
             self._scancel(running, "--batch", "--signal=INT")
 
     def close(self) -> None:
-        """End all jobs, also those of an array whose submission was interrupted. Raises EngineError."""
+        """End all jobs, also after an interrupted submission of an array. Raises EngineError."""
         self._scancel([f"--name={self._job_name}"])
 
     def _withdraw(self, job_ids: Sequence[str]) -> None:
-        """Remove jobs from the queue whose tasks other jobs have claimed. If Slurm does not answer, the next poll does.
+        """Remove waiting jobs from the queue if another job has claimed their task; after an error the next poll does.
 
         A job that has started meanwhile does nothing. With `--state` scancel would end all waiting jobs of an array.
         """
@@ -203,7 +202,7 @@ class SlurmCluster:
             self._scancel(job_ids)
 
     def _scancel(self, jobs: Sequence[str], *options: str) -> None:
-        """Cancel jobs, some of which may have ended. Raises EngineError if Slurm does not answer."""
+        """Cancel jobs, unless they have ended. Raises EngineError if Slurm does not answer."""
         for first in range(0, len(jobs), SCANCEL_IDS):
             self._run_scancel(*options, *jobs[first : first + SCANCEL_IDS])
 
@@ -236,7 +235,7 @@ def _end_of(task: SlurmTask, job_id: str, job: JobState) -> TaskEnd | None:
     if state in ENDED_BY_SLURM:
         return TaskEnd(lost=True, reason=text)
     if state in FAILED:
-        ending = f"signal {os.WTERMSIG(status)}" if killed else _last_line_of(_log_of(task, job_id))
+        ending = f"signal {os.WTERMSIG(status)}" if killed else last_line(_log_of(task, job_id), MAX_SLURM_REASON)
         return TaskEnd(lost=killed and state == "FAILED", reason=f"{state}: {ending or text}")
     return None
 
@@ -285,17 +284,6 @@ def _log_of(task: SlurmTask, job_id: str) -> Path:
     return task.log.with_name(task.log.name.replace(task.job_id, job_id, 1))
 
 
-def _last_line_of(log: Path) -> str:
-    """The last line of the error output of a task; empty without any."""
-    try:
-        with log.open("rb") as file:
-            file.seek(max(0, log.stat().st_size - MAX_TAIL_BYTES))
-            lines = file.read(MAX_TAIL_BYTES).decode(errors="replace").splitlines()
-    except OSError:
-        return ""
-    return one_line(lines[-1], MAX_SLURM_REASON) if lines else ""
-
-
 class Claim(NamedTuple):
     """The job that runs a task, by its id in Slurm, and the number of tasks that it had claimed earlier."""
 
@@ -304,7 +292,7 @@ class Claim(NamedTuple):
 
 
 def claim_of(task: SlurmTask) -> Claim:
-    """The claim on a task; that of its own job while it waits, or if its folder is gone."""
+    """The claim on a task; its own job's while it waits, or if its folder is gone."""
     try:
         job_id, _, earlier = str((task.folder / CLAIM).readlink()).rpartition(" ")
     except FileNotFoundError:
@@ -313,7 +301,7 @@ def claim_of(task: SlurmTask) -> Claim:
 
 
 def run_in_job(run_task: Callable[[str], bool], array: str, number: int) -> None:
-    """In a Slurm job: run the task `number` of an `array`, unless another job has claimed it, and then further ones.
+    """In a Slurm job: run the task `number` of an `array` and then further tasks, unless other jobs have claimed them.
 
     `run_task` returns whether nothing interrupted the task. SIGTERM interrupts it, which submitit would ignore: Slurm
     sends it before it ends a job.
@@ -347,7 +335,7 @@ def _job_id() -> str:
 
 
 def _interrupt(*_: object) -> None:
-    """Interrupt once: Slurm repeats its signal, when the reply is being written already."""
+    """Interrupt once: Slurm repeats its signal while the reply is being written."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt

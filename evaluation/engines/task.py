@@ -47,7 +47,7 @@ class Reply(Settings):
 
     outcome: str = ""
     files: tuple[str, ...] = ()
-    """Names of the files that it wrote, that of the result last."""
+    """Names of its files, the result's last."""
     error: str = ""
 
 

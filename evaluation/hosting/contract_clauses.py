@@ -1,6 +1,6 @@
 """The clauses of the tracker contract: requirement, reason, and how to fix a tracker that breaks it.
 
-`contract_suite.py` has the check of each; docs/contract.md lists them (`python -m studies.contract_page`).
+`contract_suite.py` has the check of each; docs/contract.md lists them (`python -m studies.defined_pages`).
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ CLAUSES = (
         "refuses-unknown-options",
         "It refuses an option that it does not have.",
         "A misspelt option would leave the default in place, and the table would show a setting that nobody used.",
-        "List the options in a subclass of `Settings`, which refuses others; a program answers with an error whose"
-        " outcome is `not-applicable`.",
+        "List the options in a subclass of `Settings`, which refuses others; a program answers with an error with"
+        " the outcome `not-applicable`.",
         ("loads",),
     ),
     Clause(
         "starts",
-        "It starts on a stream within the time limit, and then says of itself what it said before.",
-        "What a tracker can run on, and whether it needs weights, is decided by its description before it starts.",
+        "It starts on a stream within the time limit, with the same description as before.",
+        "The description decides before the start whether a tracker can run on a stream, and whether it needs weights.",
         "`__init__` takes (stream, options). If it cannot process the stream it raises `ConfigurationError` with the"
         " reason. `learns`, `moving_sensor` and `role` are the same for every stream.",
         ("loads",),
@@ -119,15 +119,15 @@ CLAUSES = (
     ),
     Clause(
         "causal",
-        "A forecast depends on the frames up to now and not on later ones, also where they were seen in an earlier"
-        " stream.",
+        "A forecast depends on the frames up to now and not on later ones, even if an earlier stream had contained"
+        " them.",
         "A forecast from memory of the same minutes is no forecast.",
         "Keep no frames over a `reset`, neither in the class, nor in a module, nor in a file.",
         (*COMPARED, "reset-clears-the-state"),
     ),
     Clause(
         "scrolling-window",
-        "A tracker that follows a moving sensor keeps what it saw at its place in the world while the window moves.",
+        "A tracker that follows a moving sensor keeps its memory at its place in the world while the window moves.",
         "The window moves by whole cells with the sensor. A forecast is in the window of the last update.",
         "Move the memory of each cell by as many cells as the window moved, in the opposite direction"
         " (`rolled` by `shift_between` the last `world_T_grid` and this one, both in `gridtrack.common.grid`), also by"

@@ -31,7 +31,7 @@ Forecasts = list[tuple[int, Forecast]]
 FORECAST_TOLERANCE = 1e-5
 """Largest difference between equal forecasts, in probability: the order of summation may change the rounding."""
 UNSEEN_FRAMES = 4
-"""Frames at the end of a drive in which nothing is visible: the forecast shows what the tracker remembers."""
+"""Frames at the end of a drive in which nothing is visible: the forecast shows the memory of the tracker."""
 PLACE_TOLERANCE = 0.05
 """Limit by which a wall may be more probable at another place than at its own."""
 MISSED_FRAMES = 2
@@ -96,7 +96,7 @@ def check_tracker(
 
 
 def _with_needs(names: Collection[str]) -> list[Clause]:
-    """The clauses of these names and those that they need, in the order of CLAUSES."""
+    """The clauses of these names with all that they need, in the order of CLAUSES."""
     needed = set(names)
     for clause in reversed(CLAUSES):
         needed |= set(clause.needs) if clause.name in needed else set()
@@ -104,7 +104,7 @@ def _with_needs(names: Collection[str]) -> list[Clause]:
 
 
 def _not_checked(clause: Clause, unmet: ClauseResult) -> ClauseResult:
-    """The result of a clause that needs the clause of `unmet`, which did not pass; it names the first broken one."""
+    """The result of a clause that needs the clause of `unmet`, which did not pass; it names the first failed clause."""
     why = unmet.observed if unmet.observed.startswith("needs ") else f"needs {unmet.clause.name}"
     return ClauseResult(clause, "not checked", why)
 
@@ -327,7 +327,7 @@ def is_causal(subject: TrackerUnderTest) -> str:
 
 
 def follows_a_moving_sensor(subject: TrackerUnderTest) -> str:
-    """Drive towards a wall, and look where it is forecast when it is no longer seen."""
+    """Drive towards a wall, and look for its place in the forecast when it is no longer visible."""
     if not subject.process().description.moving_sensor:
         raise NotApplicableError("says that it does not follow a moving sensor")
     (_, forecast), wall = _end_of_drive(subject, with_wall=True)

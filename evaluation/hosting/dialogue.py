@@ -10,13 +10,13 @@ from types import TracebackType
 from typing import Any, NoReturn
 
 from gridtrack.common.errors import one_line
+from gridtrack.common.files import last_line
 from gridtrack.evaluation.hosting.outcome import OUTCOMES, TrialEnded
 from gridtrack.evaluation.hosting.supervised import SupervisedProgram, TimeLimit
 from gridtrack.trackers.messages import Arrays
 from gridtrack.trackers.wire import Message, WireError
 
 EXIT_WAIT_S = 1.0
-LOG_END_BYTES = 4096
 MAX_REASON = 600
 
 
@@ -34,7 +34,7 @@ class Request:
 
 
 class Dialogue:
-    """The wire to one process, whose stderr goes to `log`."""
+    """The wire to one process; its stderr goes to `log`."""
 
     def __init__(self, process: SupervisedProgram, log: Path, memory_mb: int) -> None:
         self.process = process
@@ -102,13 +102,5 @@ class Dialogue:
             raise TrialEnded("crashed", f"{self.what}: ended by the referee")
         if alive:
             raise TrialEnded("crashed", f"{self.what}: closed its end of the wire")
-        raise TrialEnded("crashed", f"{self.what}: {process_exit}{self._last_line()}")
-
-    def _last_line(self) -> str:
-        """The last line of the log in parentheses, to append to a reason."""
-        with self.log.open("rb") as log:
-            size = log.seek(0, 2)
-            log.seek(max(0, size - LOG_END_BYTES))
-            lines = [one_line(line, MAX_REASON) for line in log.read().decode(errors="replace").splitlines()]
-        last = next((line for line in reversed(lines) if line), "")
-        return f" ({last})" if last else ""
+        last = last_line(self.log, MAX_REASON)
+        raise TrialEnded("crashed", f"{self.what}: {process_exit}{f' ({last})' if last else ''}")

@@ -1,6 +1,6 @@
-"""This process as the host of others: it hides recordings from them in /proc, and ends what they leave behind.
+"""This process as the host of others: it hides recordings from them in /proc, and ends the processes that they leave.
 
-docs/wire.md, "Isolation", says what a tracker's process can still see.
+docs/wire.md, "Isolation", lists the traces that a tracker's process can still see.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def shielded_environment(recordings: Iterable[Path]) -> dict[str, str]:
 
 
 def adopt_orphans(adopt: bool = True) -> None:
-    """Become the parent of processes whose parents, below this process, end: for a program that is gridtrack alone.
+    """Become the parent of descendants after the end of their parents: for a program that is gridtrack alone.
 
     In another program, such as a notebook, a child in a session of its own may be the user's, and is left alone.
     """
@@ -88,7 +88,7 @@ def start_leader(start: Callable[[], Popen[Any]]) -> Popen[Any]:
 def forget_leader(leader: Popen[Any], orderly: bool) -> None:
     """A leader has ended; if not `orderly`, end its processes that this process adopted.
 
-    Adopted is a child of a session that is neither that of this process nor of one of its leaders.
+    A child is adopted if its session is neither this process's nor a leader's.
     """
     with _lock:
         _leaders.discard(leader.pid)
@@ -108,7 +108,7 @@ def _adopted() -> list[Any]:
 
 
 def _session(pid: int) -> int:
-    """The session of a child; its own where it has ended in the meantime."""
+    """The session of a child; its own id if it has ended in the meantime."""
     with suppress(ProcessLookupError):
         return os.getsid(pid)
     return pid

@@ -1,8 +1,8 @@
 """The sandbox of an untrusted tracker: bubblewrap shows its program only its own code and its weights.
 
 Linux namespaces without privileges, set up by `bwrap`: no network, no other processes, and no writable files outside
-`/tmp` and `/dev/shm`, which are its own memory. A filter of system calls refuses the keys of the kernel, which outlive
-a process. docs/wire.md describes its guarantees and its limits.
+`/tmp` and `/dev/shm`, which are its own memory. A filter of system calls refuses those that could leave data in the
+kernel, which outlive a process. docs/wire.md describes its guarantees and its limits.
 """
 
 from __future__ import annotations
@@ -44,8 +44,11 @@ GRIDTRACK_DATA = "data"
 """Recordings and weights of the package, which an ordinary installation has beside its code."""
 GRIDTRACK_CODE = ("__init__.py", "common", "trackers")
 """The parts of gridtrack that a tracker imports. In an editable installation recordings and runs lie beside them."""
-KEY_CALLS = ("add_key", "request_key", "keyctl")
-"""System calls of the kernel's keyrings, in which a program could store data for its next start."""
+REFUSED_CALLS = ("add_key", "request_key", "keyctl", "mincore", "preadv2", "fadvise64", "io_uring_setup")
+"""System calls by which a program could store data for its next start: in the kernel's keyrings, and in the choice of
+the pages of a file that the kernel has in memory."""
+CACHESTAT = 451
+"""The number of a system call of this kind that older versions of libseccomp do not know by name."""
 CACHES, CACHE_ROOM = "/run/caches", 1 << 20
 COPY = f'n=0; while [ "$1" != -- ]; do cp {CACHES}/$n/* "$1"/; n=$((n+1)); shift; done; shift; exec "$@"'
 
@@ -114,7 +117,7 @@ def _problem() -> str:
 
 @contextmanager
 def system_call_filter() -> Iterator[int]:
-    """The descriptor of a filter for bwrap's option `--seccomp`: KEY_CALLS fail.
+    """The descriptor of a filter for bwrap's option `--seccomp`: REFUSED_CALLS fail.
 
     Raises ImportError without libseccomp.
     """
@@ -131,8 +134,8 @@ def _filter_program() -> bytes:
     except RuntimeError as error:  # raised where the library of the system is missing
         raise ImportError(str(error)) from None
     rules = pyseccomp.SyscallFilter(pyseccomp.ALLOW)
-    for name in KEY_CALLS:
-        rules.add_rule(pyseccomp.ERRNO(errno.EPERM), name)
+    for call in (*REFUSED_CALLS, CACHESTAT):
+        rules.add_rule(pyseccomp.ERRNO(errno.ENOSYS), call)
     with tempfile.TemporaryFile() as file:
         rules.export_bpf(file)
         file.seek(0)

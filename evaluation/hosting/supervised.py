@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import mkdtemp
 
+from gridtrack.common.files import open_new
 from gridtrack.evaluation.hosting.host import forget_leader, start_leader
 from gridtrack.trackers.wire import Message, encode, receive, widen, without
 
@@ -32,7 +33,7 @@ KILL_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class ProcessExit:
-    """Exit of a supervised program: `status` as of `os.waitpid`, None if unknown; `peak_kb` resident memory, KiB."""
+    """Exit of a supervised program: `status` from `os.waitpid`, None if unknown; `peak_kb` resident memory, KiB."""
 
     status: int | None = None
     peak_kb: int = 0
@@ -82,8 +83,8 @@ class SupervisedProgram:
     """A program started as a child of a supervisor process, in its own session, so that Ctrl-C does not reach it.
 
     The supervisor ends the program and all processes that it started, and removes its temporary folder (`TMPDIR`) and
-    its files in shared memory, also when this process dies. If the supervisor itself was killed, this process ends
-    those that it adopted (`adopt_orphans`). `send` and `receive` are for one thread; the others may be called from any.
+    its files in shared memory, also when this process dies. If the supervisor itself was killed, this process ends the
+    processes that it adopted (`adopt_orphans`). `send` and `receive` are for one thread, other methods for any.
     """
 
     def __init__(
@@ -105,7 +106,7 @@ class SupervisedProgram:
         control, supervisors_end = socket.socketpair()
         command = [sys.executable, "-I", "-S", str(SUPERVISOR), str(supervisors_end.fileno()), str(memory_mb or 0)]
         command += ["1" if log else "0", self._folder, *argv]
-        with supervisors_end, log.open("wb") if log else contextlib.nullcontext() as stderr:
+        with supervisors_end, open_new(log) if log else contextlib.nullcontext() as stderr:
             self._supervisor = start_leader(
                 lambda: subprocess.Popen(
                     command,

@@ -16,7 +16,7 @@ CLOCK_FACTOR, TRANSPORT_MS = 2.0, 5.0
 LOWEST_MS, HIGHEST_MS, GROWTH = 1e-3, 1e6, 1.02
 LATENCY_BINS = math.ceil(math.log(HIGHEST_MS / LOWEST_MS) / math.log(GROWTH)) + 1
 TWENTIETHS = range(0, 101, 5)
-"""Percentiles between which lie a twentieth of the calls each."""
+"""Percentiles in steps of a twentieth of the calls."""
 
 
 def clock_that_counts(own_ms: float, round_trip_ms: float) -> Clock:
@@ -49,14 +49,6 @@ class Latencies:
         rank = max(1, math.ceil(percent / 100.0 * len(self)))
         bin_ = int(np.searchsorted(np.cumsum(self.counts), rank))
         return float(min(LOWEST_MS * GROWTH ** (bin_ + 0.5), self.max_ms))
-
-    def summary(self) -> dict[str, float]:
-        """p50, p95 and p99 in ms."""
-        return {f"p{percent}": self.percentile(percent) for percent in (50, 95, 99)}
-
-    def twentieths(self) -> tuple[float, ...]:
-        """The percentiles TWENTIETHS in ms, to four digits."""
-        return tuple(float(f"{self.percentile(percent):.4g}") for percent in TWENTIETHS)
 
 
 @dataclass(frozen=True, slots=True)

@@ -109,10 +109,10 @@ class TrackerProcess:
         *,
         classes_used: bool = True,
     ) -> None:
-        """`recordings`: the source of the frames; variables that name them are left out of the process's environment.
+        """`recordings`: the source of the frames; the process gets no environment variable that names one.
 
-        Without `classes_used` class probabilities are checked and not kept. The forecasts that the caller still holds
-        may take as much memory as the tracker's processes, `limits.memory_mb`.
+        Without `classes_used` class probabilities are checked and not kept. The caller may hold forecasts of
+        `limits.memory_mb` in total.
         """
         self.launch = launch
         self.stream = stream
@@ -124,7 +124,7 @@ class TrackerProcess:
         self.last_call: Call | None = None
         self._recoveries = [0]
         self.peak_rss_mb = 0.0
-        """Peak resident memory of all its processes together, MiB, sampled 20 times a second; set when it has ended."""
+        """Peak resident memory of all its processes together, MiB, sampled 20 times a second; set at its end."""
         self.description: TrackerDescription
         self._classes_used = classes_used
         self._held = HeldForecasts(limits.memory_mb << 20)
@@ -285,7 +285,7 @@ def _dialogue(
 
 
 def _folders_of_run(log: Path) -> tuple[Path, ...]:
-    """The folders of the trial and of the run with the `log` of a tracker; on a cluster the run's is further up."""
+    """The folders of a trial, with its tracker's `log`, and of its run; on a cluster the run's folder is further up."""
     scratch = next((folder for folder in log.parents[2:] if folder.name == SCRATCH), None)
     return (*log.parents[:2], scratch.parent) if scratch else tuple(log.parents[:2])
 
@@ -299,7 +299,7 @@ def _nanoseconds(answer: Message, name: str) -> int:
 
 
 def _recoveries(answer: Message) -> int:
-    """Number of failures since the start of the stream that the tracker recovered from; 0 where it reports none.
+    """Number of failures since the start of the stream that the tracker recovered from; 0 if the field is missing.
 
     Raises WireError.
     """

@@ -58,7 +58,7 @@ class MotionFinder(Protocol):
 
 
 def parts_of(moving: Mask, returns: Mask, dynamic: Mask, grid: GridSpec) -> NDArray[np.uint8]:
-    """`motion` (M, M) uint8 of a frame with these `returns` (M, M), of which `moving` are in motion.
+    """`motion` (M, M) uint8 of a frame with these `returns` (M, M); `moving` ones are in motion.
 
     In motion: `dynamic` cells within NEAR_M of a return in motion in a dynamic cell. Standing: those of the others that
     are within NEAR_M of another dynamic return.
@@ -161,7 +161,7 @@ class OnFastObjects:
 def body_of_returns(scene: Scene, observation: Observation, grid: GridSpec) -> NDArray[np.int32]:
     """The object of `scene` that each occupied cell (M, M) of `observation` lies on; -1 for none.
 
-    A return lies on the object whose outline is nearest to the centre of its cell, if that is within RANGE_NOISE_M and
+    A return lies on the object with the outline nearest to the centre of its cell, if that is within RANGE_NOISE_M and
     half a diagonal of a cell. Raises RecordingError for an object that cannot be placed.
     """
     body = np.full(grid.shape, -1, np.int32)

@@ -25,7 +25,7 @@ ORACLE = "oracle"
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
 """Names of stretches in a recording that have a use here."""
 _OF_CARD = (
-    ", so the thresholds of a tracker are those of its weights' card (chosen on the validation stretches of its"
+    ", so the thresholds of a tracker come from its weights' card (chosen on the validation stretches of its"
     " training), and 0.5 if there is none; name a stretch with --validation"
 )
 USUAL_EVERY_S, LEAST_FORECASTS = 1.0, 30
@@ -162,8 +162,8 @@ def split_of(
     chosen_on, notices = _validation_stretch(test, validation, steps, opened)
     poses = (f"{path}: poses: {recording.info.poses}",) if recording.info.poses else ()
     warnings = (*recording.warnings, *(chosen_on.recording.warnings if chosen_on else ()))
-    told = tuple(dict.fromkeys((*warnings, *notices, *poses, *often)))
-    return EvaluationSplit(name, path, test, chosen_on, steps, every, told)
+    every_notice = tuple(dict.fromkeys((*warnings, *notices, *poses, *often)))
+    return EvaluationSplit(name, path, test, chosen_on, steps, every, every_notice)
 
 
 def _every(test: GridStream, steps: int, every_s: float | None) -> tuple[int, tuple[str, ...]]:

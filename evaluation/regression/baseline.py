@@ -36,7 +36,7 @@ def baseline_of(runs: Sequence[Measurement]) -> Baseline:
 def write_baseline(path: Path, baseline: Baseline) -> None:
     """Write a baseline to `path`, with one line for each unit and stratum, so that git can compare versions.
 
-    Raises BaselineError if the file is something else than a baseline or cannot be written.
+    Raises BaselineError if another file is at `path`, or it cannot be written.
     """
     _refuse_other_content(path)
     text = json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=0, allow_nan=False)
@@ -49,7 +49,7 @@ def write_baseline(path: Path, baseline: Baseline) -> None:
 
 
 def read_baseline(path: Path) -> Baseline:
-    """The baseline in `path`. Raises BaselineError, and Unmeasured where it is empty or was changed by hand."""
+    """The baseline in `path`. Raises BaselineError, and Unmeasured if it is empty or was changed by hand."""
     content = _read_content(path)
     if not _is_baseline(content):
         raise BaselineError(f"{path}: is not a baseline: name the file that --update wrote")
@@ -62,7 +62,7 @@ def read_baseline(path: Path) -> Baseline:
     if digest_of(content.get("runs")) != content.get("digest"):
         raise Unmeasured(
             [
-                f"{path}: changed since it was written (its digest is not that of its runs): restore it, or make it"
+                f"{path}: changed since it was written (its digest does not match its runs): restore it, or make it"
                 " again with --update"
             ]
         )
@@ -79,7 +79,7 @@ def read_baseline(path: Path) -> Baseline:
 
 
 def digest_of(content: Any) -> str:
-    """SHA-256 of the runs of a baseline, or of an entry of a history, as JSON: keys sorted, without spaces."""
+    """SHA-256 of content as JSON with sorted keys and without spaces."""
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
@@ -93,7 +93,7 @@ def _read_content(path: Path) -> dict[str, Any]:
 
 
 def _refuse_other_content(path: Path) -> None:
-    """Raises BaselineError if a file that is there is no baseline, of any version."""
+    """Raises BaselineError if `path` exists and is no baseline of any version."""
     why = f"{path}: is not a baseline"
     try:
         if _is_baseline(read_json(path, MAX_BASELINE_BYTES, BaselineError)):
@@ -106,7 +106,7 @@ def _refuse_other_content(path: Path) -> None:
 
 
 def _is_baseline(content: dict[str, Any]) -> bool:
-    """Whether the content is that of a baseline of any version, empty or not valid though it may be."""
+    """Whether the content is a baseline of any version; it may be empty or invalid."""
     return {"schema", "digest"} <= content.keys()
 
 

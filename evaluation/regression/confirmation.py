@@ -17,16 +17,16 @@ from gridtrack.evaluation.regression.verdict import AnyRow, SecondLook, Verdict
 from gridtrack.evaluation.scores.registry import scores
 
 RunAgain = Callable[[Trials, bool], Sequence[Measurement]]
-"""Runs trials again, with their times where the second argument is true."""
+"""Runs trials again; the second argument says whether to measure times."""
 
 
 def confirmed(
     verdict: Verdict, baseline: Baseline, run: Measurement, settings: GateSettings, run_again: RunAgain
 ) -> Verdict:
-    """`verdict` on `run`, where a row is worse only if it is worse in a second run of its trials too.
+    """`verdict` on `run`, in which a row stays worse only if it is worse in a second run of its trials too.
 
-    The rows that were worse are then the whole family of comparisons: the correction is for them alone. Nothing runs
-    where no row is worse. Raises Unmeasured if the second run cannot be measured or is not of the same frames.
+    The second test is corrected for the worse rows alone. Without a worse row nothing runs. Raises Unmeasured if the
+    second run cannot be measured or has other frames.
     """
     suspects = verdict.worse
     if not suspects:
@@ -47,8 +47,8 @@ def confirmed(
 def judged_again(
     suspects: Sequence[AnyRow], rows: Sequence[PairedRow], settings: GateSettings, enough_units: bool
 ) -> list[AnyRow]:
-    """The scores among `suspects`, judged on the `rows` of the second run; the suspects over all units are the family
-    of comparisons."""
+    """The scores among `suspects`, judged on the `rows` of the second run. The correction is for the suspects over all
+    units."""
     by_name = {row.key: row for row in rows}
     scores = [row for row in suspects if isinstance(row, VerdictRow)]
     names = [(row.label, row.score, row.stratum, row.band) for row in scores]
@@ -73,8 +73,8 @@ def _key(row: AnyRow) -> tuple[str, ...]:
 
 
 def _trials_of(suspects: Sequence[AnyRow], baseline: Baseline) -> Trials:
-    """The trials that the suspects are computed from; of a collapse all stretches of the recording's source, which are
-    divided into units together."""
+    """The trials behind the suspects. A collapse needs all stretches of its source, because they are divided into units
+    together."""
     recordings = baseline.first.recordings
     needed: dict[str, frozenset[str]] = {}
     for label, name in _labels_and_recordings(suspects):

@@ -18,6 +18,7 @@ from gridtrack.common.files import read_json, sha256_of, write_text
 from gridtrack.evaluation.regression.baseline import digest_of
 from gridtrack.evaluation.regression.judging import VerdictRow, judged_since
 from gridtrack.evaluation.regression.measurement import Baseline
+from gridtrack.evaluation.regression.speed import SpeedRow, TurnsRow
 from gridtrack.evaluation.regression.verdict import Verdict
 
 HISTORY_SCHEMA: Final = 1
@@ -27,7 +28,7 @@ Text = Annotated[str, Field(max_length=2000)]
 
 
 class HistoryError(GridtrackError):
-    """A folder of a history, or a file in it, that cannot be trusted."""
+    """A folder of a history is incomplete, or a file in it is invalid."""
 
 
 class HistoryScore(Settings):
@@ -43,7 +44,7 @@ class HistoryScore(Settings):
 
 
 class HistorySpeed(Settings):
-    """The time of a call as a multiple of that of `against`, with a 95 % interval where one is known."""
+    """The time of a call as a multiple of the time of `against`, and its 95 % interval if known."""
 
     label: Text
     call: Literal["update", "predict"]
@@ -69,8 +70,8 @@ class HistoryEntry(Settings):
     baseline: Text
     """SHA-256 of the baseline's file; empty if there is none."""
     frames: Text = ""
-    """Of the recordings and the rules of scoring: only entries with the same one are compared. Empty in entries of
-    earlier versions, and where nothing was measured."""
+    """Digest of the recordings and the scoring rules: only entries with equal digests are compared. Empty in entries of
+    earlier versions, and if nothing was measured."""
     update: bool = False
     """Whether the run became the baseline."""
     verdict: Literal["no worse", "worse", "not measured"]
@@ -98,7 +99,7 @@ def read_history(folder: Path) -> History:
     for _, entry in history:
         if entry.previous and entry.previous not in known:
             raise HistoryError(
-                f"{folder}: the entry before that of {entry.recorded} is missing: restore it, or begin another folder"
+                f"{folder}: the entry before {entry.recorded} is missing: restore it, or begin another folder"
             )
     return history
 
@@ -113,20 +114,20 @@ def require_newest(folder: Path, history: History, baseline: Baseline) -> None:
 
 
 def digest_of_frames(baseline: Baseline) -> str:
-    """A digest of what the scores depend on beside the trackers: the recordings, and the rules of scoring."""
+    """A digest of the recordings and the scoring rules."""
     first = baseline.first
     splits = {name: split.model_dump(mode="json") for name, split in first.recordings.items()}
     return digest_of([first.scoring_rules, splits])
 
 
 def since_first(history: History, frames: str, row: VerdictRow) -> VerdictRow | None:
-    """The row against the first entry of these frames that has it; None if there is none."""
+    """The row compared with the first entry of these frames that has it; None without such an entry."""
     found = _values_of(history, frames, row)
     return judged_since(row, found[0][0], f"the first entry of the history ({found[0][1]})") if found else None
 
 
 def since_best(history: History, frames: str, row: VerdictRow) -> VerdictRow | None:
-    """The row against the entry of these frames in which its score was best; None if there is none."""
+    """The row compared with the entry of these frames with the best value; None without such an entry."""
     found = _values_of(history, frames, row)
     if not found:
         return None
@@ -135,7 +136,7 @@ def since_best(history: History, frames: str, row: VerdictRow) -> VerdictRow | N
 
 
 def _values_of(history: History, frames: str, row: VerdictRow) -> list[tuple[float, str]]:
-    """The values of a row in the entries of these frames, with the names of the entries, the oldest first; none where
+    """The values of a row in the entries of these frames, each with the name of its entry, the oldest first; empty if
     the run has no value."""
     key = (row.label, row.name, row.stratum, row.band)
     return [
@@ -164,10 +165,10 @@ def judged_by_history(verdict: Verdict, history: History, frames: str) -> Verdic
 def new_entry(
     history: History, baseline: Path, result: Verdict | Sequence[str], frames: str = "", *, update: bool = False
 ) -> HistoryEntry:
-    """The entry of `result`, a verdict or the reasons why there is none, after those of `history`.
+    """The next entry of `history`, with `result`: a verdict, or the reasons why nothing was measured.
 
-    `baseline`: the file of the baseline. `frames`: as of `digest_of_frames`. `update`: `result` is the verdict on a new
-    baseline by itself, and `baseline` the file that it replaces.
+    `baseline`: its file. `frames`: its `digest_of_frames`. `update`: the run becomes the baseline, and replaces the
+    file `baseline`.
     """
     commit, changed = _commit(Path.cwd())
     return HistoryEntry(
@@ -195,38 +196,26 @@ def write_entry(folder: Path, entry: HistoryEntry) -> Path:
 
 
 def _content(result: Verdict | Sequence[str]) -> dict[str, Any]:
-    """The fields of an entry that say how the run did."""
+    """The fields of an entry that contain the result."""
     if not isinstance(result, Verdict):
         return {"verdict": "not measured", "reasons": tuple(reason[:2000] for reason in result)}
     return {
         "verdict": "worse" if result.worse else "no worse",
         "floors": result.floors,
         "scores": tuple(_score(row, result) for row in result.rows),
-        "speed": (
-            *(
-                HistorySpeed(
-                    label=row.label,
-                    call=row.call,
-                    against=row.reference,
-                    ratio=row.ratio_run,
-                    standing=result.standing_of(row),
-                )
-                for row in result.speed
-            ),
-            *(
-                HistorySpeed(
-                    label=row.label,
-                    call=row.call,
-                    against=row.base,
-                    ratio=row.ratio,
-                    low=row.low,
-                    high=row.high,
-                    standing=result.standing_of(row),
-                )
-                for row in result.turns
-            ),
-        ),
+        "speed": tuple(_time(row, result) for row in (*result.speed, *result.turns)),
     }
+
+
+def _time(row: SpeedRow | TurnsRow, verdict: Verdict) -> HistorySpeed:
+    own = (
+        {"against": row.reference, "ratio": row.ratio_run}
+        if isinstance(row, SpeedRow)
+        else {"against": row.base, "ratio": row.ratio, "low": row.low, "high": row.high}
+    )
+    return HistorySpeed.model_validate(
+        {"label": row.label, "call": row.call, **own, "standing": verdict.standing_of(row)}
+    )
 
 
 def _score(row: VerdictRow, verdict: Verdict) -> HistoryScore:

@@ -1,14 +1,14 @@
-"""Judging one row: over all units, where a fall must be significant and beyond the margin, and on single recordings,
-where it must be a collapse.
+"""Judging one row. Over all units a fall is worse if it is significant and beyond the margin; on a single recording if
+it is a collapse.
 
-A paired test over units finds a fall in few of them late: their variance grows with it. A collapse is therefore
-compared with the variation of the *typical* unit. Let f_u be the fall of unit u, and w_u its share of the cells. The
-weighted median of f_u is the typical fall, and the rest of f_u has a scale that is estimated by a quantile of its
-absolute values (QUANTILE, over that of a normal distribution), so that up to five of twenty units may have collapsed
-without an effect on it (Huber, Robust Statistics, 1981, chapter 5). It is estimated twice: for a scale that all units
-share, and for one that is larger where w_u is smaller, by its root. The standard error of a set of units is the larger
-of both, and never below that of its cells, of which one in CELLS_TOGETHER counts: the cells of an object are found or
-missed together, in several steps.
+A paired test over units finds a fall in few units late, because such a fall raises the variance too. A collapse is
+therefore compared with the variation of the *typical* unit. Let f_u be the fall of unit u, and w_u its share of the
+cells. The typical fall is the weighted median of f_u. The scale of the deviations from it is the QUANTILE of their
+absolute values, divided by the same quantile of a normal distribution, so that up to five of twenty units may collapse
+without an effect on it (Huber, Robust Statistics, 1981, chapter 5). The scale is estimated twice: equal for all units,
+and proportional to 1 / sqrt(w_u). The standard error of a set of units is the larger one, and at least the error of
+its cells. One cell in CELLS_TOGETHER counts there: the cells of an object are found or missed together, in several
+steps.
 """
 
 from __future__ import annotations
@@ -34,26 +34,26 @@ best entry of the history."""
 COLLAPSE = 20.0
 """A fall on one recording of more than this many margins is a collapse: 0.1 of F1, a log loss twice as large."""
 COLLAPSE_ERRORS = 6.0
-"""Standard errors of the typical unit that a collapse must exceed: a run has hundreds of rows times recordings."""
+"""A collapse must exceed so many standard errors of the typical unit: a run has hundreds of rows times recordings."""
 QUANTILE = 0.7
-"""Quantile of the absolute deviations; of a median, units without any change would make the scale 0."""
+"""Quantile of the absolute deviations. With the median, units without a change could make the scale 0."""
 QUANTILE_OF_NORMAL = float(ndtri(0.5 + QUANTILE / 2))
 CELLS_TOGETHER = 25.0
 """Ten cells or more of an object, over the four to eight steps of a band."""
 ROUNDING, RELATIVE_ROUNDING = 1e-9, 1e-4
-"""A smaller fall counts as none; of a share of a log loss the second, as its sums are stored to six digits."""
+"""Smaller falls count as zero. RELATIVE_ROUNDING is for shares of a log loss: its sums are stored to six digits."""
 
 
 @dataclass(frozen=True, slots=True)
 class VerdictRow:
-    """One tracker, score, stratum and step band over all units, or over those of `recording` if it is not empty.
+    """One tracker, score, stratum and step band over all units, or over the units of `recording` if it is not empty.
 
-    `score` is SCORE.OUTPUT, `title` its name. `baseline` and `run` are the score pooled over steps and frames, None
-    if it is undefined; of several runs of the baseline, that of the mean. `fall`, `margin` and `smallest` are as
-    margins are given, a share of the baseline's value where `relative`. `p`: the p-value of the fall, corrected over
-    all rows; None with too few units, and for a single recording. `spread`: the standard deviation of the score between
-    trainings; None if it is not known. `smallest`: the smallest fall that would have been found; infinite where the
-    score cannot fall by as much.
+    `score` is SCORE.OUTPUT, `title` its name. `baseline` and `run`: the score pooled over steps and frames; None if it
+    is undefined. Several runs of the baseline count by their mean sums. `fall`, `margin` and `smallest` are in the unit
+    of margins: with `relative`, shares of the baseline's value. `p`: the p-value of the fall, corrected over all rows;
+    None with too few units, and for a single recording. `spread`: the standard deviation of the score between
+    trainings; None if unknown. `smallest`: the smallest fall that would have been found; infinite if the score cannot
+    fall that far.
     """
 
     label: str
@@ -75,7 +75,7 @@ class VerdictRow:
     higher_is_better: bool = True
     default_margin: float = MARGIN
     since: str = ""
-    """The entry of a history that `baseline` is of; empty for the baseline itself."""
+    """The entry of a history with the value `baseline`; empty if the value is the baseline's."""
 
     @property
     def name(self) -> str:
@@ -85,7 +85,7 @@ class VerdictRow:
 
     @property
     def severity(self) -> float:
-        """The fall in margins: rows of unlike scores compare."""
+        """The fall in margins, by which rows of different scores are ordered."""
         return self.fall / self.default_margin
 
 
@@ -106,11 +106,8 @@ def judged_row(row: PairedRow, test: RowTest, settings: GateSettings) -> Verdict
 def judged_recordings(
     rows: Sequence[PairedRow], tests: Sequence[RowTest], settings: GateSettings
 ) -> tuple[VerdictRow, ...]:
-    """The worst fall of each tracker on each recording: a collapse, which is worse, else one beyond the margin, which
-    is only listed. The largest first.
-
-    A single recording is judged by the row over all units: nothing is added.
-    """
+    """The worst fall of each tracker on each recording, the largest first: a collapse, which is worse, or else a fall
+    beyond the margin, which is only listed. A run of one recording has none: its rows over all units decide."""
     worst: dict[tuple[str, str], VerdictRow] = {}
     for row, test in zip(rows, tests, strict=True):
         if len(set(row.recordings)) == 1 or row.equal:
@@ -134,7 +131,7 @@ def _on_recordings(row: PairedRow, margin: float) -> Iterator[VerdictRow]:
 
 
 def judged_on(row: PairedRow, recording: str, margin: float, noise: TypicalUnit) -> VerdictRow:
-    """The row on one recording, where a collapse is worse."""
+    """The row on one recording, worse if it is a collapse."""
     members = np.array(row.recordings) == recording
     found = _over(row, members, recording, margin)
     if found.verdict != "no worse":
@@ -151,9 +148,9 @@ def judged_on(row: PairedRow, recording: str, margin: float, noise: TypicalUnit)
 
 
 def judged_since(row: VerdictRow, then: float, entry: str) -> VerdictRow:
-    """The row over all units with the value `then` of an entry of the history in place of the baseline's.
+    """The row over all units, compared with the value `then` of an entry of the history.
 
-    It is worse where it fell by more than the smallest fall that would have been found from the baseline.
+    It is worse if it fell by more than the smallest fall that the test against the baseline would have found.
     """
     assert row.run is not None
     fall = (then - row.run) * (1.0 if row.higher_is_better else -1.0)
@@ -193,7 +190,7 @@ def _over(row: PairedRow, members: NDArray[np.bool_], recording: str, margin: fl
 
 
 def _margin(row: PairedRow, settings: GateSettings, *, enough_units: bool) -> float:
-    """The margin of a row: that of the score, scaled as the user scaled that of F1; 0 with too few units."""
+    """The margin of a row: the score's own, times the user's factor on the margin of F1; 0 with too few units."""
     own = row.output.margin or 0.0
     return own * settings.margin_of(row.label, enough_units) / MARGIN
 
@@ -203,7 +200,7 @@ def _rounding(row: PairedRow) -> float:
 
 
 def _unit(row: PairedRow, found: VerdictRow) -> float:
-    """The factor from a fall as margins are given to one in the score."""
+    """The factor from the unit of margins to the unit of the score."""
     return found.baseline or 1.0 if row.output.relative_margin else 1.0
 
 
@@ -213,7 +210,7 @@ def _largest(row: PairedRow) -> float:
 
 
 def _possible(row: PairedRow, found: VerdictRow, smallest: float) -> float:
-    """`smallest`, as margins are given; infinite where the score cannot change by more than that."""
+    """`smallest`, in the unit of margins; infinite if the score cannot change by more than that."""
     then = found.baseline
     if then is None or (row.output.relative_margin and not then):
         return smallest
@@ -223,14 +220,14 @@ def _possible(row: PairedRow, found: VerdictRow, smallest: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class TypicalUnit:
-    """The rest `left` (U,) of the falls of units without the typical fall, and the `weights` (U,) of the units."""
+    """The absolute deviations `left` (U,) of the units from the typical fall, and the `weights` (U,) of the units."""
 
     left: Floats
     weights: Floats
 
     @classmethod
     def of(cls, row: PairedRow) -> TypicalUnit:
-        """Of the units of a row in which the score is defined."""
+        """From the units of a row in which the score is defined."""
         then, now = row.by_unit(row.baseline), row.by_unit(row.run)
         falls, sizes = row.output.direction * (row.value(then) - row.value(now)), row.size(then)
         known = np.isfinite(falls) & (sizes > 0)
@@ -257,7 +254,7 @@ def _weighted_median(values: Floats, weights: Floats) -> float:
 
 
 def _error_of_cells(row: PairedRow, members: NDArray[np.bool_]) -> float:
-    """The largest standard error that a mean of cells with this value can have: v (max - v) over their number."""
+    """The largest possible standard error of a mean of cells with this value v: by v (max - v) over their number."""
     sums = row.baseline[members].sum(axis=0)
     value, size = float(row.value(sums)), float(row.size(sums))
     if np.isnan(value) or not size:

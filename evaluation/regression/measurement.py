@@ -36,7 +36,7 @@ class Unmeasured(GridtrackError):
 
 
 class SplitKey(Settings):
-    """Everything that must be equal on a recording for the frames and thresholds of two runs to pair."""
+    """The settings and hashes of a recording. Two runs pair only if all of them are equal."""
 
     sha256: str
     source_sha256: str
@@ -51,10 +51,10 @@ class SplitKey(Settings):
 
 
 class UnitSums(Settings):
-    """The scored frames of one recording in one statistical unit, which other recordings of its source may share.
+    """The scored frames of one recording in one statistical unit.
 
-    Their number, a digest of their stamps and of the frames delivered before them, and their sums by score, stratum and
-    step band. `unit` numbers the units of all recordings.
+    `unit` numbers the units of all recordings: recordings of one source may share a unit. `delivered` is a digest of
+    the stamps of the scored frames and of all frames delivered before them; `sums` are by score, stratum and step band.
     """
 
     unit: Annotated[int, Field(ge=0, le=2**40)]
@@ -71,17 +71,17 @@ class Speed(Settings):
 
 
 class MeasuredTrial(Settings):
-    """One tracker on one recording: its units in the order of time, and what was measured in addition to the scores."""
+    """One tracker on one recording: its units in the order of time, and its other measurements."""
 
     weights_sha256: str = ""
     units: Annotated[tuple[UnitSums, ...], Field(min_length=1, max_length=100_000)]
     recoveries: WholeNumber = 0
-    """How often the tracker continued after a failure inside it: the tracker's word, not checked."""
+    """Number of failures inside the tracker after which it continued, by its own count."""
     speed: Speed | None = None
     deadline_rates: tuple[float, ...] = ()
-    """The rates at which it was scored on a simulated clock, as multiples of the rate of the stream."""
+    """The rates of the pass on a simulated clock, as multiples of the stream's rate."""
     degradations: dict[Name, tuple[float, ...]] = Field(default_factory=dict)
-    """The values of each kind of degraded input on which it was scored."""
+    """The scored values of each kind of degraded input."""
 
 
 class TrackerSums(Settings):
@@ -89,12 +89,12 @@ class TrackerSums(Settings):
 
     tracker: str
     role: Role = "tracker"
-    """The tracker's word, not checked."""
+    """As the tracker declares it."""
     options: dict[str, Any]
     points: str = "centres"
     """The returns in each frame: `centres` of occupied cells, or `raw`."""
     program: tuple[str, ...] = ()
-    """The program that ran, with its arguments, without its folder."""
+    """The program without its folder, and its arguments."""
     seed: int = 0
     recordings: Annotated[dict[Name, MeasuredTrial], Field(min_length=1)]
 
@@ -141,19 +141,19 @@ class Measurement(Settings):
 
 
 class Baseline(Settings):
-    """The measurements that a run is compared with: of one run, or of several, each of its own training or seed.
+    """The measurements of one earlier run, or of several runs with other trainings or seeds.
 
-    Several runs have the same trackers and options, on the same frames (`pairing.require_comparable`).
+    Several runs have the same trackers, options and frames (`pairing.require_comparable`).
     """
 
     schema_version: Literal[4] = Field(default=BASELINE_SCHEMA, alias="schema")
     digest: str
-    """SHA-256 of `runs`, so that a change by hand is found."""
+    """SHA-256 of `runs`; it shows a change by hand."""
     history: str = ""
-    """The digest of the newest entry of the history at the time, so that a missing one is found; empty without one."""
+    """Digest of the newest entry of the history when the baseline was written; it shows if that entry is removed."""
     runs: Annotated[tuple[Measurement, ...], Field(min_length=1, max_length=100)]
 
     @property
     def first(self) -> Measurement:
-        """The first run, for all that the runs have in common."""
+        """The first run: trackers, options, recordings and rules are equal in all runs."""
         return self.runs[0]

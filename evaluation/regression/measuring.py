@@ -43,7 +43,7 @@ from gridtrack.evaluation.scores.registry import scores
 from gridtrack.evaluation.statistics.units import UnitRule
 
 SERVER = "gridtrack.trackers.serve"
-"""The module that serves a tracker of a Python environment; what precedes it is the interpreter."""
+"""The module that serves a tracker of a Python environment; the interpreter precedes it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +67,10 @@ ReadTrials = dict[str, dict[str, ReadTrial]]
 def measure_run(run: Path, like: Measurement | None = None, foreign: Sequence[str] = ()) -> Measurement:
     """The sums of a complete run, in the statistical units of `like`, else in units chosen for it.
 
-    `foreign`: names of scores of other packages. A score is judged by those of its outputs that have a margin.
+    `foreign`: names of scores of other packages. Only scores with a margin are measured.
 
-    Raises Unmeasured if the run is not complete: a trial failed, is partial or missing, nothing was scored, no cell
-    was occupied, or a requested measurement is missing; RunError where `run` is not a run's folder.
+    Raises Unmeasured if a trial failed, is partial or missing, nothing was scored, no cell was occupied, or a requested
+    measurement is missing; RunError if `run` is not a run's folder.
     """
     record = _read_run_record(run)
     configuration = record.configuration
@@ -152,13 +152,13 @@ def _read_trial(run: Path, name: str, split: SplitKey | None, requested: RunSett
     sums = TrialSums(folder)
     if len(sums.frames.stamps_ns) != record.frames_scored or sums.steps != len(split.horizons_s) - 1:
         raise Unmeasured(
-            [f"{name}: its scores are not those of the {record.frames_scored} forecasts of its record: run it again"]
+            [f"{name}: its scores do not match the {record.frames_scored} forecasts of its record: run it again"]
         )
     return ReadTrial(record, sums, split.horizons_s)
 
 
 def _repeated_frames(trials: Mapping[str, ReadTrial], splits: Mapping[str, SplitKey]) -> Iterator[str]:
-    """A reason for each two recordings of one source with scored frames in common."""
+    """A reason for each pair of recordings that share scored frames."""
     for one, other in combinations(trials, 2):
         stamps = [trials[name].frames.stamps_ns for name in (one, other)]
         if splits[one].source_sha256 == splits[other].source_sha256 and (
@@ -168,7 +168,7 @@ def _repeated_frames(trials: Mapping[str, ReadTrial], splits: Mapping[str, Split
 
 
 def _block_s(recordings: Mapping[str, RecordingIdentity], trials: ReadTrials) -> float | None:
-    """The length of a block, as for the intervals of a comparison; None, whole sources, where these are enough."""
+    """The length of a block, as for the intervals of a comparison; None if whole sources are the units."""
     finished = [
         FinishedTrial(trial.record, trial.sums.path.parent, label, {}, "")
         for label, own in trials.items()
@@ -178,7 +178,7 @@ def _block_s(recordings: Mapping[str, RecordingIdentity], trials: ReadTrials) ->
 
 
 def _parts(trials: Mapping[str, ReadTrial], scores: Sequence[ScoreDefinition]) -> dict[str, tuple[str, ...]]:
-    """The parts of each score of one tracker, which are the same on every recording."""
+    """The parts of each score that a tracker has on every recording."""
     layouts = [trial.sums.layouts for trial in trials.values()]
     names = [score.name for score in scores if all(score.name in trial.sums.scores for trial in trials.values())]
     return {name: layouts[0][name].parts for name in names if len({one[name].parts for one in layouts}) == 1}
@@ -191,8 +191,8 @@ def _units(
     block_s: float | None,
     scores: Sequence[ScoreDefinition],
 ) -> dict[str, dict[str, Any]]:
-    """The units of one tracker by recording. Units are divided among the recordings to be `judged`, so that further
-    recordings of a run do not change them, and then among these further ones."""
+    """The units of one tracker by recording. The recordings to be `judged` are divided into units first, so that
+    additional recordings of a run do not change these units."""
     content: dict[str, dict[str, Any]] = {}
     names_of_scores = list(_parts(trials, scores))
     for names in ([name for name in trials if name in judged], [name for name in trials if name not in judged]):
@@ -239,7 +239,7 @@ def _steps_by_band(horizons_s: Sequence[float]) -> dict[str, list[int]]:
 
 
 def _rounded(sums: NDArray[np.float64]) -> tuple[float, ...]:
-    """Whole numbers as they are, others to six digits: the order of additions changes digits beyond them."""
+    """Whole numbers as they are, others to six digits: the order of additions changes further digits."""
     return tuple(int(one) if float(one).is_integer() else float(f"{one:.6g}") for one in sums.tolist())
 
 
@@ -263,7 +263,6 @@ def _beside_scores(record: TrialRecord) -> dict[str, Any]:
 
 
 def _identity(trials: Mapping[str, TrialIdentity], label: str) -> dict[str, Any]:
-    """The tracker of a label."""
     trial = next(trial for name, trial in trials.items() if name.partition("@")[0] == label)
     return {
         "tracker": trial.tracker,

@@ -1,4 +1,4 @@
-"""Pairing of a run with a baseline: same frames, cells and validation stretch, or an error that says why not."""
+"""Pairing of a run with a baseline: same frames, cells and validation stretch, or an error with the difference."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from gridtrack.evaluation.regression.measurement import (
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
 CELLS = "cells"
-"""The part of a score that counts cells whatever the forecast: it is equal for the same frames and rules."""
+"""The part of a score that counts cells. It does not depend on the forecast, only on frames and rules."""
 _SAME_ROW = ("tracker", "options", "points", "program")
-"""Fields that identify the tracker of a label; weights and seed may be another training's."""
+"""Fields that identify the tracker of a label; weights and seed may differ."""
 
 
 def require_paired(baseline: Baseline, run: Measurement) -> None:
-    """Check that `run` is of the trackers of `baseline` on the same frames. Raises Unmeasured with every reason."""
+    """Check that `run` has the trackers and frames of `baseline`. Raises Unmeasured with every reason."""
     reasons = [*_other_trackers(baseline.first, run), *_other_seeds(baseline, run)]
     if reasons:
         raise Unmeasured(reasons)
@@ -52,7 +52,7 @@ def require_comparable(runs: Sequence[Measurement]) -> None:
     if others and units < LEAST_UNITS:
         raise ConfigurationError(
             f"{len(runs)} runs of {units} unit{'s' if units != 1 else ''}: the spread between trainings needs"
-            f" {LEAST_UNITS} or more; give one run, and the fall that is allowed with --tolerance"
+            f" {LEAST_UNITS} or more; give one run, and set the allowed fall with --tolerance"
         )
 
 
@@ -116,7 +116,7 @@ def _other_units(baseline: Measurement, run: Measurement) -> Iterator[str]:
         cells = {score: parts.index(CELLS) for score, parts in baseline.scores[label].items() if CELLS in parts}
         problem = _unit_mismatch(then, run.trackers[label].recordings[name], cells)
         if not problem and len(then.units) != usual.setdefault(name, len(then.units)):
-            problem = "its number of units is not that of the other trackers"
+            problem = "its number of units differs from the other trackers"
         if problem:
             yield f"{label}@{name}: {problem}, so the trials do not pair: make the baseline again with --update"
 
@@ -132,7 +132,7 @@ def _other_trackers(baseline: Measurement, run: Measurement) -> Iterator[str]:
 
 
 def _difference(then: TrackerSums, now: TrackerSums) -> str:
-    """The first difference between two trackers under one label; empty for the same one."""
+    """The first difference between two trackers under one label; empty if they are equal."""
     for field in _SAME_ROW:
         old, new = getattr(then, field), getattr(now, field)
         if old != new:
@@ -149,7 +149,7 @@ def _text(value: Any) -> str:
 
 
 def _other_seeds(baseline: Baseline, run: Measurement) -> Iterator[str]:
-    """Another seed is another sample of the tracker, whose variance only a baseline of several seeds shows."""
+    """Another seed is another sample of the tracker; only a baseline of several seeds shows its variance."""
     for label in baseline.first.trackers:
         seeds = {then.trackers[label].seed for then in baseline.runs}
         if label in run.trackers and len(seeds) == 1 and run.trackers[label].seed not in seeds:
@@ -160,7 +160,7 @@ def _other_seeds(baseline: Baseline, run: Measurement) -> Iterator[str]:
 
 
 def _other_measurements(baseline: Measurement, run: Measurement) -> Iterator[str]:
-    """Measurements in addition to the scores are not judged here; a missing one is an error, so that none is lost."""
+    """Measurements other than scores are not judged, but each one of the baseline must be in the run."""
     for label, name, then in baseline.trials():
         now = run.trackers[label].recordings[name]
         for option, old, new in (
@@ -173,7 +173,7 @@ def _other_measurements(baseline: Measurement, run: Measurement) -> Iterator[str
 
 
 def _unit_mismatch(then: MeasuredTrial, now: MeasuredTrial, cells: Mapping[str, int]) -> str:
-    """The reason why the units of two trials do not pair; empty if they do. `cells`: the place of CELLS by score."""
+    """The reason why the units of two trials do not pair; empty if they do. `cells`: the index of CELLS by score."""
     if len(then.units) != len(now.units):
         return f"{len(then.units)} units in the baseline, {len(now.units)} in the run"
     for one, other in zip(then.units, now.units, strict=True):
@@ -187,7 +187,7 @@ def _unit_mismatch(then: MeasuredTrial, now: MeasuredTrial, cells: Mapping[str, 
 
 
 def _places(unit: UnitSums, score: str, cells: Mapping[str, int]) -> dict[str, dict[str, float | None]]:
-    """The step bands of each stratum of a score, with its cells where it counts them."""
+    """The step bands of each stratum of a score, with their cells if the score counts them."""
     place = cells.get(score)
     return {
         stratum: {band: None if place is None else sums[place] for band, sums in bands.items()}

@@ -1,4 +1,4 @@
-"""Recoveries: how often a tracker continued after a failure inside it, which scores alone may not show."""
+"""Recoveries: failures inside a tracker after which it continued. Scores alone may not show them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from gridtrack.evaluation.regression.measurement import Baseline, Measurement
 
 @dataclass(frozen=True, slots=True)
 class RecoveryRow:
-    """Recoveries of one tracker on the baseline's recordings: in the run of the baseline with most of them, and in the
-    run."""
+    """Recoveries of one tracker on the baseline's recordings. `baseline`: the largest number in one of its runs."""
 
     label: str
     baseline: int

@@ -1,7 +1,7 @@
 """A second run of chosen trials, as a run's record describes them: same inputs, settings and seed, new processes.
 
-The record may be a stranger's, so that it starts no program: those of a `trackers.toml` come from the file that the
-user names now, and each tracker is printed before it starts.
+The record may come from somebody else, so it starts no program: programs come from the `trackers.toml` that the user
+names now, and each tracker is printed before it starts.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ def run_again(
     foreign: Sequence[str],
     trackers_toml: Path | None,
 ) -> list[Measurement]:
-    """Run `trials` of the run in `folder` again, with their times where `latency`; one measurement for each set of
-    recordings, in the units of `like`, with the `foreign` scores of other packages. What is written is removed.
+    """Run `trials` of the run in `folder` again; a measurement for each set of recordings, in the units of `like`.
 
-    Programs are those of `trackers_toml`. Raises Unmeasured if a trial cannot be run as it was, or fails.
+    `latency`: measure times too. `foreign`: names of scores of other packages. Programs come from `trackers_toml`. The
+    files of the second run are removed. Raises Unmeasured if a trial cannot be repeated, or fails.
     """
     record = read_run_record(folder)
     with TemporaryDirectory(prefix="gridtrack-again-") as scratch:
@@ -59,7 +59,7 @@ def run_again(
 
 
 def plan_again(folder: Path, scratch: Path, trackers_toml: Path | None) -> ComparisonPlan:
-    """The plan of the run in `folder`, whose files go to `scratch`, with the programs of `trackers_toml`.
+    """The plan of the run in `folder`, with the programs of `trackers_toml`. It writes into `scratch`.
 
     Raises Unmeasured if something changed.
     """
@@ -70,7 +70,7 @@ def plan_again(folder: Path, scratch: Path, trackers_toml: Path | None) -> Compa
 
 
 def why_edited(label: str, *sha256s: str) -> str:
-    """Why a tracker is not the one that ran, by hashes of its code; empty if it is."""
+    """The reason not to compare a tracker if its hashes of code differ; else empty."""
     return f"{label}: the tracker's code was edited since the run: compare again" if code_differs(*sha256s) else ""
 
 
@@ -87,9 +87,9 @@ def _plan(
     foreign: Sequence[str],
     trackers_toml: Path | None,
 ) -> ComparisonPlan:
-    """The plan of the whole run, with the scores and nothing beside them but times.
+    """The plan of the whole run: it measures scores and, with `latency`, times.
 
-    Of scores of other packages and programs it has those that the user names now: the record may be a stranger's.
+    Foreign scores and programs come from the user's options, because the record may come from somebody else.
     """
     given = record.settings.model_dump(mode="json")
     if "recordings" not in given:
@@ -130,7 +130,7 @@ def _require_unchanged(record: RunRecord, plan: ComparisonPlan) -> None:
 
 
 def _differences(record: RunRecord, plan: ComparisonPlan) -> Iterator[str]:
-    """A reason for everything in the plan that is not as it was in the run."""
+    """A reason for each difference between the plan and the run."""
     now = plan.identity()
     if record.configuration.scoring_rules != now.scoring_rules:
         yield "forecasts are scored by other rules now than in the run: compare again"
@@ -150,7 +150,7 @@ def _differences(record: RunRecord, plan: ComparisonPlan) -> Iterator[str]:
 
 
 def _edited(folder: Path, part: ComparisonPlan) -> Iterator[str]:
-    """A reason for each tracker whose code is not that of the run in `folder`; where a hash is unknown, none."""
+    """A reason for each tracker that was edited since the run in `folder`, as far as its hash is known."""
     reasons: list[str] = []
     for trial in part.trials:
         records = [read_trial_record(run / trial.name) for run in (folder, part.settings.out)]

@@ -26,8 +26,8 @@ from gridtrack.evaluation.statistics.wild_bootstrap import Variation, family_p, 
 class PairedRow:
     """One output of a score of one tracker in one stratum and step band.
 
-    `trainings` (K, P, N) and `run` (P, N): the N sums of the score, of the K runs of the baseline and of the run, in P
-    parts: the frames of one recording in one unit. `units` (P,) and `recordings` (P,) identify the parts.
+    `trainings` (K, P, N) and `run` (P, N): the N sums of the score in the K runs of the baseline and in the run. Each
+    of the P parts has the frames of one recording in one unit; `units` (P,) and `recordings` (P,) identify it.
     """
 
     label: str
@@ -48,12 +48,12 @@ class PairedRow:
 
     @property
     def equal(self) -> bool:
-        """Whether every sum is that of one run of the baseline."""
+        """Whether a run of the baseline has exactly these sums."""
         return bool((self.trainings == self.run).all(axis=(1, 2)).any())
 
     @property
     def baseline(self) -> Floats:
-        """The sums (P, N), the mean over the runs of the baseline."""
+        """The mean sums (P, N) of the runs of the baseline."""
         mean: Floats = self.trainings.mean(axis=0)
         return mean
 
@@ -69,13 +69,13 @@ class PairedRow:
         return summed
 
     def size(self, sums: Floats) -> Floats:
-        """How much sums (..., N) count: the denominator of a ratio."""
+        """The weight of sums (..., N): the denominator of a ratio."""
         found = self.score.value(Sums(sums, self.parts))[self.output.name]
         assert isinstance(found, Ratio | Measure), "an output with a margin is a ratio or a measure"
         return found.whole if isinstance(found, Ratio) else found.size
 
     def fall(self, then: float, now: float) -> float:
-        """How much worse `now` is than `then`, as margins are given: a share of `then` where the margin is one."""
+        """The fall from `then` to `now` in the unit of margins: a share of `then` if the margin is a share."""
         fall = self.output.direction * (then - now)
         return fall / then if self.output.relative_margin and then else fall
 
@@ -99,7 +99,7 @@ class RowTest:
 
 
 def paired_rows(baseline: Baseline, run: Measurement, scores: Sequence[ScoreDefinition]) -> tuple[PairedRow, ...]:
-    """The rows of every tracker of the baseline; the two are paired (`pairing.require_paired`)."""
+    """The rows of every tracker of the baseline. The runs must pair (`pairing.require_paired`)."""
     return tuple(row for label in baseline.first.trackers for row in _rows_of(label, baseline, run, scores))
 
 
@@ -131,8 +131,11 @@ def _rows_of(
 
 @dataclass(frozen=True, slots=True)
 class _Compared:
-    """A row's run less its baseline, before the correction; the spread between the trainings of the baseline, None with
-    one; and per unit (U,), for the correction, its influence on the gain."""
+    """The difference between run and baseline in one row, before the correction.
+
+    `spread`: between the trainings of the baseline; None with one. `influence` (U,): of each unit on the gain, for the
+    correction.
+    """
 
     difference: IntervalEstimate
     spread: Spread | None
@@ -157,10 +160,10 @@ class _Compared:
 
 
 def row_tests(rows: Sequence[PairedRow]) -> list[RowTest]:
-    """The test of each row, corrected for the family of all of them. With fewer than LEAST_UNITS units there is none.
+    """The test of each row, corrected for all rows together; empty tests with fewer than LEAST_UNITS units.
 
-    With several runs in the baseline the difference is that from one more training, so that its variance includes the
-    spread between trainings.
+    With several runs in the baseline the run counts as one more training: the variance includes the spread between
+    trainings.
     """
     if not rows or len(np.unique(rows[0].units)) < LEAST_UNITS:
         return [RowTest() for _ in rows]
@@ -178,7 +181,7 @@ def row_tests(rows: Sequence[PairedRow]) -> list[RowTest]:
 
 
 def _variation(compared: Sequence[_Compared]) -> Variation:
-    """The chance variation of the rows. Between trainings rows vary independently, which is the careful assumption."""
+    """The chance variation of the rows. Conservative assumption: between trainings they vary independently."""
     spreads = [one.spread for one in compared]
     return Variation(
         np.stack([one.influence for one in compared], axis=1),

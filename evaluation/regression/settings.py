@@ -29,7 +29,7 @@ def _tolerance(text: str) -> tuple[str, float]:
 
 
 class GateSettings(Settings):
-    """From which fall in F1, and from which growth of a time, a tracker is worse."""
+    """The falls of scores and the growth of times that the gate tolerates."""
 
     margin: Annotated[Margin | None, Option(metavar="F1")] = None
     """Largest fall in F1 that is not worse, however significant; a log loss may rise by ten times that as a share;
@@ -53,7 +53,7 @@ class GateSettings(Settings):
 
     @property
     def turns_margin(self) -> float:
-        """The margin of a time measured in turns with that of a base."""
+        """The margin of a time measured in turns with a base."""
         return TURNS_MARGIN if self.speed_margin is None else self.speed_margin
 
     def margin_of(self, label: str, enough_units: bool) -> float:

@@ -1,5 +1,5 @@
-"""Speed relative to a reference tracker of the same run, whose ratio of times depends little on the machine; and the
-row of a time measured in turns with a base (`turns.py`)."""
+"""Speed as a ratio to the times of a reference tracker of the same run, which depends little on the machine; and the
+row of times measured in turns with a base (`turns.py`)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class SpeedRow:
 
 @dataclass(frozen=True, slots=True)
 class TurnsRow:
-    """The time of a call of a tracker as a multiple of that of its base, with a 95 % interval over rounds."""
+    """The time of a call as a multiple of its base's time, with a 95 % interval over rounds."""
 
     label: str
     call: CallKind
@@ -58,7 +58,7 @@ class TurnsRow:
 def compare_speed(
     baseline: Baseline, run: Measurement, reference: str | None, margin: float
 ) -> tuple[tuple[SpeedRow, ...], tuple[str, ...]]:
-    """The rows of every tracker except the reference; and, where speed is not judged, a note with the reason.
+    """The rows of every tracker except the reference; without a reference no rows, and a note with the reason.
 
     Raises Unmeasured if a reference is given and a trial of either side has no latency.
     """
@@ -86,7 +86,7 @@ def _without_speed(baseline: Measurement, side: Measurement, name: str) -> Itera
 
 
 def _time_ratio(runs: Sequence[Measurement], baseline: Measurement, label: str, reference: str, call: str) -> float:
-    """The time of one call as a multiple of the reference's: geometric mean over runs and the baseline's recordings."""
+    """The ratio of the times of one call: geometric mean over runs and the baseline's recordings."""
     ratios = [
         getattr(run.trackers[label].recordings[name].speed, f"{call}_ms")
         / getattr(run.trackers[reference].recordings[name].speed, f"{call}_ms")

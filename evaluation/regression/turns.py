@@ -1,7 +1,7 @@
 """Speed of two versions of a tracker, timed in turns: each frame goes to one and then to the other, on one machine.
 
-What slows the machine slows both, so the ratio of two times of one frame hardly depends on it. A process has a speed of
-its own, by where its memory lies: a round has two new processes, and the interval is over rounds.
+Load on the machine slows both, so the ratio of their times for one frame hardly depends on it. The memory layout of a
+process changes its speed: each round starts two new processes, and the interval is over rounds.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ TURN_ROUNDS, ROUND_FRAMES = 8, 40
 """Rounds with new processes, and frames timed in each after the warm-up; every second one is forecast from."""
 SHORTEST_MS = 1e-3
 PairedTimes = dict[CallKind, list[tuple[float, float]]]
-"""Of each call its times, ms: of the run's tracker and of the base."""
+"""Times by call, ms: of the run's tracker, and of the base."""
 
 
 def timed_in_turns(
@@ -42,8 +42,8 @@ def timed_in_turns(
 ) -> tuple[TurnsRow, ...]:
     """The trackers of the run in `folder` by label, each timed in turns with its base on the run's first recording.
 
-    Options, weights and seed are those of the run, programs those of `trackers_toml`. Raises ConfigurationError for an
-    unknown label, and Unmeasured where a process fails, or the run's tracker is no longer what ran.
+    Options, weights and seed come from the run, programs from `trackers_toml`. Raises ConfigurationError for an unknown
+    label, Unmeasured if a process fails or the tracker changed since the run.
     """
     with TemporaryDirectory(prefix="gridtrack-turns-") as scratch:
         plan = plan_again(folder, Path(scratch), trackers_toml)
@@ -71,7 +71,7 @@ def _rows_of(trial: Trial, base: Launch, folder: Path, scratch: Path, margin: fl
 
 
 def _round(pair: tuple[Trial, Trial], number: int, folder: Path, scratch: Path) -> PairedTimes:
-    """The times of two new processes; which goes first changes with every second frame, and so with each forecast.
+    """The times of two new processes. Their order changes at every second frame, and so at each forecast.
 
     Raises TrialEnded, Unmeasured.
     """

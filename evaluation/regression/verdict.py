@@ -24,8 +24,7 @@ AnyRow = VerdictRow | RecoveryRow | SpeedRow | TurnsRow
 
 @dataclass(frozen=True, slots=True)
 class SecondLook:
-    """A row that was worse, and the same of a second run of its trials; None if that has no such row, as without
-    any recovery."""
+    """A worse row, and the same row of a second run of its trials; None if that run has no such row."""
 
     first: AnyRow
     second: AnyRow | None
@@ -38,9 +37,11 @@ class SecondLook:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The verdict: `rows`, over all units, the collapses among `on_recordings`, `recoveries`, and `speed` and `turns`,
-    where requested, decide. `on_recordings` has the worst fall of each tracker on single recordings; `notes` has other
-    differences."""
+    """The verdict on a run.
+
+    `rows` (over all units), the collapses among `on_recordings`, `recoveries`, `speed` and `turns` decide.
+    `on_recordings` has the worst fall of each tracker on single recordings; `notes` has other differences.
+    """
 
     rows: tuple[VerdictRow, ...]
     on_recordings: tuple[VerdictRow, ...]
@@ -53,11 +54,11 @@ class Verdict:
     """Whether there are enough units for p-values; else only equality and margins decide."""
     notes: tuple[str, ...]
     second_looks: tuple[SecondLook, ...] = ()
-    """Of every row that was worse, where a confirmation was requested."""
+    """One for each worse row, if a confirmation was requested."""
     turns: tuple[TurnsRow, ...] = ()
-    """Times measured in turns with a base, where requested; they have intervals of their own."""
+    """Times measured in turns with a base, if requested."""
     below_best: tuple[VerdictRow, ...] = ()
-    """The scores over all units that are worse than in the best entry of the history, and not than the baseline."""
+    """Scores over all units that are worse than in the best entry of the history, but not than in the baseline."""
     floors: tuple[str, ...] = ()
     """Labels of the rows that every tracker must beat."""
 
@@ -73,13 +74,12 @@ class Verdict:
 
     @property
     def worse(self) -> tuple[AnyRow, ...]:
-        """The rows that are worse, scores first, the largest fall before the others; if there is none, the run
-        passes."""
+        """The worse rows: scores first, the largest fall first. The run passes if there are none."""
         found = (row for row in self.decisive if self.standing_of(row) == "worse")
         return tuple(sorted(found, key=lambda row: -row.severity if isinstance(row, VerdictRow) else 0.0))
 
     def standing_of(self, row: AnyRow) -> Standing:
-        """The verdict on a row, `not confirmed` where it was worse and a second run was not."""
+        """The verdict on a row; `not confirmed` if it was worse only in the first run."""
         refuted = any(look.first == row and not look.confirmed for look in self.second_looks)
         return "not confirmed" if refuted else row.verdict
 
@@ -118,7 +118,7 @@ def compare_with_baseline(
 
 
 def _notes(baseline: Baseline, run: Measurement) -> list[str]:
-    """The differences between the two in addition to the counts."""
+    """Differences between baseline and run other than scores."""
     first = baseline.first
     notes = [
         f"tracker {label} is not in the baseline: not judged" for label in run.trackers if label not in first.trackers

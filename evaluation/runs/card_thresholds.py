@@ -27,7 +27,7 @@ from gridtrack.trackers.training.progress import Progress
 from gridtrack.trackers.training.weights import read_card
 
 HORIZON_STEP_S, LAST_S = 0.1, 2.5
-"""The horizons that have a threshold on a card: every HORIZON_STEP_S up to LAST_S; a later one has that of LAST_S."""
+"""A card has thresholds for horizons in steps of HORIZON_STEP_S up to LAST_S; the last one counts beyond it too."""
 FORECAST_EVERY_S = 1.0
 THRESHOLDS_LOG = "thresholds.log"
 

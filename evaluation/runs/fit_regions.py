@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError
+from gridtrack.common.files import atomic_write
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Mask
 from gridtrack.common.scan import Scan
@@ -41,7 +42,7 @@ StoredKinds = KindsOfWindow | KindsOfPlaces | KindsOfTimes
 def cell_kinds_for(stream: GridStream, streams: Iterable[GridStream]) -> StoredKinds:
     """Kinds of the cells of `stream`, one of the `streams` of a training. Raises RecordingError.
 
-    Static cells are those of the true scene. Without truth they are found in the training's own stretches of the
+    Static cells are from the true scene. Without truth they are found in the training's own stretches of the
     recording only: the rest of the recording may be scored later.
     """
     first = next(iter(stream.observations()))
@@ -78,7 +79,7 @@ def store_regions(stream: GridStream, kinds: StoredKinds, path: Path) -> Path:
         moving.append(np.flatnonzero(motion.of(observation).among(observation, stream.grid)))
         reference_T_world.append((pose.x, pose.y, pose.theta))
         scans.add(observation.scans if moves else ())
-    with path.open("wb") as file:
+    with atomic_write(path) as file:
         np.savez_compressed(
             file,
             sha256=np.array(stream.sha256),

@@ -18,11 +18,13 @@ from gridtrack.evaluation.referee.splits import SplitRegions
 from gridtrack.evaluation.runs.passes import Followed, Quantiles
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
-from gridtrack.evaluation.runs.timed_passes import TRIAL_FORECASTS
 from gridtrack.evaluation.runs.trial import OnFrame, TrialRun
 from gridtrack.evaluation.runs.trial_record import TrialEnding, TrialRecord
 from gridtrack.evaluation.scores.thresholds import Thresholds
 from gridtrack.trackers.contract import Forecast
+
+TRIAL_FORECASTS = 4
+"""Forecasts at the end of the warm-up; their duration decides how far ahead the later ones reach."""
 
 
 class FollowedTrial(TrialRun):
@@ -54,7 +56,7 @@ class FollowedTrial(TrialRun):
         return self._thresholds
 
     def close_deadline(self, index: int) -> None:
-        """Keep the forecast that is scored at the frame `index`, presented last, whose deadline has passed.
+        """Keep the forecast that is scored at the frame `index`, presented last; its deadline has passed.
 
         Raises OSError.
         """

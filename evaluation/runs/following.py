@@ -233,7 +233,7 @@ class Following:
         return split_of(self._recording, name, None, settings.validation, self._sampling, self._validation)
 
     def _validation_regions(self) -> SplitRegions:
-        """The regions of the validation stretch; those of the test stretch are found at its end."""
+        """The regions of the validation stretch; the test stretch gets its regions at its end."""
         stretch = self._split.validation or self._split.test
         regions = regions_of(stretch, self._split.strata)
         return SplitRegions(regions, regions)

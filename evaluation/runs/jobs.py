@@ -13,7 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from pydantic import ValidationError
 
@@ -34,7 +34,7 @@ from gridtrack.evaluation.runs.run_folder import versions
 from gridtrack.evaluation.runs.run_record import RecordingIdentity, TrialIdentity, identity_of
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds, oracle_key, trial_key
-from gridtrack.evaluation.runs.trial import REPLACED, TrialRun, error_with_location, failed
+from gridtrack.evaluation.runs.trial import REPLACED, STDERR_LOG, TrialRun, error_with_location, failed
 from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, TrialRecord, hashes_of, read_trial_record
 from gridtrack.evaluation.scores.registry import scores
 from gridtrack.recordings.stretches import parse_stretch
@@ -50,7 +50,7 @@ class SharedInputs:
     """
 
     def __init__(self, settings: CompareSettings, note: Callable[[str], None], folder: Path, jobs: int = 1) -> None:
-        """`folder` is that of `SharedThresholds`; `jobs` run at the same time.
+        """`folder`: of `SharedThresholds`; `jobs` run at the same time.
 
         The regions of as many recordings are kept: they are megabytes, and a run may have thousands of recordings.
         """
@@ -138,6 +138,7 @@ class TrialJob(_RunJob):
     def __init__(self, trial: Trial, folder: Path, shared: SharedInputs) -> None:
         super().__init__(trial.name, trial, folder, shared)
         self.trial, self.split, self.validation = trial, trial.split, trial.split.validation
+        self._started_before = (folder / STDERR_LOG).is_file()
 
     @property
     def thresholds_key(self) -> str:
@@ -157,13 +158,14 @@ class TrialJob(_RunJob):
         return self._write_if_possible(failed(self.trial, _reason(error)))
 
     def accepted(self, record: TrialRecord) -> TrialRecord:
-        """`record` with the advice on training for the whole run: another machine knows only this trial of it.
-
-        A changed record is written again.
+        """`record` with the facts that another machine does not know: advice on training for the whole run, and whether
+        the tracker was started before. A changed record is written again.
         """
-        if record.outcome != "untrained" or record.reason == self.trial.how_to_train:
-            return record
-        return self._write_if_possible(record.model_copy(update={"reason": self.trial.how_to_train}))
+        known: dict[str, Any] = {"started_before": record.may_remember and self._started_before}
+        if record.outcome == "untrained":
+            known["reason"] = self.trial.how_to_train
+        changed = record.model_copy(update=known)
+        return record if changed == record else self._write_if_possible(changed)
 
     def _write_if_possible(self, record: TrialRecord) -> TrialRecord:
         with suppress(OSError):

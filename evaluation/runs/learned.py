@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 from gridtrack.common.errors import ConfigurationError, WeightsError
-from gridtrack.common.files import sha256_of, user_data_folder
+from gridtrack.common.files import atomic_write, naming_full_disk, sha256_of, user_data_folder
 from gridtrack.evaluation.referee.splits import EvaluationSplit, common_with
 from gridtrack.evaluation.runs.run_record import WeightsUsed
 from gridtrack.recordings.stream import GridStream
@@ -113,12 +113,14 @@ def copy_weights(weights: LearnedWeights, folder: Path) -> LearnedWeights:
     copied = weights_path(folder, weights.path.parent.name, weights.path.stem)
     copied.parent.mkdir(parents=True)
     for _ in range(READ_TRIES):
-        shutil.copyfile(weights.path, copied)
+        with naming_full_disk(copied):
+            shutil.copyfile(weights.path, copied)
         sha256 = read_card(copied).arrays_sha256
         try:
             if sha256:
                 content = arrays_content(weights.path.with_suffix(ARRAYS_SUFFIX), sha256)
-                copied.with_suffix(ARRAYS_SUFFIX).write_bytes(content)
+                with atomic_write(copied.with_suffix(ARRAYS_SUFFIX)) as arrays:
+                    arrays.write(content)
             return read_weights(copied, weights.original)
         except WeightsError:
             time.sleep(READ_AGAIN_S)
@@ -159,7 +161,7 @@ def leaks_of(split: EvaluationSplit, weights: LearnedWeights | None) -> tuple[st
 
 
 def refuse_leaks(leaks: Iterable[tuple[str, ...]]) -> None:
-    """Raise ConfigurationError if any trial of a comparison has leaks; `leaks` has those of each trial."""
+    """Raise ConfigurationError if any trial of a comparison has leaks; `leaks`: by trial."""
     found = list(dict.fromkeys(chain.from_iterable(leaks)))
     if found:
         more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""

@@ -22,7 +22,7 @@ def score_in_process(
 ) -> StretchScore:
     """Stream `source` through the tracker and score its forecasts with the referee's counts, on its regions.
 
-    `motion` is that of Delivery. Thresholds are chosen on the same stretch: a score for choosing parameters, not for
+    `motion`: as in Delivery. Thresholds are chosen on the same stretch: a score for choosing parameters, not for
     reports. Raises RecordingError if the stretch is too short to score a forecast.
     """
     schedule = Schedule(len(source), steps, FIT_FORECAST_EVERY)

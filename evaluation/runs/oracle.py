@@ -102,7 +102,7 @@ def expected_grid(observation: Observation, grid: GridSpec, errors: dict[str, Ra
 
 
 def _scenes(observation: Observation) -> Iterator[tuple[Scan, Scene]]:
-    """The scans of a frame, each with its own true scene, else with that of the frame."""
+    """The scans of a frame, each with its own true scene, else the frame's."""
     for scan in observation.scans:
         scene = scan.scene or observation.scene
         if scene is not None:

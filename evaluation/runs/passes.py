@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from gridtrack.evaluation.hosting.timing import TWENTIETHS
+from gridtrack.evaluation.hosting.timing import TWENTIETHS, Timings
 from gridtrack.evaluation.referee.deadline import Clock
 from gridtrack.evaluation.runs.result_files import Curves, ResultModel
 from gridtrack.recordings.degradation import Degradation
@@ -41,12 +42,32 @@ class CallTimes(Quantiles):
         return self
 
 
+class RoundTrips(ResultModel):
+    """Median round trips of the calls of a pass, ms; 0 without calls."""
+
+    update_ms: float = 0.0
+    predict_ms: float = 0.0
+
+    @classmethod
+    def of(cls, timings: Timings) -> Self:
+        """Those of the calls so far."""
+        medians = (timings.update_round_trip.percentile(50), timings.predict_round_trip.percentile(50))
+        update_ms, predict_ms = (0.0 if math.isnan(ms) else float(f"{ms:.4g}") for ms in medians)
+        return cls(update_ms=update_ms, predict_ms=predict_ms)
+
+    @property
+    def total_ms(self) -> float:
+        """Time of an update and a forecast, ms."""
+        return self.update_ms + self.predict_ms
+
+
 class Latency(ResultModel):
     """Milliseconds of calls, alone on the machine."""
 
     clock: Clock = "tracker"
     """By the tracker's own clock; by the round trip (`host`) where that is far longer than the tracker reports."""
 
+    round_trips: RoundTrips = RoundTrips()
     update: CallTimes
     predict: CallTimes
     predict_step: Quantiles
@@ -78,6 +99,8 @@ class Deadline(ResultModel):
     """The rate at which 99 of 100 frames are processed before the next one arrives."""
     clock: Clock = "tracker"
     """As of the latency."""
+    round_trips: RoundTrips = RoundTrips()
+    """Of the timed calls."""
     forecast_steps: int
     """How many steps ahead the forecasts reach, for delays to be covered."""
     rates: tuple[AtRate, ...] = Field(min_length=1, max_length=MOST_CONDITIONS)

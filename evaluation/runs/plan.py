@@ -90,6 +90,11 @@ class Trial:
         return f"{self.label}@{self.split.name}"
 
     @property
+    def is_users(self) -> bool:
+        """Whether its tracker is the user's: it is not one of gridtrack."""
+        return self.launch.external or is_plugin(self.launch)
+
+    @property
     def test(self) -> GridStream:
         """The test stretch, with the returns that this tracker requested."""
         return with_points(self.split.test, self.selection.points)
@@ -114,7 +119,7 @@ class Trial:
     def tracker_process(self, log: Path, *, scored: bool = False) -> TrackerProcess:
         """The tracker, not started yet, on the test stretch's grid and period; its stderr goes to `log`.
 
-        `scored`: whether its forecasts get all scores of a trial, such as those of classes and velocities.
+        `scored`: whether its forecasts get all scores of a trial, such as scores of classes and velocities.
         """
         stream = replace(stream_of(self.test), velocity_scored=scored and OCCLUDED in self.split.strata)
         if self.weights:
@@ -188,7 +193,7 @@ class ComparisonPlan:
 
 
 def with_copied_weights(plan: ComparisonPlan, folder: Path) -> ComparisonPlan:
-    """`plan` with copies of all weights in `folder`, so that every trial uses the files whose hash is recorded.
+    """`plan` with copies of all weights in `folder`, so that every trial uses the files with the recorded hash.
 
     Raises WeightsError, OSError.
     """
@@ -263,11 +268,16 @@ def resolve(
         _refuse_thresholds_of_another_site(trial)
     of_weights = (notice for _, notice in weights.values() if notice)
     notices = [*left_out, *(notice for split in splits for notice in split.notices), *of_weights, *_notices(trials)]
-    if settings.allow_leak:
-        notices += [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
-    else:
-        refuse_leaks(trial.leaks for trial in trials)
+    notices += _leak_notices(settings, trials)
     return ComparisonPlan(settings, splits, trials, tuple(dict.fromkeys(notices)))
+
+
+def _leak_notices(settings: CompareSettings, trials: Sequence[Trial]) -> list[str]:
+    """A line for each allowed leak. Raises the error of `refuse_leaks` for others."""
+    if settings.allow_leak:
+        return [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
+    refuse_leaks(trial.leaks for trial in trials)
+    return []
 
 
 def _notices(trials: Sequence[Trial]) -> Iterator[str]:

@@ -29,7 +29,7 @@ class Recipe(Settings):
     weights may be named by URLs.
 
     A recipe file may leave `tracker` and `recordings` to the command line, and name no `validation`, `grid` or
-    `rate_hz`: they are then those of the recordings.
+    `rate_hz`: they are then the recordings'.
     """
 
     tracker: str = ""

@@ -43,8 +43,6 @@ Curve = Annotated[tuple[float | None, ...], BeforeValidator(_each_defined)]
 """One score at every step 0..n; None if it is undefined, as in a stratum without cells."""
 Curves = dict[str, Curve]
 """A curve for each stratum."""
-CellCounts = tuple[int, ...]
-"""A number of cells, or of scans, at every step 0..n."""
 
 
 def rounded(value: float) -> float | None:

@@ -39,7 +39,6 @@ from gridtrack.evaluation.runs.summary import RunSummary, read_summary
 from gridtrack.evaluation.runs.sums import SUMS_FILE
 from gridtrack.evaluation.runs.trial_record import TrialRecord, code_differs, read_trial_record
 from gridtrack.evaluation.scores.registry import scores
-from gridtrack.trackers.selection import is_plugin
 
 LOCK = ".lock"
 UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
@@ -77,11 +76,15 @@ def run_lock(folder: Path) -> Iterator[None]:
 
 
 def _lock_file(path: Path) -> TextIO:
-    """The file of the lock, open. Raises RunError for a link."""
+    """The file of the lock, open. Raises RunError for a link and for another name of some file."""
     try:
-        return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666), "r+")
+        file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666), "r+")
     except OSError as error:
         raise RunError(f"{path}: cannot be opened ({error.strerror}): remove it, or name another folder") from None
+    if os.fstat(file.fileno()).st_nlink > 1:
+        file.close()
+        raise RunError(f"{path}: a file with a second name, which is not written to: remove it")
+    return file
 
 
 def _lock(file: TextIO, folder: Path) -> None:
@@ -239,12 +242,12 @@ def _is_done(weights_sha256: str, record: TrialRecord, folder: Path) -> bool:
 def without_edited(
     plan: ComparisonPlan, kept: Mapping[str, TrialRecord], note: Callable[[str], None]
 ) -> dict[str, TrialRecord]:
-    """The `kept` records by trial name, without trials of a tracker whose code was edited since; `note` reports them.
+    """The `kept` records by trial name, without trials of a tracker that was edited since; `note` reports them.
 
     Each tracker of the user is started once to hash its code; trackers of gridtrack are not, because the run records
     its version. The scores of a tracker that no longer starts are kept.
     """
-    trials = [trial for trial in plan.trials if trial.name in kept and _is_users(trial)]
+    trials = [trial for trial in plan.trials if trial.name in kept and trial.is_users]
     edited: set[str] = set()
     for label in dict.fromkeys(trial.label for trial in trials):
         own = [trial for trial in trials if trial.label == label]
@@ -254,10 +257,6 @@ def without_edited(
             note(f"{label}: its code was edited since it ran: {len(other)} of its trials run again")
         edited |= set(other)
     return {name: record for name, record in kept.items() if name not in edited}
-
-
-def _is_users(trial: Trial) -> bool:
-    return trial.launch.external or is_plugin(trial.launch)
 
 
 def _current_code(trial: Trial, note: Callable[[str], None]) -> str:

@@ -46,7 +46,7 @@ class RecordingDescription(ResultModel):
     warm_up_frames: int = 0
     forecast_every_frames: int = 0
     cycle_s: float | None = None
-    """The longest cycle of the place, such as that of its traffic signals, seconds; null if none is known."""
+    """The longest cycle of the place, such as the cycle of its traffic signals, seconds; null if none is known."""
     source_sha256: str = ""
     """Of the file that the recording was imported from, else of its own file. Recordings and stretches of one source
     are one recording for the statistical units; empty: not known, and no other is of the same source."""

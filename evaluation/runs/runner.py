@@ -101,7 +101,7 @@ def _remove_records(folder: Path, names: Iterable[str]) -> None:
 
 
 def engine_of(settings: CompareSettings, progress: JobObserver) -> Engine:
-    """The engine of a run, whose folder exists. Raises a GridtrackError if there is no such cluster."""
+    """The engine of a run; its folder exists. Raises a GridtrackError if there is no such cluster."""
     cores = settings.limits.threads
     if settings.engine == "ray":
         return RemoteEngine(RayCluster(settings.address, cores, execute), settings.out, progress)
@@ -193,7 +193,7 @@ class Stages:
             if settings.deadline and record.deadline is None:
                 with self._measuring(trial, "deadlines, alone on the machine"):
                     regions = self._shared.regions_of(trial.split)
-                    self._add(trial, deadline=measure_deadline(trial, regions, record.thresholds, folder))
+                    self._add(trial, deadline=measure_deadline(trial, regions, record, folder))
 
     def all_records(self) -> dict[str, TrialRecord]:
         """The record of every trial of the plan, also of those that an interrupt prevented, and of the oracles."""

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from gridtrack.common.errors import StoreError
-from gridtrack.common.files import user_data_folder
+from gridtrack.common.files import user_data_folder, write_text
 from gridtrack.common.remote_files import fetched_folder, folder_name, list_folder, upload_folder
 from gridtrack.evaluation.runs.run_folder import holds_a_run, run_lock
 from gridtrack.evaluation.runs.run_record import RUN_FILE
@@ -20,7 +20,7 @@ BEGUN = ".begun"
 
 @contextmanager
 def stored_run(url: str, *, resume: bool, again: str | None, note: Callable[[str], None]) -> Iterator[Path]:
-    """The local folder of the run at `url`, whose files are uploaded when the block ends; then it is removed.
+    """The local folder of the run at `url`. At the end of the block it is uploaded and removed.
 
     With `resume` it starts from the run in the store, or from files that an earlier comparison could not upload. If the
     block or the upload raises, the folder stays, and `note` receives a line that names it and the command `again` that
@@ -56,7 +56,7 @@ def _begin(folder: Path, url: str, resume: bool, note: Callable[[str], None]) ->
     if version and not resume:
         raise holds_a_run(url)
     shutil.rmtree(folder, ignore_errors=True)  # of a comparison that was killed before it began
-    folder.with_name(BEGUN).write_text(version)
+    write_text(folder.with_name(BEGUN), version)
     if not version:
         folder.mkdir()
         return

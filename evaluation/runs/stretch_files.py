@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import IO, Any
 
 from gridtrack.common.cache import FileCache
+from gridtrack.common.files import atomic_write
 from gridtrack.common.grid import GridFrame, LabelledFrame
 from gridtrack.evaluation.runs.fit_regions import StoredKinds, StretchRegions, cell_kinds_for, store_regions
 from gridtrack.recordings import Recording
@@ -52,13 +53,13 @@ class StretchFiles:
 
     def __init__(self, streams: Sequence[GridStream], folder: Path, cache: FileCache) -> None:
         """They are copied to `folder`, which is the training's own."""
-        self._streams, self._folder, self._cache = tuple(streams), folder, cache
+        self.streams, self._folder, self._cache = tuple(streams), folder, cache
 
     def frames(self, progress: Progress) -> list[Path]:
         """The files of frames and labels, in the order of the streams. Raises RecordingError, OSError."""
         files = []
-        with progress.stage("stretch", len(self._streams)) as stage:
-            for n, stream in enumerate(self._streams):
+        with progress.stage("stretch", len(self.streams)) as stage:
+            for n, stream in enumerate(self.streams):
                 files.append(self._frames(stream, self._folder / f"{n}.frames"))
                 stage.advance(stream.name)
         self._cache.trim()
@@ -70,10 +71,10 @@ class StretchFiles:
 
     def regions(self, number: int) -> Path:
         """The file of the regions of stream `number`. Raises WireError without one, RecordingError, OSError."""
-        if not 0 <= number < len(self._streams):
-            raise WireError(f"regions of stretch {number}; there are {len(self._streams)}")
-        stream = self._streams[number]
-        beside = [other for other in self._streams if other.sha256 == stream.sha256 and other.grid == stream.grid]
+        if not 0 <= number < len(self.streams):
+            raise WireError(f"regions of stretch {number}; there are {len(self.streams)}")
+        stream = self.streams[number]
+        beside = [other for other in self.streams if other.sha256 == stream.sha256 and other.grid == stream.grid]
         kinds = [KINDS_VERSION, *sorted(map(_stretch_key, beside), key=str)]
         key = {"regions": _stretch_key(stream), "kinds": kinds}
         path = self._folder / f"{number}.regions.npz"
@@ -118,7 +119,7 @@ def store_stretch(stream: GridStream, path: Path) -> Path:
         "frames": len(stream),
         "start_s": stream.start_s,
     }
-    with path.open("wb") as raw, gzip.GzipFile("", "wb", compresslevel=1, fileobj=raw, mtime=0) as file:
+    with atomic_write(path) as raw, gzip.GzipFile("", "wb", compresslevel=1, fileobj=raw, mtime=0) as file:
         file.writelines(encode(Message("stretch", 0, header)))
         for number, observation in enumerate(stream.observations(), start=1):
             cells, labels = labelled_returns(observation.scans, observation.grid_T_sensor, stream.grid)

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from gridtrack.evaluation.hosting.timing import CLOCK_FACTOR, TRANSPORT_MS
 from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.comparisons import Comparisons
 from gridtrack.evaluation.runs.estimates import (
@@ -26,7 +27,7 @@ from gridtrack.evaluation.runs.finished import (
     headline_steps,
     unlike_recordings,
 )
-from gridtrack.evaluation.runs.later_passes import remembered
+from gridtrack.evaluation.runs.later_passes import with_memories
 from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.result_files import rounded_curve
 from gridtrack.evaluation.runs.run_record import RecordingDescription, RecordingSummary
@@ -51,6 +52,7 @@ from gridtrack.trackers.contract import Role
 
 HEADLINE = "f1"
 """The score that decides the headline tests."""
+STARTED_BEFORE = "the tracker was started before, in a trial that did not end"
 LEAST_LEAD = 0.001
 """A row is ahead of another by at least this much in either order: less is not shown in a table."""
 
@@ -63,7 +65,7 @@ def summarise(
     reference: str | None = None,
     scores: Sequence[ScoreDefinition] | None = None,
 ) -> RunSummary:
-    """The summary of `trials` on `recordings`; `notices` precede those of the trials.
+    """The summary of `trials` on `recordings`; `notices` precede the trials' own.
 
     `reference` is the label of the row that the others are compared with; None: the default one. `scores`: None are the
     built-in ones. Raises ScoresError.
@@ -91,7 +93,11 @@ class _Summary:
         found += unlike_recordings(run.recordings) if run.pools else []
         horizons_s = {name: run.horizons_of([name]) for name in run.recordings} | {ALL_RECORDINGS: run.horizons_s}
         trackers = related(rows, self._scores, self._headline, horizons_s)
-        found += [*_reversed_rankings(run, trackers, self._scores), *remembered(trackers)]
+        found += _reversed_rankings(run, trackers, self._scores)
+        families = comparisons.families()
+        may_remember = {trial.record.label for trial in run.all if trial.record.may_remember}
+        trackers, memories = with_memories(trackers, families, may_remember)
+        found += memories
         score, output = self._headline
         shown = {
             score for row in trackers.values() for scope in _scopes(row) for es in scope.strata.values() for score in es
@@ -109,7 +115,7 @@ class _Summary:
             trackers=trackers,
             reference=run.reference_for("occupancy"),
             differences=tuple(comparisons.differences()),
-            pairs=tuple(comparisons.families()),
+            pairs=tuple(families),
             false_differences=comparisons.false_differences(),
             trainings=tuple(comparisons.trainings()),
         )
@@ -133,6 +139,7 @@ class _Summary:
             reason=record.reason,
             card=record.card,
             leak=record.leak,
+            memory=STARTED_BEFORE if record.started_before else "",
             frames_scored=record.frames_scored,
             frames_expected=record.frames_expected,
             threshold_chosen_on=record.thresholds.chosen_on,
@@ -334,6 +341,20 @@ def _notices(run: RunTrials) -> Iterator[str]:
             yield f"{where} continued after {failures} inside it, which it counted itself"
         if "host" in {measured.clock for measured in (record.latency_ms, record.deadline) if measured}:
             yield f"{where} reports far shorter times than the round trips of its calls: the round trips count"
+        yield from (f"{where}: {slower}" for slower in _slower_when_scored(record))
+
+
+def _slower_when_scored(record: TrialRecord) -> Iterator[str]:
+    """A notice of each kind of call with a median round trip, while the tracker was scored, of more than CLOCK_FACTOR
+    times that in a pass that timed it alone, and TRANSPORT_MS more."""
+    timed = [one.round_trips for one in (record.latency_ms, record.deadline) if one]
+    for call, name in (("an update", "update_ms"), ("a forecast", "predict_ms")):
+        scored_ms, alone_ms = getattr(record.round_trips, name), min((getattr(one, name) for one in timed), default=0.0)
+        if alone_ms and scored_ms > CLOCK_FACTOR * alone_ms + TRANSPORT_MS:
+            yield (
+                f"{call} took {scored_ms:.0f} ms while it was scored and {alone_ms:.1f} ms when it was timed alone: the"
+                " machine was busy with other work, or the tracker is fast only when it is timed"
+            )
 
 
 def _unknown_classes(record: TrialRecord, recording: RecordingDescription) -> str:

@@ -141,7 +141,9 @@ class ScopeSummary(ResultModel):
     best_floor: Line = ""
     """Label of the floor with the best headline score, from which shares of the oracle are; empty if not known."""
     below_floor: bool = False
-    """Whether the headline score of a tracker is worse than that of the best floor."""
+    """Whether the headline score of a tracker is worse than the best floor's."""
+    memory: Line = ""
+    """A sign that the tracker remembers the recording from an earlier pass; empty if there is none."""
 
     @property
     def complete(self) -> bool:
@@ -270,7 +272,7 @@ class TrainingsScore(ResultModel):
     spread: Number = None
     """Standard deviation between trainings; null with one."""
     difference: PointEstimate = NO_ESTIMATE
-    """Of the mean less that of the reference's trainings."""
+    """Of the mean less the mean of the reference's trainings."""
     p_holm: Number = None
     """Corrected over all differences between trackers by their trainings (Holm 1979)."""
     verdict: str = ""
@@ -304,7 +306,7 @@ class PairTest(ResultModel):
     p_holm: Number = None
     """Corrected over the pairs of the family (Holm 1979)."""
     verdict: str
-    """As of HeadlineTest: `better` where `tracker` is better, also in a score whose lower values are."""
+    """As in HeadlineTest: `better` if `tracker` is better, also if lower values of the score are better."""
 
 
 class PairFamily(ResultModel):

@@ -322,7 +322,7 @@ def _opened(path: Path, metadata: Any = None) -> Any:
 
 
 class _Checked:
-    """A Parquet file of which every failure to read is a ScoresError."""
+    """A Parquet file; every failure to read it is a ScoresError."""
 
     def __init__(self, file: Any, path: Path) -> None:
         self._file = file

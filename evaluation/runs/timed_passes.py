@@ -1,108 +1,127 @@
-"""Passes that time a tracker alone on the machine: latencies, and scores on a simulated clock with measured times."""
+"""Passes that time a tracker alone on the machine: latencies, and scores on a simulated clock with measured times.
+
+The calls are those of the trial: the same frames, and forecasts at the same frames. A tracker cannot recognise by its
+requests that it is timed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import islice
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.hosting.timing import TWENTIETHS, Call, Latencies, Timings
+from gridtrack.evaluation.hosting.timing import TWENTIETHS, Call, Timings
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.evaluation.referee.deadline import RATES, Clock, Costs, DeadlineTracker, Timeline, spare_steps, timeline
 from gridtrack.evaluation.referee.referee import WARM_UP, Delivery
 from gridtrack.evaluation.referee.splits import SplitRegions
-from gridtrack.evaluation.runs.passes import AtRate, CallTimes, Deadline, Latency, Quantiles
+from gridtrack.evaluation.runs.passes import AtRate, CallTimes, Deadline, Latency, Quantiles, RoundTrips
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.replay import replayed_f1
 from gridtrack.evaluation.runs.result_files import Curves
-from gridtrack.evaluation.runs.trial_record import ThresholdsUsed
+from gridtrack.evaluation.runs.trial_record import ThresholdsUsed, TrialRecord
 
-LATENCY_FRAMES = 120
-"""Frames of the latency pass after the warm-up; every second one is forecast from."""
-MAX_TIMED_FRAMES, MIN_TIMED_FRAMES, MAX_TIMED_S = 120, 30, 30.0
-"""Frames whose update and forecast are timed after the warm-up: at most MAX_TIMED_FRAMES; of a slow tracker at least
-MIN_TIMED_FRAMES, and no further one after MAX_TIMED_S seconds of calls."""
-TRIAL_FORECASTS = 4
-"""Forecasts at the end of the warm-up; their duration decides how far ahead the timed forecasts must reach."""
+MAX_FORECASTS, MIN_FORECASTS, MAX_TIMED_S = 61, 16, 30.0
+"""Forecasts of a timed pass: at most MAX_FORECASTS; of a slow tracker at least MIN_FORECASTS, and no further one after
+MAX_TIMED_S seconds of calls. The first one, which may compile and allocate, is not timed."""
 LATENCY_LOG, DEADLINE_LOG = "latency.log", "deadline.log"
 
 
 def measure_latency(trial: Trial, folder: Path) -> Latency:
     """Time a tracker's updates and forecasts; its log goes to `folder`. Raises TrialEnded."""
-    timings = Timings()
+    steps = trial.split.steps
     with trial.tracker_process(folder / LATENCY_LOG) as process:
-        process.reset(trial.seed)
-        for index, frame in enumerate(islice(trial.test, WARM_UP + LATENCY_FRAMES)):
-            process.update(frame)
-            if index < WARM_UP:
-                continue
-            timings.add_update(_last_call(process))
-            if index % 2 == 0:
-                process.predict(trial.split.steps)
-                timings.add_predict(_last_call(process))
-    update, predict = timings.counted()
+        calls = _timed_calls(process, trial, trial.split.schedule.scored, steps)
+    predict = _call_times(calls.forecasts_ms)
     return Latency(
-        clock=timings.clock,
-        update=_reported_times(update),
-        predict=_reported_times(predict),
-        predict_step=Quantiles(**{name: ms / trial.split.steps for name, ms in predict.summary().items()}),
+        clock=calls.timings.clock,
+        round_trips=RoundTrips.of(calls.timings),
+        update=_call_times(calls.updates_ms),
+        predict=predict,
+        predict_step=Quantiles(p50=predict.p50 / steps, p95=predict.p95 / steps, p99=predict.p99 / steps),
     )
 
 
-def _reported_times(latencies: Latencies) -> CallTimes:
-    return CallTimes(**latencies.summary(), twentieths=latencies.twentieths())
+def measure_deadline(trial: Trial, regions: SplitRegions, record: TrialRecord, folder: Path) -> Deadline:
+    """Time the tracker, then score it on the simulated clock at every rate of RATES, at the thresholds of `record`.
 
-
-def measure_deadline(trial: Trial, regions: SplitRegions, thresholds: ThresholdsUsed, folder: Path) -> Deadline:
-    """Time the tracker, then score it on the simulated clock at every rate of RATES.
-
-    Every pass over the stream has a process of its own: a tracker that keeps frames over `reset` would know the stream.
-    The log of the last process goes to `folder`. Raises TrialEnded.
+    Forecasts reach further by the delay that the round trips of the trial show. Every pass over the stream has a
+    process of its own: a tracker that keeps frames over `reset` would know the stream. The log of the last process goes
+    to `folder`. Raises TrialEnded.
     """
-    log = folder / DEADLINE_LOG
+    log, steps, scored = folder / DEADLINE_LOG, trial.split.steps, trial.split.schedule.scored
+    reach = steps + spare_steps(record.round_trips.total_ms, trial.test.period_s * 1e3, steps)
+    # on the simulated clock the newest forecast at a frame is at best that of the frame before
+    requested = range(scored.start - 1, scored.stop - 1, scored.step)
     with trial.tracker_process(log) as process:
-        costs, reach = _measure(process, trial)
+        calls = _timed_calls(process, trial, requested, reach)
+    costs = calls.costs()
     return Deadline(
         update_ms=_call_times(costs.update_ms),
-        predict_ms=_call_times(costs.predict_ms),
+        predict_ms=_call_times(calls.forecasts_ms),
         busy_ms=_exact_quantiles(costs.busy_ms),
         highest_rate_hz=costs.highest_rate_hz,
         forecast_steps=reach,
         clock=costs.clock,
-        rates=_at_every_rate(log, trial, regions, thresholds, costs, reach),
+        round_trips=RoundTrips.of(calls.timings),
+        rates=_at_every_rate(log, trial, regions, record.thresholds, costs, reach),
     )
 
 
-def _measure(process: TrackerProcess, trial: Trial) -> tuple[Costs, int]:
-    """The duration of the calls, and how many steps ahead the forecasts must reach."""
-    steps, period_ms = trial.split.steps, trial.test.period_s * 1e3
-    timings = Timings()
-    update_calls: list[Call] = []
-    predict_calls: list[Call] = []
-    trial_ms = timed_ms = 0.0
+@dataclass
+class _TimedCalls:
+    """Timed calls in their order; `newest` has for each update the index of the newest forecast."""
+
+    timings: Timings = field(default_factory=Timings)
+    updates: list[Call] = field(default_factory=list)
+    forecasts: list[Call] = field(default_factory=list)
+    newest: list[int] = field(default_factory=list)
+
+    def add(self, update: Call, forecast: Call | None) -> None:
+        """Add the calls of a frame; the first one has a forecast."""
+        self.timings.add_update(update)
+        self.updates.append(update)
+        if forecast is not None:
+            self.timings.add_predict(forecast)
+            self.forecasts.append(forecast)
+        self.newest.append(len(self.forecasts) - 1)
+
+    @property
+    def updates_ms(self) -> list[float]:
+        """Durations of the updates by the clock that counts, ms."""
+        return [_duration(call, self.timings.clock) for call in self.updates]
+
+    @property
+    def forecasts_ms(self) -> list[float]:
+        """Durations of the forecasts by the clock that counts, ms."""
+        return [_duration(call, self.timings.clock) for call in self.forecasts]
+
+    def costs(self) -> Costs:
+        """The durations of each update and of the newest forecast, as if every frame had a forecast."""
+        forecasts_ms = self.forecasts_ms
+        return Costs(self.updates_ms, [forecasts_ms[index] for index in self.newest], self.timings.clock)
+
+
+def _timed_calls(process: TrackerProcess, trial: Trial, requested: Collection[int], steps: int) -> _TimedCalls:
+    """Time the updates, and forecasts of `steps` at the `requested` frames, from the second such frame on."""
+    calls, forecasts, timed_ms = _TimedCalls(), 0, 0.0
     process.reset(trial.seed)
-    for index, frame in enumerate(islice(trial.test, WARM_UP + MAX_TIMED_FRAMES)):
+    for index, frame in enumerate(trial.test):
         process.update(frame)
-        took_ms, update_call = process.last_ms, _last_call(process)
-        if index >= WARM_UP:
-            process.predict(steps + spare_steps(trial_ms, period_ms, steps))
-            update_calls.append(update_call)
-            predict_calls.append(_last_call(process))
-            timings.add_update(update_calls[-1])
-            timings.add_predict(predict_calls[-1])
-            timed_ms += update_calls[-1].round_trip_ms + predict_calls[-1].round_trip_ms
-            if len(update_calls) >= MIN_TIMED_FRAMES and timed_ms > MAX_TIMED_S * 1e3:
-                break
-        elif index >= WARM_UP - TRIAL_FORECASTS:
+        update, forecast = _last_call(process), None
+        if index in requested:
             process.predict(steps)
-            # the very first forecast may compile and allocate: it is left out
-            trial_ms = max(trial_ms, took_ms + process.last_ms) if index > WARM_UP - TRIAL_FORECASTS else 0.0
-    clock = timings.clock
-    update_ms, predict_ms = ([_duration(call, clock) for call in calls] for calls in (update_calls, predict_calls))
-    return Costs(update_ms, predict_ms, clock), steps + spare_steps(trial_ms, period_ms, steps)
+            forecast, forecasts = _last_call(process), forecasts + 1
+        if forecasts > 1 or (forecasts == 1 == len(requested)):
+            calls.add(update, forecast)
+        timed_ms += update.round_trip_ms + (forecast.round_trip_ms if forecast else 0.0)
+        slow = forecasts >= MIN_FORECASTS and timed_ms > MAX_TIMED_S * 1e3
+        if slow or forecasts == min(MAX_FORECASTS, len(requested)):
+            break
+    return calls
 
 
 def _last_call(process: TrackerProcess) -> Call:

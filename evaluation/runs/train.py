@@ -12,7 +12,6 @@ from gridtrack.common.cache import FileCache
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.remote_files import is_url
-from gridtrack.evaluation.referee.kinds import CellKinds
 from gridtrack.evaluation.referee.splits import (
     TEST,
     TRAIN,
@@ -78,49 +77,64 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         site = GENERAL if recipe.general else _site_of(train_on[0])
         path = weights_path(recipe.out or user_weights_folder(), recipe.tracker, site)
         _make_folder(path.parent)
-        logs = path.with_suffix(".logs")
         stretches = StretchFiles([*train_on, *validate_on], Path(folder), cache)
-        with ProgressLines(report) as lines:
-            files = stretches.frames(lines.progress)
-        train, validation = files[: len(train_on)], files[len(train_on) :]
-        try:
-            process.fit(
-                train,
-                validation,
-                stretches.regions,
-                report,
-                out=path,
-                log_dir=logs,
-                seed=recipe.seed,
-                command=COMMAND,
-                general=recipe.general,
-                start=start.path if start else None,
-            )
-        except KeyboardInterrupt:
-            interrupted = True
-        else:
-            interrupted = False
-        finally:
-            written = path.exists() and _complete(path, recipe, train_on, validate_on, start)
-        if interrupted:
-            raise KeyboardInterrupt(_what_is_kept(path, written=written))
-        report("thresholds for recordings without a validation stretch")
-        try:
-            with ProgressLines(report) as lines:
-                kinds_of = [stretches.kinds(len(train_on) + n) for n in range(len(validate_on))]
-                _add_thresholds(recipe.tracker, path, list(zip(validate_on, kinds_of, strict=True)), lines.progress)
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"interrupted; {path} is complete, but without thresholds") from None
+        _fit(process, stretches, len(train_on), recipe, start, path, report)
+        _add_thresholds(recipe.tracker, path, stretches, len(train_on), report)
     return path
 
 
-def _add_thresholds(
-    tracker: str, path: Path, validation: Sequence[tuple[GridStream, CellKinds]], progress: Progress
+def _fit(
+    process: TrainingProcess,
+    stretches: StretchFiles,
+    train_count: int,
+    recipe: Recipe,
+    start: LearnedWeights | None,
+    path: Path,
+    report: Callable[[str], None],
 ) -> None:
-    """Choose the thresholds of the card at `path` on streams, each with the kinds of its cells."""
-    thresholds = choose_card_thresholds(tracker, path, validation, progress)
-    if thresholds is not None:
-        add_thresholds(path, thresholds)
+    """Train on the first `train_count` of `stretches`, and complete the card at `path`, also after an interrupt.
+
+    Raises KeyboardInterrupt with a line that says what is kept.
+    """
+    with ProgressLines(report) as lines:
+        files = stretches.frames(lines.progress)
+    interrupted = False
+    try:
+        process.fit(
+            files[:train_count],
+            files[train_count:],
+            stretches.regions,
+            report,
+            out=path,
+            log_dir=path.with_suffix(".logs"),
+            seed=recipe.seed,
+            command=COMMAND,
+            general=recipe.general,
+            start=start.path if start else None,
+        )
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        train_on, validate_on = stretches.streams[:train_count], stretches.streams[train_count:]
+        written = path.exists() and _complete(path, recipe, train_on, validate_on, start)
+    if interrupted:
+        raise KeyboardInterrupt(_what_is_kept(path, written=written))
+
+
+def _add_thresholds(
+    tracker: str, path: Path, stretches: StretchFiles, train_count: int, report: Callable[[str], None]
+) -> None:
+    """Choose the thresholds of the card at `path` on the stretches after the first `train_count`."""
+    report("thresholds for recordings without a validation stretch")
+    validation = range(train_count, len(stretches.streams))
+    try:
+        with ProgressLines(report) as lines:
+            kinds = [(stretches.streams[n], stretches.kinds(n)) for n in validation]
+            thresholds = choose_card_thresholds(tracker, path, kinds, lines.progress)
+            if thresholds is not None:
+                add_thresholds(path, thresholds)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"interrupted; {path} is complete, but without thresholds") from None
 
 
 def _complete(
@@ -166,7 +180,7 @@ def _stretches(
     recipe: Recipe, named: Mapping[str, Sequence[NamedStretch]], cache: FileCache, progress: Progress
 ) -> tuple[list[GridStream], list[GridStream]]:
     """The stretches to train on and to validate on, `named` by use. Raises ConfigurationError, RecordingError, and
-    WeightsError where those of a site differ in grid, period or site."""
+    WeightsError if stretches of a site differ in grid, period or site."""
     grid = GridSpec.parse(recipe.grid) if recipe.grid else None
     opened: dict[str, list[GridStream]] = {TRAIN: [], VALIDATION: []}
     with progress.stage("recording", sum(map(len, named.values()))) as stage:
@@ -253,7 +267,7 @@ def _of_test_stretches(streams: Sequence[GridStream]) -> Iterator[str]:
 
 
 def _overlap(one: Stretch, other: Stretch) -> bool:
-    """Whether two stretches of a recording have a time in common; an end of None is that of the recording."""
+    """Whether two stretches of a recording have a time in common; an end of None is the recording's."""
     ends_s = [math.inf if end_s is None else end_s for _, end_s in (one, other)]
     return max(one[0], other[0]) < min(ends_s)
 

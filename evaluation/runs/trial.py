@@ -16,6 +16,7 @@ from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.tracker_process import TrackerDescription
 from gridtrack.evaluation.referee.referee import Delivery, TrackerLike, refuse_moving, scored_forecasts
 from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitRegions
+from gridtrack.evaluation.runs.passes import RoundTrips
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.prior_pass import PRIOR_FILE
 from gridtrack.evaluation.runs.scorekeeper import SCORE_FILES, Scorekeeper, facts_of
@@ -176,6 +177,7 @@ class TrialRun:
                     wall_s=self._wall_s,
                     frames=len(timings.update),
                 ),
+                "round_trips": RoundTrips.of(timings),
                 "recoveries": self._process.recoveries,
                 "files": hashes_of(self._folder, SCORE_FILES),
                 "peak_rss_mb": self._process.peak_rss_mb,
@@ -216,6 +218,7 @@ def unstarted(trial: Trial) -> TrialRecord:
         weights_sha256=trial.weights.sha256 if trial.weights else "",
         card=trial.weights.kind if trial.weights else "",
         leak="; ".join(trial.leaks),
+        may_remember=trial.is_users and not trial.limits.sandbox,
     )
 
 

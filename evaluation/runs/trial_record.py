@@ -10,7 +10,7 @@ from pydantic import Field
 
 from gridtrack.common.files import sha256_of
 from gridtrack.evaluation.hosting.outcome import Outcome
-from gridtrack.evaluation.runs.passes import Deadline, Followed, Latency, Robustness
+from gridtrack.evaluation.runs.passes import Deadline, Followed, Latency, Robustness, RoundTrips
 from gridtrack.evaluation.runs.result_files import Line, ResultModel, RunError, read_model, write_model
 from gridtrack.evaluation.scores.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation
@@ -89,11 +89,17 @@ class TrialRecord(ResultModel):
     """Kind of the weights: `site` or `general`; empty without weights."""
     leak: Line = ""
     """Frames of its test or validation stretch that its weights learned from; empty if none."""
+    may_remember: bool = False
+    """Whether its tracker could read a file that it kept: it is not one of gridtrack, and had no sandbox."""
+    started_before: bool = False
+    """Whether such a tracker was started for the trial before, and did not end it."""
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the trial's other files, by name, when the trial ended."""
     recoveries: int = 0
     """How often the tracker continued after a failure inside it: the tracker's word, not checked."""
     times: Times = Times()
+    round_trips: RoundTrips = RoundTrips()
+    """Of its calls while it was scored."""
     peak_rss_mb: float | None = None
     """Highest resident memory of the tracker's processes, MiB."""
     latency_ms: Latency | None = None

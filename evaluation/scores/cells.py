@@ -42,7 +42,8 @@ PROBABILITY_EDGES = np.union1d(_edges(), np.nextafter(np.array(MASSES, np.float3
 MASSES.
 
 Bin b covers `PROBABILITY_EDGES[b] <= p < PROBABILITY_EDGES[b + 1]`. The edges are nearly log-spaced towards 0 and 1,
-down to 2^-13: the order of small probabilities decides the PR-AUC of rare objects, and of large ones that of walls.
+down to 2^-13: the order of small probabilities decides the PR-AUC of rare objects, the order of large ones the PR-AUC
+of walls.
 """
 PROBABILITY_BINS = len(PROBABILITY_EDGES) - 1
 CALIBRATION_EDGES = _edges(_COARSENING, _LOWEST_OCTAVE_NEXT_TO_1)
@@ -193,7 +194,7 @@ def _count_step(probability, state, motion, seen, hidden, cells, positives, p_su
 
 @numba.njit(cache=True, nogil=True)
 def _add_regions(sums, cells, positives, cells_of_stratum, positives_of_stratum):  # type: ignore[no-untyped-def]
-    """Add the counts (R, B) of regions to those (K, B) of the strata, whose regions are marked in `sums` (K, R)."""
+    """Add the counts (R, B) of regions to the counts (K, B) of the strata; `sums` (K, R) marks the regions of each."""
     for k in range(sums.shape[0]):
         for region in range(sums.shape[1]):
             if sums[k, region]:

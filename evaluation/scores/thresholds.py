@@ -97,7 +97,7 @@ class LabelFreeThresholds:
     def bins(self, stamp_ns: int) -> NDArray[np.int64]:
         """Thresholds (S, K), as bins of the histogram, of a forecast made at `stamp_ns`; 0.5 for the first forecast.
 
-        They follow from the forecasts of which every frame was observed by then. Stamps must not decrease.
+        They follow from the forecasts with all frames observed by then. Stamps must not decrease.
         """
         while self._waiting and self._waiting[0][0] <= stamp_ns:
             _, cells, p_sum = self._waiting.popleft()

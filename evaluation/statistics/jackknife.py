@@ -76,7 +76,7 @@ def replicates(value: Value, groups: Callable[[], Iterable[Sums]], total: Sums) 
     """The outputs of a score that are ratios or measures, of the sums (U, ..., P) of the units of each group.
 
     `total` (..., P) are the sums of all units. `groups()` goes through the units group by group, twice where an output
-    is a measure: its value without a unit is computed from all sums less those of the unit.
+    is a measure: its value without a unit is computed from all sums less the unit's.
     """
     by_unit: dict[str, list[Ratio | Measure]] = {}
     for sums in groups():
@@ -162,7 +162,7 @@ def _interval_of_measure(found: Replicates, scale: Scale, level: float) -> tuple
 
 
 def difference(own: Replicates, reference: Replicates, level: float = LEVEL) -> IntervalEstimate:
-    """The value less that of the reference, paired: both are of the same units.
+    """The value less the reference's, paired: both are of the same units.
 
     The jackknife over units of the difference itself, with Student's t as in `interval`. Two trackers with the same
     sums differ by 0 with p = 1. The interval and p are NaN with fewer than LEAST_UNITS, and where fewer than
@@ -218,8 +218,8 @@ def holm(p: NDArray[np.floating]) -> Floats:
 def degrees_of_freedom(*sizes: Floats) -> Floats:
     """Degrees of freedom (...) of a jackknife over units: their effective number less one, and at least 1.
 
-    The effective number is that of equal units with the same information (Kish 1965); of several `sizes` (U, ...) of
-    the units the smallest, without values that are 0 in all units.
+    The effective number is the number of equal units with the same information (Kish 1965). Of several `sizes` (U, ...)
+    of the units the smallest number counts, without values that are 0 in all units.
     """
     effective = np.fmin.reduce([divided(one.sum(axis=0) ** 2, (one**2).sum(axis=0)) for one in sizes])
     freedom: Floats = np.fmax(effective - 1, 1.0)

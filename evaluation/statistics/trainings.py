@@ -1,10 +1,10 @@
 """Trackers with several trainings: the spread of a score between trainings, and differences that are judged with it.
 
-The difference of two trackers is that of the mean scores of their trainings. Its variance is the sum of the variance
-over units (the jackknife of the difference of means, with the effective number of units less one as its degrees of
-freedom) and the variances of both means over trainings, s² / K; the degrees of freedom of the sum are Satterthwaite's
-(Biometrics Bulletin 2, 1946). The part of the variance that units and trainings share is in both terms: where trainings
-differ on single units alone, intervals are too long (`studies/coverage.py`, docs/statistics.md).
+The difference of two trackers is the difference of the mean scores of their trainings. Its variance is the sum of the
+variance over units (the jackknife of the difference of means, with the effective number of units less one as its
+degrees of freedom) and the variances of both means over trainings, s² / K. The degrees of freedom of the sum are
+Satterthwaite's (Biometrics Bulletin 2, 1946). Both terms contain the variance that units and trainings share: if
+trainings differ only on single units, intervals are too long (`studies/coverage.py`, docs/statistics.md).
 
 Few trainings estimate s² badly. It is of the order of w, the variance of one training's score that follows from the
 disagreement between units alone. So the estimate of s² is shrunk towards w times the mean of s²/w over the tracker's
@@ -69,7 +69,7 @@ def spread_between(trainings: Sequence[Replicates], prior_freedom: float = PRIOR
 
 
 def contributions(found: Replicates) -> Floats:
-    """Linearised contribution (U, R) of each unit to the value; those of a ratio of sums add up to 0."""
+    """Linearised contribution (U, R) of each unit to the value; contributions to a ratio of sums add up to 0."""
     total = found.size.sum(axis=0)
     share = np.divide(found.size, total, out=np.zeros_like(found.size), where=total > 0)
     shares: Floats = np.nan_to_num(found.value - found.without) * (1.0 - share)
@@ -122,7 +122,7 @@ class Trainings:
 
 
 def training_differences(own: Trainings, reference: Trainings, level: float = LEVEL) -> IntervalEstimate:
-    """Mean score of `own` less that of `reference` (R,), with intervals over units and trainings; both of the same
+    """Mean score of `own` less the mean of `reference` (R,), with intervals over units and trainings; both of the same
     units.
 
     NaN without LEAST_UNITS units, or where the spread between trainings is not known.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +13,8 @@ from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, TOO_SHORT
 BLOCK_TIMES = 10.0
 """Length of a block in autocorrelation times: the means of neighbouring blocks are then nearly independent."""
 SHORTEST_BLOCK_S = 100.0
-"""No block is shorter, seconds, whatever was measured: longer than people stay and than most cycles of traffic lights.
-A memory that a recording is too short to show cannot be estimated from it."""
+"""The shortest block, seconds, at any measured correlation: longer than people stay and than most cycles of traffic
+lights. A short recording does not show its longer memory."""
 WINDOW = 5.0
 """The autocorrelation is summed up to a lag of this many times the sum itself (Sokal 1997, section 3)."""
 UPPER_QUANTILE = 1.645
@@ -99,11 +99,6 @@ def residuals(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[
     ratio = np.divide(part.sum(axis=0), total, out=np.zeros_like(total), where=total > 0)
     moved: NDArray[np.float64] = part - ratio * whole
     return moved
-
-
-def number_of_units(units: Iterable[NDArray[np.int64]]) -> int:
-    """How many units there are, of the numbers `units` (F,) of the frames of each recording."""
-    return 1 + max((int(numbers.max()) for numbers in units if len(numbers)), default=-1)
 
 
 def _blocks(stamps_ns: Sequence[NDArray[np.int64]], block_s: float | None) -> NDArray[np.int64]:

@@ -133,7 +133,7 @@ class ScanMatcher:
         """The match of `returns`, and the returns used for it: without returns that move by a first match of all.
 
         If too few are left, all are used: a poor first match, or walls that sometimes return nothing and so seem free,
-        are more likely than surroundings of which most move.
+        are more likely than mostly moving surroundings.
         """
         # the tree is used once: an unbalanced one gives the same answer and is built faster
         map_points = cKDTree(self._map.point_cloud()[:, :2], balanced_tree=False)

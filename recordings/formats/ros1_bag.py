@@ -114,7 +114,7 @@ def _records(file: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
 
 
 def _true_size(file: BinaryIO, header: Fields, size_bytes: bytes) -> bytes:
-    """The size of a record's data; that of an index by its number of entries if no record follows at its size."""
+    """The size of a record's data; for an index from its number of entries if no record follows at the stated size."""
     if header.get("op") != bytes([INDEX_OP]) or len(size_bytes) != 4 or len(header.get("count", b"")) != 4:
         return size_bytes
     by_count = struct.pack("<I", INDEX_ENTRY_BYTES * int.from_bytes(header["count"], "little"))

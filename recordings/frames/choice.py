@@ -166,7 +166,7 @@ class _Choice:
         return pose.child in self._tree.edges and forest.top(pose.child) == forest.top(parent_of(pose))
 
     def _lost_motion(self) -> tuple[str, str] | None:
-        """Topic and child frame of transforms or poses above the sensors, none of which can be used."""
+        """Topic and child frame of unusable transforms or poses above the sensors."""
         common = self._links.common()
         for child, (topic, parent) in self._tree.unusable.items() if not self._options.at_rest else ():
             is_above = child in common or (parent in common and is_world(child)) or not child

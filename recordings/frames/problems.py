@@ -55,7 +55,7 @@ def ambiguous_poses(
     *,
     is_mounted: bool,
 ) -> str:
-    """Topics with poses, none of which is known to be the robot's; `links` do not lead to the sensor."""
+    """Topics with poses that may be another object's, not the robot's; `links` do not lead to the sensor."""
     transforms = f"{_unconnected(links, sensor, frame)}; " if links else ""
     mount = [] if is_mounted else ["--mount", f"{sensor}={EXAMPLE_POSE}"]
     command = options.command(["--pose-topic", poses[0].topic, *mount])
@@ -104,7 +104,7 @@ def motion_above(options: ChainOptions, forest: Forest, world: str, chains: Mapp
 
 
 def several_topics(options: ChainOptions, tree: FrameTree, chains: Mapping[str, Chain]) -> Iterator[str]:
-    """Frames of a sensor's chain with different transforms on several topics, of which one is used."""
+    """Frames of a sensor's chain with different transforms on several topics; one is used."""
     for topic, chain in chains.items():
         frames: dict[tuple[str, tuple[str, ...]], list[str]] = {}
         for source, frame in (link.key for link in chain.links):

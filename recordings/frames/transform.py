@@ -21,7 +21,7 @@ SAME_M, SAME_RAD = 1e-3, 1e-3
 
 
 class Placement(NamedTuple):
-    """A transform as a pose in the plane: the heading is that of the x axis.
+    """A transform as a pose in the plane: the heading is the direction of the x axis.
 
     `mirrored`: the z axis points down, so that angles run clockwise; `tilt_rad` is the angle between the z axis and the
     vertical, 0 to pi / 2.

@@ -45,7 +45,7 @@ def has_word(frame: str, word: str) -> bool:
 
 
 def is_world(frame: str) -> bool:
-    """Whether a frame's name is that of a world frame."""
+    """Whether a frame's name is a world frame's."""
     return any(has_word(frame, word) for word in WORLD_WORDS)
 
 
@@ -214,7 +214,7 @@ class FrameTree:
                 self._add_to(known, child, stamped.stamp_ns, stamped.transform, is_static=is_static)
 
     def add_scan(self, topic: str, frame: str) -> None:
-        """Count a scan on a topic in a frame; the first frame is that of its sensor."""
+        """Count a scan on a topic in a frame; the first frame is its sensor's."""
         frame = frame_name(frame)
         self.sensors.setdefault(topic, frame)
         counts = self.scan_frames.setdefault(topic, {})

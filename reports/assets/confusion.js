@@ -32,15 +32,15 @@ const sharesOf = (row, chosen) => classCounts(row, chosen).map((counts) => {
 });
 const inPercent = (share) => `${Math.round(100 * share)} %`;
 
-// The heads of the columns: their texts, whether they stand upright, as they do where one is wider than its column, and
-// the height that they and the title take.
+// The heads of the columns: their texts, whether they are upright because one is wider than its column, and the height
+// of heads and title.
 function headsOf(names) {
   const texts = [...names, "other"], widths = texts.map((name) => textWidth(shortened(name, NAMES - 6)));
   const upright = Math.max(...widths) > CELL - 4;
   return { texts, upright, height: TITLE + (upright ? Math.max(...widths) + 10 : 24) };
 }
 
-// The name of a class, whole in its title if there is no room for it.
+// The name of a class, in full in its title if there is no room for it.
 function className(name, x, y, attributes) {
   const text = svgText(x, y, shortened(name, NAMES - 6), { class: "tick", ...attributes });
   if (text.textContent !== name) text.append(draw("title", {}, name));

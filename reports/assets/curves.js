@@ -1,5 +1,4 @@
-// Line figures of the scores: over the horizon, the scale and the time that a cell was hidden, under other conditions,
-// and over the number of labelled scans.
+// Line figures of the scores: over the horizon, the scale, the hidden time of cells, conditions, and labelled scans.
 import { inSeconds } from "./drawing.js";
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
@@ -164,7 +163,7 @@ function startConditions() {
   });
 }
 
-// Scores of classes over the labelled scans that the weights of a row learned the classes from.
+// Scores of classes over the number of labelled scans in the training of a row's weights.
 const ofClasses = ({ score, better }) => score.compared_with === "classes" && better !== "";
 const budgetsOf = (rows) => [...new Set(rows.map((row) => row.label_budget.scans))].sort((a, b) => a - b);
 const labelledRows = (recording, stratum, score) =>
@@ -180,7 +179,7 @@ function shownLabelled(chosen) {
     .filter(({ row, point }) => isShown(row.label) && point.value !== null);
 }
 
-// A line for each method: the mean of the rows that learned from equally many scans, an interval where it is one row.
+// A line for each method: the mean of the rows with an equal number of scans, and the interval of a single row.
 function budgetLine(method, shown) {
   const budgets = budgetsOf(shown.map(({ row }) => row));
   const at = budgets.map((scans) => shown.filter(({ row }) => row.label_budget.scans === scans));

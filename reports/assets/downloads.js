@@ -1,7 +1,7 @@
 // A figure as a file of its own, and its numbers as CSV.
 import { draw, make, nameLines, svgText, textWidth } from "./drawing.js";
 
-// Not "font": it is empty wherever a part of it, as here the digits of equal width, cannot be said in short.
+// Without the shorthand "font": it is empty for styles that it cannot express, such as digits of equal width.
 const DRAWN = ["fill", "fill-opacity", "stroke", "stroke-width", "stroke-dasharray", "stroke-linejoin", "opacity",
   "font-family", "font-size", "font-style", "font-weight", "text-anchor", "filter", "image-rendering"];
 const LINE_OF_HEAD = 18, SWATCH = 30;
@@ -12,8 +12,7 @@ function save(text, type, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
-// The drawing below its title, the lines that say what it shows, and its legend: { title, words, legend }, as a reader of
-// the file has no page around it. `legend`: { name, style } of each line.
+// The drawing with its context for a file: { title, words, legend }. `legend`: { name, style } of each line.
 function withHead(svg, { title, words, legend }) {
   const { width, height } = svg.viewBox.baseVal;
   const root = draw("svg", { class: "figure-drawing" }, svgText(0, 18, title, { class: "title-of-file" }));
@@ -33,7 +32,7 @@ function withHead(svg, { title, words, legend }) {
   return root;
 }
 
-// An SVG as text, with the styles that the page gives it, on the page's paper.
+// An SVG as text, with its styles from the page, on the page's background.
 function standalone(svg) {
   const copy = svg.cloneNode(true);
   const originals = svg.querySelectorAll("*");
@@ -48,14 +47,14 @@ function standalone(svg) {
   return new XMLSerializer().serializeToString(copy);
 }
 
-// Texts are quoted, and one that a spreadsheet would take for a formula begins with an apostrophe.
+// Texts are quoted; an apostrophe precedes texts that look like a formula to a spreadsheet.
 function csvCell(value) {
   if (value === null || value === undefined) return "";
   if (typeof value === "number") return String(value);
   return `"${value.replace(/^[=+\-@\t\r]/, "'$&").replaceAll('"', '""')}"`;
 }
 
-// A figure as the text of a file; it is on the page for as long as its styles are read.
+// A figure as the text of a file; it is on the page while its styles are read.
 function fileOf(svg, head) {
   const whole = withHead(svg, head);
   whole.style.position = "absolute";
@@ -65,8 +64,8 @@ function fileOf(svg, head) {
   return text;
 }
 
-// Two buttons, for a table only the second; `svg()` is the figure, null for a table, `head()` what
-// stands above it in the file, and `rows()` its numbers, headings first, at the time of the click.
+// Two buttons, for a table only the second. At the click `svg()` gives the figure (null for a table), `head()` its
+// heading in the file, and `rows()` its numbers, headings first.
 export function downloadButtons(name, svg, head, rows) {
   const file = (ending) => `${name}.${ending}`;
   const asSvg = make("button", { type: "button", "aria-label": `Download ${name} as SVG` }, "SVG");

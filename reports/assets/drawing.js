@@ -14,17 +14,17 @@ export function make(tag, attributes = {}, ...children) {
   return filled(document.createElement(tag), attributes, children);
 }
 
-// The same of SVG.
+// An SVG element with attributes and children.
 export function draw(tag, attributes = {}, ...children) {
   return filled(document.createElementNS(SVG, tag), attributes, children);
 }
 
-// A button that opens the section `name` of docs/figures.md, which is at the end of the page.
+// A button that opens the section `name` of docs/figures.md at the end of the page.
 export function meaning(name) {
   return make("button", { type: "button", class: "meaning", popovertarget: `meaning-${name}` }, "Explanation");
 }
 
-// The line in a tracker's colour that stands before its name.
+// The line in a tracker's colour before its name.
 export function swatch(style) {
   return draw("svg", { class: `swatch ${style}`, viewBox: "0 0 16 10", width: 16, height: 10, "aria-hidden": "true" },
     draw("line", { x1: 1, y1: 5, x2: 15, y2: 5 }));
@@ -46,7 +46,7 @@ export function roundTicks(low, high, wanted) {
   return ticks;
 }
 
-// The index of the value that is nearest to `wanted`, of equally near ones the first.
+// The index of the first value nearest to `wanted`.
 export function nearest(values, wanted) {
   return values.reduce((best, value, i) => (Math.abs(value - wanted) < Math.abs(values[best] - wanted) ? i : best), 0);
 }
@@ -90,7 +90,7 @@ export function textWidth(text) {
   return pen.measureText(text.trimEnd()).width;
 }
 
-// The name in lines at most `room` pixels wide; a part that is wider ends anywhere.
+// The name in lines at most `room` pixels wide; wider parts break anywhere.
 export function nameLines(name, room) {
   const lines = [""];
   const add = (text) => {
@@ -101,7 +101,7 @@ export function nameLines(name, room) {
   return lines.filter(Boolean);
 }
 
-// As much of the name as is at most `room` pixels wide, with an ellipsis where it is not the whole.
+// The name, shortened with an ellipsis to at most `room` pixels.
 export function shortened(name, room) {
   const signs = [...name];
   let kept = signs.length, text = name;
@@ -109,7 +109,7 @@ export function shortened(name, room) {
   return text;
 }
 
-// For each name its lines, and the middle `y` and `height` of its row, rows one below the other, pixels.
+// For each name its lines, and the middle `y` and `height` of its row, pixels.
 export function namedRows(names, room, leastHeight) {
   let bottom = 0;
   return names.map((name) => {
@@ -122,7 +122,7 @@ export function namedRows(names, room, leastHeight) {
 // The height of the rows that `namedRows` placed.
 export const heightOf = (places) => places.reduce((sum, { height }) => sum + height, 0);
 
-// The name of a row as `namedRows` placed it.
+// The name of a row at its place from `namedRows`.
 export function rowName({ lines, y }, attributes = {}) {
   const first = y + 4 - (LINE_OF_TEXT * (lines.length - 1)) / 2;
   return draw("text", attributes, ...lines.map((line, i) => draw("tspan", { x: 0, y: first + LINE_OF_TEXT * i }, line)));

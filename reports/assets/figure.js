@@ -1,4 +1,4 @@
-// A figure of the page: choices, a drawing, one line on what it shows, and its downloads.
+// A figure of the page: choices, a drawing, one line of description, and its downloads.
 import { downloadButtons } from "./downloads.js";
 import { draw, make, meaning, svgText, swatch } from "./drawing.js";
 import { lineChart, numbersOfChart } from "./line_chart.js";
@@ -9,9 +9,9 @@ const NO_VALUE = "No shown tracker has a value here";
 const COLUMNS = { ahead_s: "horizon, s" };
 let firstWidth = 0; // of the figure drawn first: all are as wide, and to measure each would lay the page out each time
 
-// `figure`: { id, title, chosen, choices(chosen), line(chosen) } and either chart(chosen), what `lineChart` draws, or
+// `figure`: { id, title, chosen, choices(chosen), line(chosen) } and either chart(chosen), the data for `lineChart`, or
 // drawing(chosen, width), an element, and numbers(chosen), its table. Its title is a heading of docs/figures.md.
-// `fixed(chosen)`: { name: value } for its file, beside what is chosen, such as a score that is always the same.
+// `fixed(chosen)`: { name: value } for its file, besides the choices, such as a constant score.
 export function startFigure(figure) {
   const { id, title, chosen } = figure;
   const section = document.getElementById(id) ?? newSection(id, title);
@@ -51,7 +51,7 @@ export function startFigure(figure) {
   }).observe(section);
 }
 
-// Whether the table of a figure, headings first, has no value beside the names or places in its first column.
+// Whether the table of a figure, headings first, has no value after its first column of names or places.
 function isEmpty([, ...rows]) {
   return !rows.some((row) => row.some((cell, column) => column > 0 && typeof cell === "number"));
 }
@@ -67,7 +67,7 @@ function choicesMade(listed, chosen) {
   return Object.fromEntries(listed.map(([key, , , taken = chosen[key]]) => [COLUMNS[key] ?? key, taken]));
 }
 
-// A table, headings first, with a column for each choice, so that a file needs no page around it.
+// A table, headings first, with a column for each choice, for a file that explains itself.
 function labelled([heading, ...rows], choices) {
   return [[...heading, ...Object.keys(choices)], ...rows.map((row) => [...row, ...Object.values(choices)])];
 }
@@ -93,9 +93,9 @@ export function choiceWords(listed, chosen) {
     .map(([key, name, options, taken = chosen[key]]) => `${name}: ${textOf(options, taken)}`).join("; ");
 }
 
-// The choices of a figure in a row, with nothing to choose left out; drawn again after every change. A choice of
-// `listed`: [key, name, options, taken]. Where what is chosen is no option, the first takes its place for good, or
-// `taken` for as long as the options are these; if there is no option, it stays.
+// The choices of a figure in a row, without single options; drawn again after every change. A choice of `listed`:
+// [key, name, options, taken]. If the chosen value is no option, the first option replaces it, or `taken` while the
+// options are these; without options it stays.
 export function choiceBar(listed, chosen, redraw) {
   const bar = make("div", { class: "choices" });
   const fill = () => {

@@ -1,5 +1,5 @@
-// The time of an update and of a forecast: how the calls are spread, median, 95th and 99th percentile, on a logarithmic
-// axis, beside the period.
+// The times of updates and forecasts: distribution, median, 95th and 99th percentile, on a logarithmic axis with the
+// period.
 import { draw, heightOf, namedRows, rowName, scaleOf, svgText } from "./drawing.js";
 import { startFigure } from "./figure.js";
 import { recordingNamed, recordingOptions } from "./scores.js";
@@ -42,7 +42,7 @@ function drawnRow(row, [p50, p95, p99], place, width, [median, , most], ends) {
     svgText(width, y + 4, `${inMs(median)} to ${inMs(most)}`, { "text-anchor": "end" }));
 }
 
-// A twentieth of the calls each: equal areas, tall where calls take nearly the same time.
+// Bars of equal area for a twentieth of the calls each: tall where calls take nearly the same time.
 function slices(ends, y) {
   return ends.slice(1).map((end, i) => {
     const wide = Math.max(end - ends[i], 1), height = Math.min(MOST_SPREAD, SLICE_AREA / wide);

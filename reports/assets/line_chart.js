@@ -1,4 +1,4 @@
-// Lines over one axis, with bands, and the values at the pointer or, by arrow keys, at any place.
+// Lines over one axis, with bands, and the values at the pointer or at a place chosen by arrow keys.
 import { axisName, axisRange, draw, inDigits, make, nearest, roundTicks, scaleOf, svgText, swatch } from "./drawing.js";
 
 const HEIGHT = 408, LEFT = 44, RIGHT = 14, BOTTOM = 46, TOP = 24;
@@ -6,11 +6,11 @@ const EDGE = 5; // room for a dot on an axis
 const READING_PLACES = 51;
 const MOST_BANDS = 6;
 
-// A chart: { lines, x, y }. A line: { name, style, xs, values, low, high }; `low` and `high` may be null. Where a line has
-// `dotStyles`, each place has a dot of that style.
+// A chart: { lines, x, y }. A line: { name, style, xs, values, low, high, dotStyles }; `low` and `high` may be null, and
+// `dotStyles` are the styles of dots at its places.
 // `x`: { name, unit, range, ticks, words(x), written(x), unranked }; `y`: { name, fromZero, range, digits }. `ticks`: [place,
-// text] pairs; `written`: what the file of numbers has for a place, which is itself where left out; `unranked`: places
-// before the second do not count; `diagonal`: where the two axes are equal.
+// text] pairs; `written`: the text of a place in the file of numbers, by default the place; `unranked`: places before the
+// second do not count; `diagonal`: a line where x equals y.
 export function lineChart({ lines, x: across, y: up, diagonal, width }) {
   const places = placesOf(lines);
   const [first, last] = across.range ?? [places[0] ?? 0, places.at(-1) ?? 1];
@@ -57,7 +57,7 @@ function scaledValues(lines, first) {
   return later.length ? later : valuesOf(() => true);
 }
 
-// The lines inside of the axes: a value that does not count for the scale may lie outside.
+// The lines, cut at the axes: values that do not count for the scale may lie outside.
 function clipped(drawn, width) {
   const box = { x: 0, y: TOP - EDGE, width, height: HEIGHT - BOTTOM - TOP + 2 * EDGE };
   return draw("svg", { ...box, viewBox: Object.values(box).join(" ") }, ...drawn);
@@ -68,7 +68,7 @@ function placesOf(lines) {
   return [...new Set(lines.flatMap((one) => one.xs))].sort((a, b) => a - b);
 }
 
-// Where values are read: at the places themselves, or evenly if there are too many.
+// The positions for reading values: the places, or evenly spaced positions if there are too many.
 function readingPlaces(places, [first, last]) {
   if (places.length <= READING_PLACES) return places;
   return Array.from({ length: READING_PLACES }, (_, i) => first + (i * (last - first)) / (READING_PLACES - 1));
@@ -134,13 +134,13 @@ function withReading(svg, chart) {
   return holder;
 }
 
-// The drawn line that is nearest to a height, in the drawing, at a place.
+// The drawn line nearest to a height of the drawing at a place.
 function lineAt({ lines, drawn, y }, place, height) {
   const away = lines.map((one) => Math.abs(y(one.values[nearest(one.xs, place)] ?? Infinity) - height));
   return drawn[away.indexOf(Math.min(...away))];
 }
 
-// Each line at its own place that is nearest.
+// Each line at its own nearest place.
 function fillReading(marks, readout, { lines, words, digits, x, y }, place) {
   const number = (value) => inDigits(value, digits);
   marks.append(draw("line", { x1: x(place), x2: x(place), y1: TOP, y2: HEIGHT - BOTTOM }));
@@ -155,7 +155,7 @@ function fillReading(marks, readout, { lines, words, digits, x, y }, place) {
   readout.replaceChildren(make("b", {}, words(place)), ...rows);
 }
 
-// The numbers of a chart, headings first: a column for each line where all have the same places, else a row for each point.
+// The numbers of a chart, headings first: a column for each line if all have the same places, else a row for each point.
 export function numbersOfChart({ lines, x, y }) {
   const shown = lines.toReversed();
   const places = placesOf(lines), written = x.written ?? ((place) => place);

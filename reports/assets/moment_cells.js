@@ -7,7 +7,7 @@ const LEVEL_MASK = 31;
 const HIDDEN_FREE = 2;
 const HIDDEN_OCCUPIED = 3;
 const NOT_SCORED = 4;
-// Colours that remain apart without red or green; a miss is also hollow (`drawMisses`).
+// Colours that differ without red or green; misses are also hollow (`drawMisses`).
 export const MARK_COLOURS = {
   hit: [0, 92, 175],
   "false alarm": [240, 155, 0],
@@ -64,7 +64,7 @@ export function markOf(forecast, target, stratum) {
   const called = (forecast & CALLED) !== 0;
   const state = target & 7;
   if (state === HIDDEN_OCCUPIED) return called ? "hidden, found" : "hidden, missed";
-  // a threshold of cells in motion says little if nothing is known: all of an outside may be just above it
+  // the threshold of cells in motion does not suit unknown cells: a whole unobserved region may be just above it
   if (state === NOT_SCORED) return 2 * (forecast & LEVEL_MASK) > LEVEL_MASK ? "hidden, not scored" : "";
   if (state === HIDDEN_FREE || (stratum && !(target & IN_MOTION))) return "";
   if (state === 1) return called ? "hit" : "miss";
@@ -83,7 +83,7 @@ export function cssColour(colour) {
   return `rgb(${colour.join(" ")})`;
 }
 
-// The centre of the occupied cells in motion of all moments that are unpacked: where to look; else the window's centre.
+// The first centre of the view: the centre of the occupied cells in motion in the unpacked moments, else the window's.
 export function busiestCell(player, planes) {
   let count = 0, x = 0, y = 0;
   for (let h = 0; h < player.horizons_s.length; h += 1) {

@@ -1,4 +1,4 @@
-// A panel of the player with a moment: its input, the observed frame, forecasts; and the canvas of a panel.
+// The content of a panel of the player: input, observed frame or forecasts of a moment; and the canvas of a panel.
 import { inSeconds, make } from "./drawing.js";
 import { cssColour, forecastColour, inputColour, MARK_COLOURS, markColour, markOf } from "./moment_cells.js";
 import { scoreText } from "./moments.js";
@@ -7,7 +7,7 @@ const OBJECT_COLOUR = "#0a7a4f";
 const cellBuffer = document.createElement("canvas");
 
 export class MomentDrawing {
-  // Of what is chosen in `player`, on a `panel`, from the `planes` of the moment.
+  // The choices come from `player`, the content goes to `panel`, the cells come from the `planes` of the moment.
   constructor(player, panel, planes) {
     const { data, moment, h, marks, boxes, split, shown } = player;
     Object.assign(this, { data, moment, h, marks, boxes, split, shown, panel, planes });
@@ -153,7 +153,7 @@ export class MomentCanvas {
     });
   }
 
-  // A form without a direction: nobody knows where a sensor looks.
+  // A form without a direction: the direction of a sensor is unknown.
   sensors(points) {
     const side = 1.6 * Math.max(this.cell, 4);
     for (const point of points) {
@@ -169,7 +169,7 @@ export class MomentCanvas {
     }
   }
 
-  // Each object, dashed where it is now and solid where it is in `seconds`; lengths in cells.
+  // Each object, dashed at its present place and solid at its place in `seconds`; lengths in cells.
   objects(objects, seconds) {
     const context = this.context, scale = window.devicePixelRatio || 1;
     context.lineWidth = 1.5 * scale;

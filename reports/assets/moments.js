@@ -1,10 +1,10 @@
-// Moments: links to them, their scores, and the moments that stand out by these.
+// Moments: links to them, their scores, and the outstanding moments by score.
 // A link to a moment: #t=recording,seconds,horizon,tracker,... with each part escaped.
 export function linkOf({ recording, seconds, horizon, trackers }) {
   return `#t=${[recording, seconds, horizon, ...trackers].map((part) => encodeURIComponent(part)).join(",")}`;
 }
 
-// The moment that a link names; null if it names none.
+// The moment of a link; null if the link has none.
 export function momentOfLink(hash) {
   if (!hash.startsWith("#t=")) return null;
   try {
@@ -20,7 +20,7 @@ export function countsOf(player, moment, h, tracker) {
   return player.moments[moment].counts[h][tracker];
 }
 
-// F1 of one moment alone; null if there is no score, or nothing was occupied or called.
+// F1 of one moment; null without a score, or if no cell was occupied or called occupied.
 export function momentF1(player, moment, h, tracker) {
   const counts = countsOf(player, moment, h, tracker);
   if (!counts) return null;
@@ -36,9 +36,9 @@ export function scoreText(player, moment, h, tracker) {
   return `F1 ${f1 === null ? "–" : f1.toFixed(2)}: ${tp} hit, ${fp} false, ${fn} missed`;
 }
 
-// Kinds of moments that stand out by the first `trackers` on screen: the higher the `value`, the more, and where it is
-// null, not at all. The worst has the lowest F1, where something was to be found; in the most different, F1 differs most.
-// Both come last where few cells were to be found: F1 of one cell is 0 or 1 by chance.
+// Kinds of outstanding moments for the first `trackers` on screen, with a high `value`; null if a moment is of another
+// kind. Worst: the lowest F1 of moments with occupied cells. Different: the largest range of F1. Moments with few
+// occupied cells come last: F1 of one cell is 0 or 1 by chance.
 const FEW_CELLS = 5;
 const AFTER_ALL_OTHERS = 2;
 
@@ -59,7 +59,7 @@ export const MOST_DIFFERENT = {
   },
 };
 
-// The first moment that stands out most, { moment, value }; null if none does.
+// The first moment with the highest value, { moment, value }; null if there is none.
 export function outstandingMoment(player, kind, h, trackers) {
   let best = null;
   player.moments.forEach((_, moment) => {

@@ -1,4 +1,4 @@
-// The data of the page, as `page_data.py` describes it, and the unpacking of deflated texts.
+// The data of the page (`page_data.py` describes it), and the unpacking of deflated texts.
 // A deflated text in base64, as a response: read it with `text` or `arrayBuffer`.
 export function inflated(text) {
   const packed = atob(text), bytes = new Uint8Array(packed.length);

@@ -11,7 +11,7 @@ const PLAY_MS = 700;
 const NONE = -1;
 
 export class Player {
-  // `onward(kind)` goes to such a moment of another recording; null if there is no other.
+  // `onward(kind)` goes to a moment of this kind of another recording; null if there is no other.
   constructor(element, data, onward) {
     Object.assign(this, { element, data, onward, moment: 0, h: data.decisive, zoom: 1, centre: null });
     Object.assign(this, { marks: true, boxes: true, wipe: false, split: data.size / 2 });
@@ -56,7 +56,7 @@ export class Player {
     this.element.addEventListener("keydown", (event) => this.key(event));
   }
 
-  // Another recording's player takes its place.
+  // Another recording's player replaces this one.
   leave() {
     this.play(false);
     this.element.hidden = true;
@@ -74,7 +74,7 @@ export class Player {
     return tracker !== NONE && isShown(this.data.trackers[tracker]);
   }
 
-  // The trackers on screen: those chosen that the page shows.
+  // The trackers on screen: chosen, and not hidden by the page.
   get shown() {
     return this.chosen.filter((tracker) => this.isOnPage(tracker));
   }
@@ -119,7 +119,7 @@ export class Player {
     else this.show();
   }
 
-  // The moment of this kind of the first trackers on screen, whose names the line of the moment then has.
+  // The moment of this kind for the first trackers on screen; its line has their names.
   outstanding(kind) {
     const trackers = this.shown.slice(0, kind.trackers);
     if (trackers.length < kind.trackers) return { remark: ": too few trackers are shown" };
@@ -130,20 +130,20 @@ export class Player {
     return { moment: found.moment, remark: `, the ${kind.name} of ${of} ${this.ahead}${again}` };
   }
 
-  // To the moment of this kind; where it is on screen already, to that of another recording.
+  // To the moment of this kind, or to another recording's if it is already on screen.
   jump(kind) {
     const found = this.outstanding(kind);
     if (this.onward && found.remark === this.remark) this.onward(kind);
     else this.go(found);
   }
 
-  // The same, from the player of another recording, whose button had the focus.
+  // `jump` from the player of another recording, where this button had the focus.
   arrive(kind) {
     this.go(this.outstanding(kind));
     this.jumps.get(kind).focus();
   }
 
-  // To the moment that is worth a look first.
+  // To the most interesting moment.
   begin() {
     const found = [MOST_DIFFERENT, WORST].map((kind) => this.outstanding(kind)).find(({ moment }) => moment !== undefined);
     if (found) this.go(found);
@@ -178,7 +178,7 @@ export class Player {
     this.go({ centre: [left + span / 2 + (x * span) / 8, bottom + span / 2 + (y * span) / 8] });
   }
 
-  // The place of the pointer on a panel, in cells from the lower left corner of the window.
+  // The position of the pointer on a panel, in cells from the lower left corner of the window.
   placeOn(panel, event) {
     const { left, bottom, span } = this.view();
     const box = panel.canvas.getBoundingClientRect();
@@ -201,7 +201,7 @@ export class Player {
     for (const kind of ["pointerdown", "pointermove"]) panel.canvas.addEventListener(kind, drag);
   }
 
-  // The part of the window on screen, whole cells: as much as fits with cells of LEAST_CELL_PX, divided by the zoom.
+  // The visible part of the window, in whole cells: as many as fit with cells of LEAST_CELL_PX, divided by the zoom.
   view() {
     const { size } = this.data;
     const fits = Math.min(size, Math.floor(this.drawn[0].panel.canvas.clientWidth / LEAST_CELL_PX) || size);
@@ -240,20 +240,20 @@ export class Player {
     this.element.dataset.ready = `${moment} ${h}`;
   }
 
-  // The choices that another recording may have: the labels of trackers, and the horizon in seconds.
+  // The choices that carry over to another recording: the labels of trackers, and the horizon in seconds.
   get choice() {
     const trackers = this.chosen.filter((tracker) => tracker !== NONE).map((tracker) => this.data.trackers[tracker]);
     return { trackers, horizon: this.data.horizons_s[this.h] };
   }
 
-  // Chooses the nearest horizon and the trackers that this recording has; without any, its own stay.
+  // Chooses the nearest horizon and the trackers of this recording; without any of them, keeps its own.
   choose({ trackers, horizon }) {
     const known = trackers.map((label) => this.data.trackers.indexOf(label)).filter((at) => at >= 0);
     if (known.length) this.chosen = this.chosen.map((_, at) => known[at] ?? NONE);
     this.h = nearest(this.data.horizons_s, horizon);
   }
 
-  // Opens the moment of a link: the kept one nearest to its time.
+  // Opens the kept moment nearest to the time of a link.
   open(link) {
     this.choose(link);
     this.moment = nearest(this.data.moments.map(({ t }) => t), link.seconds);

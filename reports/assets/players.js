@@ -1,4 +1,4 @@
-// The players of all recordings, of which one is on screen.
+// The players of all recordings; one is on screen.
 import { make, nearest } from "./drawing.js";
 import { choice } from "./figure.js";
 import { momentOfLink, outstandingMoment } from "./moments.js";
@@ -44,7 +44,7 @@ export function startPlayers() {
   if (!follow()) show(names[0][0]);
 }
 
-// The legend of the recording on screen, in the words of templates/player.html.j2.
+// The legend of the recording on screen, with the words of templates/player.html.j2.
 function fillLegend({ size, cell_m: cell, origin, moments }) {
   const metres = (length) => `${Number(length.toPrecision(6))} m`;
   document.getElementById("moments-window").textContent =
@@ -62,7 +62,7 @@ function playerOf(recording, section, onward) {
 
 const readMoments = new Map();
 
-// The moments of each recording are an element of their own, read when they are needed: the page opens without them.
+// Each recording has its own element of moments, which is read on demand: the page opens without them.
 function momentsOf(recording) {
   if (!readMoments.has(recording)) {
     const element = document.getElementById(`moments-${pageData.players.indexOf(recording)}`);
@@ -71,8 +71,8 @@ function momentsOf(recording) {
   return readMoments.get(recording);
 }
 
-// The recording after that of `player`, in the order of how much their moments of this kind stand out, of the same
-// trackers at the same horizon; after the last one comes the first, and where no other has one, its own.
+// The recording after the one of `player`, in the order of the values of their moments of this kind, with the same
+// trackers at the same horizon; the first follows the last. Without another such recording it is its own.
 function recordingAfter(player, kind) {
   const labels = player.shown.slice(0, kind.trackers).map((tracker) => player.data.trackers[tracker]);
   const { horizon } = player.choice;

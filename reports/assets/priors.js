@@ -1,4 +1,4 @@
-// The expectation of trackers for a place before their first frame, beside the recording, on a logarithmic scale.
+// The expectation of trackers for a place before their first frame, and the recorded occupancy, on a logarithmic scale.
 import { draw, svgText } from "./drawing.js";
 import { startFigure } from "./figure.js";
 import { inflatedBytes, pageData } from "./page_data.js";
@@ -15,7 +15,7 @@ const panelsOf = (chosen) => {
 };
 const probabilityOf = (level) => 10 ** (DECADES * (level / PRIOR_LEVELS - 1));
 
-// A PNG of cells, given by the colour of each, one pixel a cell, row 0 at the bottom.
+// A PNG with one pixel per cell, from the colour of each cell, row 0 at the bottom.
 function pictureOf(columns, rows, colourAt) {
   const canvas = document.createElement("canvas");
   [canvas.width, canvas.height] = [columns, rows];
@@ -40,7 +40,7 @@ function mapOf({ name, style, cells }, size, side, x, y) {
     draw("rect", { class: "map-edge", y: MAP_HEAD, width: side, height: side }));
 }
 
-// The colours of the maps, logarithmic as they are, and of cells that were never visible.
+// The logarithmic colours of the maps, and the colour of cells that were never visible.
 function barOf(y) {
   const bar = pictureOf(PRIOR_LEVELS + 1, 1, priorColour), unseen = pictureOf(1, 1, () => priorColour(PRIOR_UNSEEN));
   const beside = BAR_LEFT + BAR_LONG + 18, below = y + BAR_HIGH + 15;

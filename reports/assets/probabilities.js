@@ -4,7 +4,7 @@ import { pageData } from "./page_data.js";
 import { aheadChoice, bandWords, lineOf, recordingNamed, recordingOptions, stepAt } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
-// The figures of a row by stratum and step, of the score whose points have a `field`; empty without such a score.
+// The figures of a row by stratum and step, from the score with the points `field`; empty without such a score.
 export function figureWith(row, field) {
   const hasField = (strata) => Object.values(strata).some((steps) => Object.values(steps).some((points) => field in points));
   return Object.values(row.figures).find(hasField) ?? {};
@@ -34,8 +34,8 @@ function linesOf(chosen, field, fields) {
     .map(({ row, points }) => lineOf(row, fields(points)));
 }
 
-// Precision over recall from recall 0 on, where it is that of the highest threshold; thresholds at which the same cells
-// are called occupied are one point.
+// Precision over recall; at recall 0 with the precision of the highest threshold. Thresholds with the same occupied cells
+// are one point.
 function curveFromZero({ p, recall, precision: { value: precision, low, high } }) {
   const repeats = (i) => recall[i] === recall[i - 1] && precision[i] === precision[i - 1];
   const points = [...p.keys()].filter((i) => !repeats(i));

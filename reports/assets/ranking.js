@@ -1,4 +1,4 @@
-// The ranking on a chosen score: a dot and its interval for each row, and bars that join rows that do not differ significantly.
+// The ranking on a chosen score: a dot and its interval for each row, and bars over rows that do not differ significantly.
 import { axisName, axisRange, draw, heightOf, inDigits, namedRows, roundTicks, rowName, scaleOf, svgText } from "./drawing.js";
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
@@ -71,7 +71,7 @@ function caption(chosen) {
   return `${lower}. A bar joins rows that do not differ significantly: ${tests.pairs} pairs, ${tests.units} units, Holm, p < 0.05. ${manyRankings(chosen)}`;
 }
 
-// A warning to a reader who looks through all rankings.
+// A warning about comparing many rankings.
 function manyRankings({ recording }) {
   const { groups, false_difference: rate } = recordingNamed(recording);
   const count = Object.keys(groups).length;

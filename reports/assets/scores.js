@@ -4,7 +4,7 @@ import { isCrowded } from "./line_chart.js";
 import { pageData } from "./page_data.js";
 import { isShown } from "./shown_trackers.js";
 
-// Every output of every score; `key`: its name as users write it, `f1` or `f1.recall`.
+// Every output of every score; `key`: its name in options, `f1` or `f1.recall`.
 const outputs = pageData.scores.flatMap((score) => score.outputs.map((output, i) => ({
   ...output,
   key: i ? `${score.name}.${output.name}` : score.name,
@@ -18,7 +18,7 @@ export const recordingNamed = (name) => pageData.recordings.find((one) => one.na
 export const outputNamed = (key) => outputByKey.get(key);
 export const hasScores = (recording) => recording.rows.some((row) => Object.keys(row.strata).length);
 
-// The curves { value, low, high } of a row; null if it has none. Those of an interval may be missing.
+// The curves { value, low, high } of a row; null if it has none. `low` and `high` may be missing.
 export function estimateOf(row, stratum, key) {
   const output = outputNamed(key);
   return row.strata[stratum]?.[output?.score.name]?.[output.name] ?? null;
@@ -43,7 +43,7 @@ export function rowsWith(recording, stratum, key) {
   return recording.rows.filter((row) => isShown(row.label) && isDefined(row, stratum, key));
 }
 
-// A line of a chart in the colour of its row; the name of a row that is not ranked says so.
+// A line of a chart in the colour of its row; the name says if the row is not ranked.
 export function lineOf(row, values) {
   const unranked = row.group === "unranked";
   return { name: unranked ? `${row.name} (not ranked)` : row.name, style: unranked ? `${row.style} partial` : row.style, ...values };
@@ -55,7 +55,7 @@ export function lineThrough(row, xs, points) {
   return lineOf(row, { xs, values, low, high });
 }
 
-// Options of selects, from the recording. `has`: which of them are listed.
+// Options of selects, from the recording. `has`: whether an option is listed.
 export function recordingOptions(has = () => true) {
   return pageData.recordings.filter(has).map((one) => [one.name, one.name]);
 }
@@ -79,15 +79,15 @@ export function aheadChoice(chosen, steps = laterSteps(chosen)) {
   return ["ahead_s", "Ahead", options, seconds[stepAt(chosen, steps)]];
 }
 
-// The step of the chosen recording that is nearest to the chosen time ahead, of two equally near ones the even; to a
-// thousandth of a step, as in common/horizons.py.
+// The step of the chosen recording nearest to the chosen time ahead, to a thousandth of a step; the even one of two
+// equally near steps, as in common/horizons.py.
 export function stepAt(chosen, steps = laterSteps(chosen)) {
   const { horizons_s: seconds } = recordingNamed(chosen.recording);
   const away = (step) => Math.round((1000 * Math.abs(seconds[step] - chosen.ahead_s)) / seconds[1]);
   return steps.toSorted((a, b) => away(a) - away(b) || (a % 2) - (b % 2))[0];
 }
 
-// The heading of a score, with a remark where lower is better.
+// The heading of a score, with a remark if lower is better.
 export function scoreWords({ heading, better }) {
   return better === "lower" ? `${heading} (lower is better)` : heading;
 }

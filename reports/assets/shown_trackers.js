@@ -1,4 +1,4 @@
-// Which trackers the page shows: a button for each; one that is off is gone from every table and figure.
+// A button for each tracker, which hides it in every table and figure.
 import { make, swatch } from "./drawing.js";
 import { pageData } from "./page_data.js";
 
@@ -9,8 +9,8 @@ export function isShown(label) {
   return !hiddenLabels.has(label);
 }
 
-// Calls `listener` after every change; what is marked with `data-tracker` in the page needs none, nor what is of several
-// and marked with `data-trackers`, JSON, which is gone when all of them are.
+// Calls `listener` after every change. Elements with `data-tracker` are hidden without a listener, and elements with
+// `data-trackers`, a JSON list, when all of these trackers are hidden.
 export function whenShownChange(listener) {
   listeners.push(listener);
 }

@@ -12,7 +12,7 @@ ARMS = "NESW"
 CARS, BUSES, CYCLISTS, PEDESTRIANS = 0.17, 0.022, 0.22, 0.25
 """Road users per second on all routes together."""
 STRAIGHT_SHARE = {"NS": 2.0, "SN": 2.0, "EW": 3.0, "WE": 3.0}
-"""Relative demand of the straight routes; that of a turn is 1. Buses use only the main street, east-west."""
+"""Relative demand of the straight routes; a turn has 1. Buses use only the main street, east-west."""
 PATIENCE_S = 158.0
 """More than one and a half signal cycles: every arm had one green phase, and most had two."""
 FROM_S = 464.0

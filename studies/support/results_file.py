@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict
 NONE = "–"
 """Stands for a score that is undefined, such as F1 if no cell of the stratum is occupied."""
 MAY_BE_CHANCE = "°"
-"""Follows a difference whose corrected p-value is 0.05 or more."""
+"""Follows a difference with a corrected p-value of 0.05 or more."""
 
 
 class ResultTable(BaseModel):

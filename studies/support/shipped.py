@@ -47,7 +47,7 @@ def with_shipped_weights(kind: type[AnyTracker], name: str, source: GridStream) 
 
 
 class HeldRecording(Recording):
-    """Scans in memory as a recording, so that nothing is read or decoded. Metadata and hash are those of `origin`."""
+    """Scans in memory as a recording, so that nothing is read or decoded. Metadata and hash are from `origin`."""
 
     def __init__(self, held: Sequence[Scan], origin: Recording) -> None:
         super().__init__(origin.path, ReadOptions())

@@ -19,6 +19,7 @@ from gridtrack.common.files import (
     is_label,
     is_name,
     name_from,
+    open_new,
     open_regular,
     read_bounded,
     read_json,
@@ -188,6 +189,30 @@ def test_a_folder_of_files_and_folders_is_not_refused(tmp_path):
     (tmp_path / "run" / "trial").mkdir(parents=True)
     (tmp_path / "run" / "trial" / "outcome.json").write_text("{}")
     refuse_links(tmp_path, FileError)
+
+
+def test_a_thousand_folders_in_each_other_are_refused_in_one_line(tmp_path, monkeypatch):
+    """Deeper than Python may recurse; only relative paths reach them."""
+    monkeypatch.chdir(tmp_path)
+    for _ in range(1000):
+        Path("d").mkdir()
+        os.chdir("d")
+    with pytest.raises(FileError, match="more than 32 folders in each other: remove it"):
+        refuse_links(tmp_path, FileError)
+    for _ in range(1000):  # pytest would leave them
+        os.chdir("..")
+        Path("d").rmdir()
+
+
+@pytest.mark.parametrize("link", [os.symlink, os.link], ids=["soft", "hard"])
+def test_a_new_file_is_not_written_into_a_file_with_another_name(tmp_path, link):
+    """The log of a tracker, in a folder that was received with a link of this name."""
+    mine, log = tmp_path / "mine", tmp_path / "stderr.log"
+    mine.write_text("precious")
+    link(mine, log)
+    with open_new(log) as file:
+        file.write(b"found")
+    assert (mine.read_text(), log.read_text()) == ("precious", "found")
 
 
 def test_a_pipe_is_no_file_to_read(tmp_path):

@@ -140,7 +140,7 @@ def test_a_wrong_command_is_found(line: str, problem: str) -> None:
 
 
 @pytest.mark.parametrize(("words", "index"), [([], False), (["TORCH_CPU=1"], True)])
-def test_make_installs_the_pytorch_of_the_processor_where_it_is_asked_for(words, index, tmp_path):
+def test_make_installs_the_requested_pytorch(words, index, tmp_path):
     printed = ["make", "--dry-run", "demo", f"VENV={tmp_path}", *words]
     said = subprocess.run(printed, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     (install,) = [line for line in said.splitlines() if "/bin/pip install" in line]

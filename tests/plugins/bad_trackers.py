@@ -358,6 +358,26 @@ class RemembersTheFuture(RecognisesTheStream):
         return self.last or self.now
 
 
+class KeptIn(At):
+    file: str = ".npy"
+
+
+class KeepsAFile(RecognisesTheStream):
+    """Forecasts the frames of an earlier process, which left them in a file."""
+
+    Options = KeptIn
+
+    def __init__(self, stream: StreamSpec, options: Any) -> None:
+        super().__init__(stream, options)
+        self.file = Path(options.file)
+        self.kept = list(np.load(self.file)) if self.file.is_file() else []
+
+    def known(self) -> list[Any]:
+        if not self.kept:
+            np.save(self.file, np.array(self.now))
+        return self.kept or self.now
+
+
 class StaysBehind(NeverForgets):
     """Keeps observations at their place in the window, not in the world."""
 

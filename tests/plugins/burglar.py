@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import mmap
 import os
 import signal
 import socket
@@ -155,6 +156,31 @@ def finds_a_key(keyring: str) -> bool:
     return key > 0
 
 
+def leaves_pages(path: str) -> None:
+    """Leave every second page of a file in the memory of the kernel."""
+    file = os.open(path, os.O_RDONLY)
+    for advice in (os.POSIX_FADV_DONTNEED, os.POSIX_FADV_RANDOM):
+        with suppress(OSError):
+            os.posix_fadvise(file, 0, 0, advice)
+    for page in range(0, 16, 2):
+        os.pread(file, 1, page * mmap.PAGESIZE)
+    os.close(file)
+
+
+def finds_pages(path: str) -> list[bool]:
+    """Which pages of a file are in the memory of the kernel; none if it cannot be asked."""
+    file, found = os.open(path, os.O_RDONLY), []
+    for page in range(16):
+        try:
+            found.append(os.preadv(file, [bytearray(1)], page * mmap.PAGESIZE, os.RWF_NOWAIT) == 1)
+        except BlockingIOError:
+            found.append(False)
+        except OSError:
+            break
+    os.close(file)
+    return found
+
+
 def variables(_: str) -> dict[str, str]:
     """Its environment."""
     return dict(os.environ)
@@ -176,6 +202,8 @@ ATTACKS = {
         makes_a_namespace,
         leaves_a_key,
         finds_a_key,
+        leaves_pages,
+        finds_pages,
         variables,
     )
 }

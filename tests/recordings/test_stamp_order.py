@@ -90,7 +90,7 @@ def test_a_gap_stays_a_gap(steps: list[int], position: int, gap_ns: int) -> None
 
 @settings(deadline=None)
 @given(st.data())
-def test_the_scans_that_are_kept_are_in_order_whatever_the_stamps(data: st.DataObject) -> None:
+def test_the_kept_scans_are_in_order_for_any_stamps(data: st.DataObject) -> None:
     stamp = st.one_of(st.integers(-5, 5 * 10**9), st.integers(-(10**15), 10**18))
     scans = [
         scan

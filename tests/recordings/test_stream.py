@@ -279,3 +279,11 @@ def test_the_default_window_is_as_large_as_the_laser_measures_in_the_usual_cells
     path = write(replace(scan(k), range_max=range_max) for k in range(30))
     grid = open_stream(path).grid
     assert (grid.size, grid.cell_m) == (cells, 0.2)
+
+
+def test_a_gap_of_a_century_before_a_stretch_costs_no_memory(write, scan) -> None:
+    """Of a moving sensor: the last scan before the stretch is not looked for across the gap."""
+    later = 100 * 365 * 24 * 3600 * 10
+    moved = [replace(scan(i), world_T_sensor=SE2(0.01 * i, 0.0, 0.0)) for i in (*range(9), *range(later, later + 9))]
+    start_s = later / 10
+    assert len(list(GridStream(open_recording(write(moved)), (start_s, None)))) == 9

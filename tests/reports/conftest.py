@@ -80,7 +80,7 @@ def blank(t):
 
 
 def blurred_future(sharpness):
-    """A tracker that knows where things go, and less the further it looks: scores between the floor and 1."""
+    """A tracker that knows the motion, with more errors at later steps: its scores are between the floor and 1."""
 
     def forecast(t):
         out = np.empty((STEPS + 1, *GRID.shape), np.float32)

@@ -23,7 +23,7 @@ from scenes.report_page import data_of, opened
 RECORDINGS = [f"seed-{i:02}" for i in range(20)]
 SKILLS = {"persistence": 0.6, "good": 0.8}
 STEPS, STEP = 5, "2"
-"""Steps of a forecast, and the one 1 s ahead."""
+"""Steps of a forecast, and the step 1 s ahead."""
 TOP_BIN = 5
 """Bins from the last one to that of the cells that are called occupied at a threshold of 0.5."""
 
@@ -103,7 +103,7 @@ def test_blocks_of_one_long_recording_agree_with_the_summary(long_run):
     assert ends_at_half(curve) == pytest.approx(expected_at_half(trial, "in-motion", 4), rel=1e-3)
 
 
-def test_where_the_blocks_cannot_be_found_the_curves_have_no_bands_and_a_notice_says_why(long_run, tmp_path):
+def test_without_blocks_the_curves_have_no_bands_and_a_notice_says_why(long_run, tmp_path):
     """They depend on the scores of every tracker."""
     run = shutil.copytree(long_run, tmp_path / "run")
     (run / "persistence@long" / "sums.parquet").write_bytes(b"not")
@@ -114,12 +114,12 @@ def test_where_the_blocks_cannot_be_found_the_curves_have_no_bands_and_a_notice_
     assert [notice.partition(": ")[0] for notice in notices] == ["persistence", "no intervals of precision over recall"]
 
 
-def test_where_scores_have_no_interval_precision_has_none(curves):
+def test_precision_has_no_interval_if_scores_have_none(curves):
     curve = curves[RECORDINGS[0], "good"]["pr_auc"]["in-motion"][STEP]
     assert "low" not in curve["precision"]
 
 
-def test_recordings_of_other_periods_have_curves_together_where_their_scores_are_pooled(tmp_path):
+def test_recordings_of_unlike_periods_have_pooled_curves_if_their_scores_are_pooled(tmp_path):
     periods_s = np.where(np.arange(20) < 10, 0.125, 0.25)
     described = {
         name: synthetic.description(period_s=period_s, steps=8)
@@ -196,7 +196,7 @@ def crowded(run_folder, tmp_path):
     return render_report([edited(run_folder, tmp_path / "run", into_eight)])
 
 
-def test_of_many_bands_that_of_the_line_next_to_the_pointer_is_drawn(browser, crowded):
+def test_only_the_band_of_the_line_next_to_the_pointer_is_drawn_if_there_are_many(browser, crowded):
     with opened(browser, crowded) as page:
         figure = page.locator("#curves")
         bands = figure.locator(".band")

@@ -74,7 +74,7 @@ def test_the_nearest_time_is_used_and_the_choice_comes_back(page):
     assert ranking.locator("svg").get_attribute("aria-label") == first
 
 
-def test_where_the_only_time_is_another_one_the_figure_says_so(page):
+def test_a_figure_says_if_its_only_time_is_another_one(page):
     confusion = page.locator("#confusion")
     assert ahead_of(page, "confusion") == "1 s"
     confusion.get_by_label("Recording").select_option("uneven")
@@ -85,7 +85,7 @@ def test_where_the_only_time_is_another_one_the_figure_says_so(page):
 
 
 def test_the_drawn_scores_belong_to_that_time(page, report):
-    """The table of every score, of which each step is another draw, beside the ranking."""
+    """Each step has other scores: the table of every score beside the ranking."""
     for figure in ("ranking", "every-score"):
         page.locator(f"#{figure}").get_by_label("Recording").select_option("slow")
     headings = page.locator("#every-score thead th").all_inner_texts()
@@ -95,7 +95,7 @@ def test_the_drawn_scores_belong_to_that_time(page, report):
     assert f"good {row.inner_text().split()[0]}" in drawn
 
 
-def test_only_scores_of_which_more_or_less_is_better_are_ranked(page):
+def test_only_scores_with_a_direction_are_ranked(page):
     offered = page.locator("#ranking").get_by_label("Score").locator("option").all_inner_texts()
     assert {"PR-AUC", "F1", "Log loss, nats"} <= set(offered)
     without = {"Precision", "Recall", "Threshold", "Brier: resolution"}
@@ -131,7 +131,7 @@ def test_a_choice_that_another_recording_does_not_have_leaves_the_figure_whole(b
 
 
 def without_scores(scores):
-    """The scores of a stratum without cells: its threshold is all that it has."""
+    """The scores of a stratum without cells: only its threshold."""
     undefined = {end: [None] * 21 for end in ("value", "low", "high")}
     return {score: dict.fromkeys(outputs, undefined) for score, outputs in scores.items()}
 

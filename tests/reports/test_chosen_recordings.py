@@ -50,7 +50,7 @@ def recordings_on(page):
     return [recording["name"] for recording in data_of(page)["recordings"]]
 
 
-def test_a_page_without_room_for_all_has_the_recordings_on_which_trackers_differ_most(run, room_for_three):
+def test_a_page_without_room_for_all_has_the_recordings_with_the_largest_differences(run, room_for_three):
     page = render_page(read_runs([run]))
     assert recordings_on(page) == ["all recordings", "hall-2", "street-2"], "in the order of the run"
     assert "2 of 4 recordings are not on this page" in page
@@ -77,7 +77,7 @@ def test_a_user_names_the_recordings_of_a_page_and_of_other_formats(run, room_fo
     assert markdown.startswith("## gridtrack: 2 trackers on hall-2\n")
 
 
-def test_a_recording_that_the_run_has_not_is_one_line(run):
+def test_an_unknown_recording_is_refused_in_one_line(run):
     with pytest.raises(ConfigurationError, match=r"--recordings 'hal-1': no such recording: did you mean 'hall-1'\?"):
         chosen_runs(read_runs([run]), "street-1, hal-1")
     done = CliRunner().invoke(app, ["report", str(run), "--recordings", "street-1", "--format", "csv"])

@@ -121,7 +121,7 @@ def test_invalid_conditions_are_refused_in_one_line(good_of, damage):
         good_of(deadline=deadline, robustness=robustness)
 
 
-def test_a_score_of_somebody_elses_package_is_shown_as_it_is_described(run_folder, tmp_path, summary_of):
+def test_a_score_of_another_package_is_shown_by_its_description(run_folder, tmp_path, summary_of):
     """The page knows no list of scores: it has the description from the summary."""
     output = {"unit": "cells", "better": "lower", "tested": True, "decimals": 1}
     run = shutil.copytree(run_folder, tmp_path / "run")
@@ -139,7 +139,7 @@ def test_a_score_of_somebody_elses_package_is_shown_as_it_is_described(run_folde
     assert "12.2<small>[11.5, 13.0]</small>" in page
 
 
-def test_a_score_that_no_row_has_cannot_be_chosen(good_of):
+def test_a_score_without_a_row_cannot_be_chosen(good_of):
     assert {"flow_error", "energy"}.isdisjoint(score["name"] for score in good_of()[1]["scores"])
 
 
@@ -149,7 +149,7 @@ def test_every_kind_of_degradation_has_a_text_and_a_row_in_the_documentation():
     assert [field.alias for field in Degradation.model_fields.values() if f"| `{field.alias}` |" not in page] == []
 
 
-def test_times_are_the_latencys_and_say_whether_it_keeps_up(good_of):
+def test_times_are_from_the_latency_pass_and_say_whether_it_keeps_up(good_of):
     row, data = good_of()
     assert row["latency"]["update"] == [2.0, 3.0, 4.0]
     assert (row["latency"]["predict"], row["latency"]["keeps_up"]) == ([20.0, 30.0, 40.0], "yes")
@@ -232,7 +232,7 @@ def test_sums_that_cannot_be_read_have_a_notice_and_the_page_is_complete(run_fol
 
 
 PROSE_OF_BEFORE = 2013
-"""Words on the page that explained its figures and tables, before each got a line and a page of its own."""
+"""Number of words that explained figures and tables on the page, before each had one line and a documentation page."""
 
 
 def test_the_explanations_of_the_page_are_short():

@@ -17,7 +17,7 @@ METHOD = "shot"
 
 @pytest.fixture
 def budget_run(run_folder, tmp_path):
-    """`budget_run(scans, losses)`: a run in which rows of one method learned from so many scans; None: not known."""
+    """`budget_run(scans, losses)`: a run with rows of one method and these numbers of labelled scans; None: unknown."""
 
     def budget_run(scans, losses, options=()):
         run = shutil.copytree(run_folder, tmp_path / "run", dirs_exist_ok=True)
@@ -57,7 +57,7 @@ def test_rows_with_other_options_are_another_method(budget_run):
     assert (found["good"]["method"], found["fair"]["method"]) == ("shot", "shot:evidence=state")
 
 
-def test_weights_of_which_the_number_is_not_known_have_no_row(budget_run):
+def test_weights_with_an_unknown_number_of_scans_have_no_row(budget_run):
     assert budgets_of(budget_run({"good": None, "fair": 800}, {"good": 0.5, "fair": 0.25}))["good"] is None
 
 
@@ -80,7 +80,7 @@ def page_of(browser):
     assert faults == []
 
 
-def test_a_browser_draws_a_line_with_its_band_and_a_row_that_is_off_leaves_it(page_of, budget_run, tmp_path):
+def test_a_browser_draws_a_line_with_its_band_without_a_row_that_is_off(page_of, budget_run, tmp_path):
     losses = {"good": 0.25, "fair": 0.5, "unlucky": 0.75, "blank": 0.625}
     page = page_of(budget_run({"good": 800, "fair": 200, "unlucky": 50, "blank": 50}, losses))
     figure = page.locator("#label-budget")

@@ -28,11 +28,7 @@ def test_the_worst_the_most_different_and_an_ordinary_moment_come_first():
         (0, "ordinary"),
         (1, "worst"),
     ]
-
-
-def test_every_moment_comes_once():
-    order = moments_in_order(scored(), ["a", "b"])
-    assert sorted(one.stamp_ns for one in order) == list(range(9))
+    assert sorted(one.stamp_ns for one in order) == list(range(9)), "each comes once"
 
 
 def test_ordinary_moments_are_spread_over_the_time():
@@ -46,7 +42,7 @@ def test_a_moment_in_which_nothing_is_occupied_is_neither_worst_nor_different():
     assert {one.stamp_ns: one.reason for one in moments_in_order(scores, ["a", "b"])} == {0: "worst", 1: "ordinary"}
 
 
-def test_moments_of_few_cells_stand_out_after_all_others():
+def test_moments_of_few_cells_come_last():
     scores = {name: perfect({0: 1, 1: 9, 2: 9}) for name in ("a", "b")}
     scores["b"] |= {0: FrameScore(tp=0, fp=0, fn=1), 2: FrameScore(tp=5, fp=0, fn=4)}
     order = moments_in_order(scores, ["a", "b"])

@@ -167,7 +167,7 @@ def test_hostile_names_are_text_and_nothing_else(make_run, run_folder, tmp_path)
     assert "49" not in {text.strip() for text in Elements(page).text}
 
 
-def test_a_run_of_which_nothing_was_kept_for_viewing_has_no_player(run_folder, tmp_path):
+def test_a_run_without_samples_has_no_player(run_folder, tmp_path):
     run = shutil.copytree(run_folder, tmp_path / "run")
     for samples in run.glob(f"*/{SAMPLES}"):
         samples.unlink()
@@ -245,7 +245,7 @@ def lead_of_run(run, tmp_path):
     return lead
 
 
-def test_where_nothing_moved_the_lead_does_not_say_that_no_tracker_completed(make_run, tmp_path, summary_of):
+def test_without_motion_the_lead_does_not_say_that_no_tracker_completed(make_run, tmp_path, summary_of):
     run = make_run(tmp_path / "run")
     summary = summary_of(run)
     for entry in summary["trackers"].values():
@@ -254,7 +254,7 @@ def test_where_nothing_moved_the_lead_does_not_say_that_no_tracker_completed(mak
     assert lead_of_run(run, tmp_path).startswith("No tracker has a score on in-motion cells 1 s ahead on crossing")
 
 
-def test_where_only_the_floor_ran_the_lead_says_so(make_run, tmp_path):
+def test_the_lead_says_if_only_the_floor_ran(make_run, tmp_path):
     nothing = np.zeros((21, 32, 32), np.float32)
     run = make_run(tmp_path / "run", trackers={"blank": ("blank", lambda _: nothing)})
     assert lead_of_run(run, tmp_path) == "Only trackers of the floor were run on crossing."

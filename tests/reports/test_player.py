@@ -102,7 +102,7 @@ def test_a_budget_keeps_the_first_moments_and_the_page_knows_how_many_there_were
     assert data["kept"] == 20
 
 
-def test_even_a_budget_of_nothing_leaves_one_moment(run_folder, tmp_path, monkeypatch):
+def test_a_budget_of_zero_leaves_one_moment(run_folder, tmp_path, monkeypatch):
     monkeypatch.setattr(page_module, "PAGE_BYTES", 0)
     (data,) = moments_of(render_report([run_folder], tmp_path).read_text("utf-8"))
     assert len(data["moments"]) == 1

@@ -30,24 +30,6 @@ def refusal(run):
     return message
 
 
-def test_scores_equal_the_scores_of_the_file(run_folder, summary_of):
-    (run,) = read_runs([run_folder])
-    written = summary_of(run_folder)
-    for label, entry in run.summary.trackers.items():
-        for name, trial in entry.recordings.items():
-            for stratum, scores in trial.strata.items():
-                expected = written["trackers"][label]["recordings"][name]["strata"][stratum]
-                for output in ("f1.f1", "log_loss.mean"):
-                    score, _, own = output.partition(".")
-                    assert scores[score][own].value == tuple(expected[score][own]["value"])
-
-
-def test_only_trials_that_scored_every_frame_are_complete(run_folder):
-    (run,) = read_runs([run_folder])
-    complete = {label: entry.recordings["crossing"].complete for label, entry in run.summary.trackers.items()}
-    assert complete == {"good": True, "fair": True, "persistence": True, "blank": True, "unlucky": False}
-
-
 def test_an_unfinished_run_and_a_missing_folder_have_different_errors(copied, tmp_path):
     (copied / "summary.json").unlink()
     assert "did not finish" in refusal(copied)

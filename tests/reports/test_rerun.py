@@ -107,7 +107,7 @@ def test_a_recording_has_the_pose_of_its_sensor_and_the_ground_truth(drive: Path
     assert np.allclose(turned, [[12.5, 5.0], [12.5, 7.0], [11.5, 7.0], [11.5, 5.0]], atol=1e-6)
 
 
-def test_the_name_of_the_file_is_that_of_the_stretch(drive: Path, tmp_path: Path, monkeypatch) -> None:
+def test_the_file_is_named_after_the_stretch(drive: Path, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     gridtrack("recording", "view", f"{drive}@1s-")
     (row,) = read(tmp_path / "drive@1s-.rrd")["/world/input"]
@@ -142,7 +142,7 @@ def test_a_run_has_input_observed_frame_truth_and_each_forecast(run_rows: Rows) 
     assert cells(run_rows[r"/world/truth/1\ s"][0]) == [[FREE, FREE, FREE], [HIT, FREE, HIT], [DARK, DARK, DARK]]
     forecast = run_rows[r"/world/forecast/good/1\ s"][0]
     assert cells(forecast) == [[0, 25, 0], [100, 50, 0], [0, 0, 20]]
-    # the corner of the window at (-1, 2), in a world that it is turned in by a quarter and moved in by (10, -4)
+    # the corner of the window is (-1, 2); in the world the window is turned by a quarter and moved by (10, -4)
     assert forecast["translation"][0] == pytest.approx([8.0, -5.0, 0.0])
     assert forecast["quaternion"][0] == pytest.approx([0, 0, math.sqrt(0.5), math.sqrt(0.5)])
     assert run_rows["/world/sensors"][0]["positions"][0][:2] == pytest.approx([9.5, -3.75])

@@ -55,7 +55,7 @@ def test_a_long_start_is_announced_and_left_out_of_the_time_left(monkeypatch):
     assert console.file.getvalue().count("\n") == 1
 
 
-def test_elsewhere_lines_say_how_far_all_trials_are(monkeypatch):
+def test_without_a_terminal_lines_show_the_progress_of_all_trials(monkeypatch):
     console = Console(file=io.StringIO(), width=80, force_terminal=False)
     with RunProgress(console) as progress:
         progress.planned({"a@hall": 100, "b@hall": 100}, ["latency"])

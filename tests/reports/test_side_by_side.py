@@ -23,7 +23,7 @@ def changed(run, **fields):
 
 @pytest.fixture(scope="module")
 def two(run_folder, tmp_path_factory):
-    """Two runs of the same trackers, named before and after, of which only the commands differ."""
+    """Two runs of the same trackers, named before and after; only their commands differ."""
     folder = tmp_path_factory.mktemp("two")
     runs = [shutil.copytree(run_folder, folder / name) for name in ("before", "after")]
     changed(runs[1], command=["gridtrack", "another"])

@@ -195,7 +195,7 @@ ALIKE, UNTESTED = "no difference shown", ""
     ],
 )
 def test_the_lead_says_from_which_rows_the_best_one_differs_significantly(changed, pooled, verdicts, words):
-    """`verdicts` on these rows and `good`, in place of the run's, in which all differ."""
+    """`verdicts` between these rows and `good`; in the run itself all differ."""
 
     def judge(summary):
         for family in summary["pairs"]:
@@ -293,7 +293,7 @@ def test_a_row_that_differs_from_all_is_in_no_group():
 
 
 @given(st.sets(st.sampled_from(list(combinations("abcdef", 2)))))
-def test_two_rows_share_a_group_exactly_where_they_do_not_differ(different):
+def test_two_rows_share_a_group_exactly_if_they_do_not_differ(different):
     groups = groups_of(family("abcdef", different))
     for pair in combinations("abcdef", 2):
         assert any(set(pair) <= set(group) for group in groups) == (pair not in different)

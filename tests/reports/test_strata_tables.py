@@ -133,7 +133,7 @@ def test_hidden_cells_are_shown_at_three_thresholds_with_the_difference_from_the
     assert (hidden.reference, hidden.thresholds_matter) == ("persistence", False)
 
 
-def test_the_page_says_where_the_order_on_hidden_cells_depends_on_the_threshold(with_thresholds):
+def test_the_page_says_if_the_order_on_hidden_cells_depends_on_the_threshold(with_thresholds):
     html = render_report([with_thresholds(good=(0.6, 0.2, 0.1), fair=(0.5, 0.4, 0.3))]).read_text()
     assert "The order depends on the threshold." in html
     assert "-0.125 [-0.250, +0.000]" in html

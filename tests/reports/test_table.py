@@ -66,6 +66,14 @@ def test_less_is_better_for_log_loss_and_precision_alone_is_not_ranked(table):
     assert not any(row.cells[values["Precision"]].best for row in complete)
 
 
+def test_a_row_with_a_sign_of_a_memory_is_marked(run_folder, tmp_path):
+    def mark(summary):
+        trial_of(summary, "fair")["memory"] = "F1 is 0.5 in the first pass and 0.9 in a later one"
+
+    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", mark)]))
+    assert {row.label: row.remark for row in table.rows_in("ranked")} == {"good": "", "fair": "may remember"}
+
+
 def test_an_undefined_score_is_a_dash(run_folder, tmp_path):
     def undefine(summary):
         put(trial_of(summary, "fair"), "in-motion", "f1.f1", None)
@@ -77,7 +85,7 @@ def test_an_undefined_score_is_a_dash(run_folder, tmp_path):
     assert not any(cell.best for cell in f1)
 
 
-def test_nothing_is_best_where_trackers_were_delivered_other_frames(run_folder, tmp_path):
+def test_nothing_is_best_if_trackers_received_other_frames(run_folder, tmp_path):
     def differ(summary):
         summary["recordings"]["crossing"]["parity"] = False
 

@@ -15,7 +15,7 @@ def counted(run):
     for folder in sorted(path.parent for path in run.glob("*/outcome.json")):
         record = read_trial_record(folder)
         tables = {path.name: parquet.read_table(path) for path in sorted(folder.glob("*.parquet"))}
-        fields = record.model_dump(exclude={"times", "peak_rss_mb", "files"})
+        fields = record.model_dump(exclude={"times", "round_trips", "peak_rss_mb", "files"})
         trials[folder.name] = fields, tables, sorted(path.name for path in folder.iterdir())
     return trials
 

@@ -29,6 +29,7 @@ class Options(Settings):
     crash_in: int = 2
     how: Literal["raises", "dies", "hangs"] = "raises"
     sleep_s: float = 0.0
+    sleeps: Literal["always", "first"] = "always"
     starts: str = ""
 
 
@@ -36,7 +37,8 @@ class Staged(Tracker):
     """Forecasts the last frame; fails at the update `crash_at` of the stretch `crash_in`.
 
     Stretches are counted in one process; with a file `starts`, each earlier process counts as one: at an update that
-    only test stretches have, the first process fails and the next one does not.
+    only test stretches have, the first process fails and the next one does not. Updates last `sleep_s`; where only the
+    first stretch sleeps, the others are fast.
     """
 
     Options = Options
@@ -60,7 +62,8 @@ class Staged(Tracker):
             if self.options.how == "hangs":
                 time.sleep(3600)
             raise RuntimeError("staged")
-        time.sleep(self.options.sleep_s)
+        if self.options.sleeps == "always" or self.stretch == 1:
+            time.sleep(self.options.sleep_s)
 
     def predict(self, steps):
         return Forecast(np.repeat(self.last[None].astype(np.float32), steps + 1, axis=0))

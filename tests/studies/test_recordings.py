@@ -76,7 +76,7 @@ def seed_of(recording: str) -> int:
     return int(Path(recording).stem.split("-")[1].partition(".")[0])
 
 
-def test_the_window_of_corridor_is_that_of_the_shipped_part_of_it() -> None:
+def test_the_window_of_corridor_is_the_shipped_parts() -> None:
     (corridor,) = (one for one in REAL if one.name == "corridor")
     assert corridor.grid == open_recording(DEMO).info.grid
 

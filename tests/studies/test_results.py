@@ -39,7 +39,7 @@ def summary(**rows: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("pooled", "text"), [(None, "0.200"), (OTHER, "0.400 [.300, .500]")])
-def test_a_number_is_that_of_all_recordings_or_of_the_only_one(tmp_path: Path, pooled: Any, text: str) -> None:
+def test_a_number_is_from_all_recordings_or_the_only_one(tmp_path: Path, pooled: Any, text: str) -> None:
     path = tmp_path / "summary.json"
     path.write_text(json.dumps(summary(kalman=(pooled, {"hall": SCORES}))))
     assert RunScores(path).value("kalman", "f1 dynamic 0.5 s", interval=True) == text
@@ -67,7 +67,7 @@ def test_the_summary_of_a_run_is_kept_in_the_folder_of_its_place_with_its_confus
     assert scores.value("kalman", "visible bus as car") == "50 %"
 
 
-def test_the_committed_table_is_that_of_the_cards() -> None:
+def test_the_committed_table_is_the_cards() -> None:
     committed = read_sections(RESULTS / "trackers" / "model-cards.json")
     assert committed["shipped"].tables["table"] == shipped_table(), "run python -m studies.cards"
 

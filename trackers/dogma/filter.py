@@ -25,15 +25,15 @@ from gridtrack.trackers.dogma.settings import DogmaSettings
 MAX_PREDICTED_MASS = np.float32(0.98)
 """Upper bound of predicted occupied mass: Dempster's rule never revises a mass of 1."""
 CLOSED_SHARE = 0.04
-"""A cell that was open in a larger share of the recent frames is open space."""
+"""Cells that were open in a larger share of the recent frames are open space."""
 
 
 class ParticleGrid:
     """Masses and particles, float32, of a grid with a window that scrolls with the sensor.
 
-    `masses` (M, M) are those after the last frame, in its window. The first `count` of `particles` have the weight
-    `weight` each; `persisted` (M * M, 2) int32 are the first and last (exclusive) persistent particles of a cell,
-    others are newborn. `hidden` is the time since each cell was last seen.
+    `masses` (M, M) are from the last frame, in its window. The first `count` of `particles` have the weight `weight`
+    each; `persisted` (M * M, 2) int32 are the first and last (exclusive) persistent particles of a cell, others are
+    newborn. `hidden` is the time since each cell was last seen.
     """
 
     def __init__(self, grid: GridSpec, period_s: float, settings: DogmaSettings, seed: int) -> None:
@@ -70,7 +70,7 @@ class ParticleGrid:
         self._resample(np.where(frame.visible, born, np.float32(0.0)))
 
     def motion(self, periods: float) -> Motion:
-        """Process model of the particles over so many periods."""
+        """Process model of the particles over `periods`."""
         settings, cell_m, time_s = self.settings, self.grid.cell_m, periods * self.period_s
         values = (
             periods,
@@ -83,11 +83,11 @@ class ParticleGrid:
         return Motion(*map(np.float32, values))
 
     def free_retention(self, periods: float) -> float:
-        """Share of the free mass that remains free for so many periods."""
+        """Share of the free mass that remains free over `periods`."""
         return math.exp(-periods * self.period_s / self.settings.free_decay_s)
 
     def survival(self, periods: float) -> float:
-        """Persistence probability p_S of an object over so many periods."""
+        """Persistence probability p_S of an object over `periods`."""
         return math.exp(-periods * self.period_s / self.settings.mean_lifetime_s)
 
     def _scroll(self, shift: Shift) -> None:
@@ -131,13 +131,13 @@ class ParticleGrid:
         self.weight = float(self.masses.occupied.sum(dtype=np.float64)) / max(self.count, 1)
 
     def _resting_share(self) -> Mass:
-        """Share (M, M) of newborn particles at rest: all in a cell that came in and that hardly ever was open."""
+        """Share (M, M) of newborn particles at rest; 1 in cells that came in and were hardly ever open."""
         if not self._came_in.any():
             return self._resting
         return np.where(self._came_in & self._open_space.closed(CLOSED_SHARE), np.float32(1.0), self._resting)
 
     def _returns(self) -> Returns:
-        """One return of each cell of the frame: the last one of several."""
+        """One return of each cell of the frame, the last if there are several."""
         assert self.frame is not None
         cells, inside = self.grid.cells_of(self.frame.points)
         rows, columns = cells[inside].T

@@ -18,9 +18,9 @@ MIN_PARTICLES = 3
 def forecast(state: ParticleGrid, occupancy_rate: Mass, steps: int) -> NDArray[np.float32]:
     """P(occupied) (steps+1, M, M) float32 at steps 0..steps; visible cells of step 0 are as observed.
 
-    `occupancy_rate` (M, M) is P(occupied | visible), counted at the site. A cell's unknown mass counts as occupied with
-    that probability; free mass decays to unknown mass; occupied mass moves with the particles. `state` does not change:
-    the noise is drawn from a random stream of the forecast.
+    `occupancy_rate` (M, M) is P(occupied | visible), counted at the site. Unknown mass counts as occupied with this
+    probability, free mass decays to unknown mass, and occupied mass moves with the particles. `state` does not change:
+    the forecast has its own random stream.
     """
     no_sums = np.zeros((0, *state.grid.shape, 3), np.float32)
     return _occupancy(state, occupancy_rate, _counts(state, steps, no_sums))
@@ -29,9 +29,9 @@ def forecast(state: ParticleGrid, occupancy_rate: Mass, steps: int) -> NDArray[n
 def forecast_with_flow(
     state: ParticleGrid, occupancy_rate: Mass, steps: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float16]]:
-    """The same forecast, and the mean velocity (steps+1, 2, M, M), m/s, of the persistent particles in each cell.
+    """`forecast`, and the mean velocity (steps+1, 2, M, M), m/s, of the persistent particles in each cell.
 
-    NaN in cells with fewer than MIN_PARTICLES of them.
+    NaN in cells with fewer than MIN_PARTICLES persistent particles.
     """
     sums = np.zeros((steps + 1, *state.grid.shape, 3), np.float32)
     occupancy = _occupancy(state, occupancy_rate, _counts(state, steps, sums))
@@ -50,7 +50,7 @@ def flow_now(state: ParticleGrid) -> NDArray[np.float32]:
 
 
 def _counts(state: ParticleGrid, steps: int, sums: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Particles (steps+1, M, M) in each cell; `sums` as of `count_particles`."""
+    """The number of particles (steps+1, M, M) in each cell; `sums` as in `count_particles`."""
     counts = np.zeros((steps + 1, *state.grid.shape), np.float32)
     counter = random_stream(~state.seed, state.draws)
     count_particles(state.particles, state.count, state.persisted, state.motion(1.0), counter, counts, sums)
@@ -73,8 +73,8 @@ def _occupancy(state: ParticleGrid, occupancy_rate: Mass, counts: NDArray[np.flo
 def count_particles(particles, count, persisted, motion, counter, counts, sums):  # type: ignore[no-untyped-def]
     """Add the number of the first `count` particles in each cell at each step to `counts` (n+1, M, M) float32.
 
-    To `sums` (S, M, M, 3) float32, of the persistent ones at the first S steps, vx, vy and 1. Particles that leave the
-    grid are removed.
+    Also add vx, vy and 1 of each persistent particle at the first S steps to `sums` (S, M, M, 3) float32. Particles
+    that leave the grid are removed.
     """
     size = counts.shape[1]
     persistent = np.zeros(count, np.bool_)
@@ -99,7 +99,7 @@ def count_particles(particles, count, persisted, motion, counter, counts, sums):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def mean_velocities(sums, min_particles, to_mps, mean):  # type: ignore[no-untyped-def]
-    """Write the means of `sums`, as of `count_particles`, to `mean` (S, 2, M, M) if there are `min_particles`."""
+    """Write the means of the `sums` of `count_particles` to `mean` (S, 2, M, M) if there are `min_particles`."""
     for step in range(sums.shape[0]):
         for row in range(sums.shape[1]):
             for column in range(sums.shape[2]):

@@ -30,7 +30,7 @@ def measured_masses(visible: Mask, occupied: Mask, occupied_mass: float, free_ma
 
 
 def predicted_free(free: Mass, keep: float, occupied: Mass) -> Mass:
-    """Predicted free mass: the share `keep` of it, bounded by the mass that predicted `occupied` mass leaves."""
+    """Predicted free mass: the share `keep` of `free`, bounded by 1 less the predicted `occupied` mass."""
     return np.asarray(np.minimum(free * np.float32(keep), 1 - occupied))
 
 

@@ -11,15 +11,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.trackers.dogma.random_numbers import (
-    first_normal,
-    fourth_normal,
-    hashed,
-    next_counter,
-    second_normal,
-    third_normal,
-    uniform,
-)
+from gridtrack.trackers.dogma.random_numbers import hashed, next_counter, normal, uniform
 
 Component = NDArray[np.float32]
 
@@ -81,14 +73,14 @@ def predict_particle(x, y, vx, vy, motion, counter):  # type: ignore[no-untyped-
     chance = uniform(bits)
     if vx == 0.0 and vy == 0.0:
         if chance < motion.start:
-            vx, vy = motion.threshold_speed * first_normal(bits), motion.threshold_speed * second_normal(bits)
+            vx, vy = motion.threshold_speed * normal(bits, 0), motion.threshold_speed * normal(bits, 1)
         return x + motion.periods * vx, y + motion.periods * vy, vx, vy
     if chance < motion.stop and vx * vx + vy * vy < motion.threshold_speed * motion.threshold_speed:
         return x, y, np.float32(0.0), np.float32(0.0)
-    ax, ay = motion.velocity * first_normal(bits), motion.velocity * second_normal(bits)
+    ax, ay = motion.velocity * normal(bits, 0), motion.velocity * normal(bits, 1)
     half = np.float32(0.5)
-    x += motion.periods * (vx + half * ax) + motion.position * third_normal(bits)
-    y += motion.periods * (vy + half * ay) + motion.position * fourth_normal(bits)
+    x += motion.periods * (vx + half * ax) + motion.position * normal(bits, 2)
+    y += motion.periods * (vy + half * ay) + motion.position * normal(bits, 3)
     return x, y, vx + ax, vy + ay
 
 
@@ -132,8 +124,8 @@ def sort_by_cell(particles, count, cells, starts, out):  # type: ignore[no-untyp
 def weight_particles(particles, starts, persistent, returns, weights):  # type: ignore[no-untyped-def]
     """Distribute the mass `persistent` (M * M,) of each cell to its particles, into `weights` (N,) float32.
 
-    The share 1 - p_A is distributed uniformly, the rest by the likelihood g(z|x) of the return of the cell; without a
-    return all of it uniformly. `particles` are sorted, `starts` is from `predict_particles`.
+    The share 1 - p_A is distributed uniformly, the rest by the likelihood g(z|x) of the return of the cell; in a cell
+    without a return everything is uniform. `particles` are sorted, `starts` is from `predict_particles`.
     """
     weights[starts[persistent.size] : starts[persistent.size + 1]] = 0.0  # outside the grid
     for cell in range(persistent.size):
@@ -160,8 +152,9 @@ def resample_particles(particles, starts, weights, born, returns, birth, counter
     """Fill `out` from particles (N,) with `weights` and from the mass `born` (M * M,); return the number of particles.
 
     Systematic resampling of the joint set, cell by cell: thresholds are evenly spaced along the cumulative mass, one
-    for each particle of `out`. A threshold in the weight of a particle copies it; one in newborn mass draws a new one.
-    `persisted` (M * M, 2) int32 receives the first index in `out` of the copies of each cell, and the index after them.
+    for each particle of `out`. A threshold in the weight of a particle copies it; a threshold in newborn mass draws a
+    new particle. `persisted` (M * M, 2) int32 receives the first and last (exclusive) index in `out` of the copies of
+    each cell.
     """
     size, capacity = int(np.sqrt(born.size)), out.x.size
     count = starts[born.size]
@@ -197,15 +190,15 @@ def _likelihood(x, y, point, deviation):  # type: ignore[no-untyped-def]
 
 @numba.njit(error_model="numpy")
 def _newborn(column, row, returns, point, resting, speed, counter):  # type: ignore[no-untyped-def]
-    """A newborn particle of a cell: with probability p_A near its return, if it has one, else anywhere in the cell."""
+    """A newborn particle of a cell: with probability p_A near the cell's return, if any, else anywhere in the cell."""
     bits, more, choice = hashed(counter), hashed(~counter), hashed(hashed(counter))
     x, y = np.float32(column) + uniform(bits), np.float32(row) + uniform(more)
     if not np.isnan(point[0]) and uniform(choice) < returns.association:
-        x = point[0] + returns.deviation * first_normal(choice)
-        y = point[1] + returns.deviation * second_normal(choice)
+        x = point[0] + returns.deviation * normal(choice, 0)
+        y = point[1] + returns.deviation * normal(choice, 1)
     if uniform(hashed(choice)) < resting:
         return x, y, np.float32(0.0), np.float32(0.0)
-    return x, y, speed * first_normal(bits), speed * second_normal(bits)
+    return x, y, speed * normal(bits, 0), speed * normal(bits, 1)
 
 
 @numba.njit(error_model="numpy")

@@ -18,7 +18,7 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _30, _27, _31 = np.uint64(30), np.uint64(27), np.uint64(31)
 _INDEX = np.uint64(_QUANTILES - 1)
-_12, _24, _36, _48 = np.uint64(12), np.uint64(24), np.uint64(36), np.uint64(48)
+_48 = np.uint64(48)
 _UNIT = np.float32(2.0**-16)
 
 
@@ -43,27 +43,9 @@ def next_counter(counter):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(error_model="numpy")
-def first_normal(bits):  # type: ignore[no-untyped-def]
-    """A standard normal deviate, float32, from bits 0 to 11."""
-    return NORMAL[bits & _INDEX]
-
-
-@numba.njit(error_model="numpy")
-def second_normal(bits):  # type: ignore[no-untyped-def]
-    """A standard normal deviate, float32, from bits 12 to 23."""
-    return NORMAL[(bits >> _12) & _INDEX]
-
-
-@numba.njit(error_model="numpy")
-def third_normal(bits):  # type: ignore[no-untyped-def]
-    """A standard normal deviate, float32, from bits 24 to 35."""
-    return NORMAL[(bits >> _24) & _INDEX]
-
-
-@numba.njit(error_model="numpy")
-def fourth_normal(bits):  # type: ignore[no-untyped-def]
-    """A standard normal deviate, float32, from bits 36 to 47."""
-    return NORMAL[(bits >> _36) & _INDEX]
+def normal(bits, number):  # type: ignore[no-untyped-def]
+    """A standard normal deviate, float32: `number` 0, 1, 2 or 3, each from 12 bits of its own."""
+    return NORMAL[(bits >> np.uint64(12 * number)) & _INDEX]
 
 
 @numba.njit(error_model="numpy")

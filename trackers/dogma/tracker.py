@@ -23,7 +23,7 @@ from gridtrack.trackers.training.searched_fit import SettingsSearch, fit_searche
 from gridtrack.trackers.training.weights import array, cell_probabilities, load_weights, tuned_settings
 
 PARTICLE_DIVISOR = 4
-"""Divisor of the number of particles during the search, for speed; the calibration and the result have all of them."""
+"""Divisor of the number of particles during the search, for speed; the calibration and the result use all."""
 DOGMA_RANGES = {
     "occupied_mass": (0.8, 0.98),
     "free_mass": (0.7, 0.98),
@@ -78,9 +78,9 @@ class DogmaTracker(CalibratedTracker):
         return self._state.hidden.seconds
 
     def predict(self, steps: int) -> Forecast:
-        """Forecast steps 0..steps, and the mean velocity of each cell that has enough persistent particles.
+        """Forecast steps 0..steps, and the mean velocity of each cell with enough persistent particles.
 
-        Velocities are of every step if they are scored, else of step 0 alone, which takes less time.
+        Velocities are for every step if they are scored, else only for step 0, which takes less time.
         """
         velocity: NDArray[np.floating]
         if self.stream.velocity_scored:

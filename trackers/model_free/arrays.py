@@ -1,4 +1,4 @@
-"""Types of the arrays that the pipeline works with, and arrays of several parts: rows concatenated, with bounds."""
+"""The array types of the pipeline, and arrays of several parts: concatenated rows with bounds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-"""Double precision; each function states the shape and the unit."""
+"""Double precision; each function states shape and unit."""
 
 
 def bounds_of(parts: Sequence[Sized]) -> NDArray[np.int64]:

@@ -96,7 +96,7 @@ class _Search:
         self._branch(0, {}, 0.0, 0, 0.0)
 
     def _pruned(self, pairs: dict[int, int]) -> dict[int, int]:
-        """The pairs without the most distant ones, so that the rest is jointly compatible."""
+        """The pairs without the most distant ones, as many as are necessary for joint compatibility."""
         while not self.group.compatible(pairs):
             del pairs[max(pairs, key=lambda track: self.group.distances[track, pairs[track]])]
         return pairs
@@ -137,7 +137,7 @@ def assign_returns(
     candidates of a cluster are its track in `pairs` (track -> cluster) and its possible `members` (T, C): an unpaired
     cluster may belong to a paired track, an unpaired track may share a paired cluster. Each return is assigned to the
     nearest boundary of its candidates. Thus a separate leg joins its person, the second part of a vehicle the first,
-    and two people whose returns touch remain two.
+    and two people in contact remain two.
     """
     has_cluster, has_track = (np.zeros(count, np.bool_) for count in members.shape)
     has_cluster[list(pairs.keys())] = has_track[list(pairs.values())] = True

@@ -16,7 +16,7 @@ from gridtrack.trackers.site_map import count_anywhere, count_frames, posterior_
 OUTSIDE_MAP = 1.0
 """The neighbourhood rate of a cell outside the map; a counted one is lower."""
 OUTSIDE_FRAMES = 1.0
-"""Weight of the occupancy rate in the record of such a cell, in frames: nothing is known of the place."""
+"""Weight of the occupancy rate in the record of a cell outside the map, in frames."""
 DEPARTED_SHARE = 0.1
 """A merged object has departed when this share of its cells is seen empty, together with all their neighbours."""
 
@@ -45,7 +45,7 @@ def fit_background(sources: Sequence[Iterable[GridFrame]], cell_m: float) -> tup
 
 
 def general_background(sources: Sequence[Iterable[GridFrame]]) -> BackgroundMap:
-    """The rates of a cell at an unknown place, each (1, 1): its background is found while the stream goes."""
+    """The rates of a cell at an unknown place, each (1, 1): its background is learned from the stream."""
     visible, occupied = count_anywhere(sources, lambda frame: (frame.visible, frame.occupied))
     rate = posterior_rate(occupied, visible)
     return BackgroundMap(rate, np.full_like(rate, OUTSIDE_MAP))
@@ -64,8 +64,8 @@ def without_map(fitted: BackgroundMap) -> BackgroundMap:
 class Background:
     """The fitted background, adapted online: stopped objects are added to it and departed ones removed.
 
-    Returns are background in cells whose fitted `neighbourhood_rate` is at least `explained_above`, and in the cells of
-    tracks that were merged into the background, until the object departs. Outside the map returns are background in
+    Returns are background in cells with a fitted `neighbourhood_rate` of at least `explained_above`, and in the cells
+    of tracks that were merged into the background, until the object departs. Outside the map returns are background in
     cells that have hardly ever been open (`OpenSpace`). The recent record of each cell starts from the fitted rate,
     with the weight of `map_weight_s` of observation, and forgets with the time constant `adaptation_s` while the cell
     is visible; a frame counts for the time since the previous frame.
@@ -131,7 +131,7 @@ class Background:
     def probabilities(self, steps: int) -> NDArray[np.float32]:
         """P(occupied) (steps+1, M, M) float32 without tracks, at steps 0..steps.
 
-        Background cells, and cells whose record exceeds `static_above`, keep the rate of their record; other cells
+        Background cells, and cells with a record above `static_above`, keep the rate of their record; other cells
         recover to the fitted rate.
         """
         occupied = self.occupancy_rate * self._map_frames + self._record.marked

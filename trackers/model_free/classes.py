@@ -31,8 +31,8 @@ class ClassModel(NamedTuple):
 
     `mixture_weights` (K, C), `means` (K, C, F), and one `whitening` (K, F, F) of each class: features times it have
     covariance 1. `frequency` (K,): prior of the classes of tracks; `cell_prior` (K, M, M): prior of the classes of the
-    returns in each cell. `powers` (2,): the number of independent frames that a lifetime counts for, and the weight of
-    the cell prior against the frequency.
+    returns in each cell. `powers` (2,): a lifetime counts as so many independent frames, and the weight of the cell
+    prior against the frequency.
     """
 
     mixture_weights: Array
@@ -129,7 +129,7 @@ class ClassFilter:
     """Classes of tracks, from the mean log density over all frames in which a track was seen, and its cell prior.
 
     Consecutive frames are strongly correlated, so they do not count as independent; frames before an occlusion count.
-    `cell_prior` (K, M, M) float32: of the present window; it was counted in a grid at `world_T_map`.
+    `cell_prior` (K, M, M) float32 is in the present window; its counts are from a grid at `world_T_map`.
     """
 
     def __init__(self, model: ClassModel, grid: GridSpec, world_T_map: SE2 | None = None) -> None:
@@ -139,7 +139,7 @@ class ClassFilter:
         self._evidence: dict[int, Evidence] = {}
 
     def observe(self, tracks: Sequence[Track], frame: GridFrame, window: Window) -> None:
-        """Update the evidence of the `tracks` after their update with `frame`, and remove that of deleted tracks."""
+        """Update the evidence of the `tracks` after their update with `frame`, and forget deleted tracks."""
         self.cell_prior = self._site.at(frame.world_T_grid)
         kept = {one.identity: self._evidence[one.identity] for one in tracks if one.identity in self._evidence}
         seen = [track for track in tracks if not track.unseen]
@@ -168,7 +168,7 @@ def compile_densities(model: ClassModel) -> None:
 
 
 def features_of(tracks: Sequence[Track], frame: GridFrame, window: Window) -> Array:
-    """FEATURES (T, F) of tracks that are seen in `frame`, with its `window`, as logarithms.
+    """FEATURES (T, F), as logarithms, of tracks with returns in `frame`, which has this `window`.
 
     Extents of the newest returns along their principal axis, along the motion and across it, metres; speed, m/s; range
     of their centre from the nearest sensor, metres: distant objects have fewer returns.

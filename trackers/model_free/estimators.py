@@ -2,11 +2,11 @@
 
 Walkers and vehicles in steady motion keep their velocity to some cm/s, and then brake or turn within a second. One
 process noise is too large for the first and too small for the second. This is a multiple-model estimator with switching
-regimes (Bar-Shalom, Li and Kirubarajan 2001, section 11.6) without mixing of the estimators: one whose regime becomes
-improbable is re-initialised from the other, which is possible for a smoother as well as for a filter.
+regimes (Bar-Shalom, Li and Kirubarajan 2001, section 11.6). The estimators are not mixed: if a regime becomes
+improbable, its estimator is re-initialised from the other, which works for a smoother as well as for a filter.
 
-Noise that is proportional to the speed lets an estimate diverge: a wrong heading gives it a higher speed, which gives
-it more noise, which gives the next wrong heading more weight. An estimator that has diverged begins anew.
+Noise proportional to the speed can make an estimate diverge: a wrong heading causes a higher speed, the speed more
+noise, and the noise a larger weight of the next wrong heading. A diverged estimator is re-initialised.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from gridtrack.trackers.model_free.motion import MotionModel, Regimes, propagate
 POSE_JACOBIAN = np.eye(3, 6)
 """Jacobian of the measured pose by the state."""
 IMPROBABLE = 0.02
-"""Probability of a regime below which its estimator is re-initialised from the other."""
+"""Below this probability of a regime its estimator is re-initialised from the other."""
 
 
 class MotionEstimator(Protocol):
@@ -46,7 +46,7 @@ class MotionEstimator(Protocol):
 
     @property
     def gate(self) -> float:
-        """Squared Mahalanobis distance from the prediction beyond which a measured pose is a gross error.
+        """Limit of the squared Mahalanobis distance from the prediction; farther measured poses are gross errors.
 
         Infinite for an estimator without robust measurements.
         """
@@ -54,7 +54,7 @@ class MotionEstimator(Protocol):
 
     @property
     def restarts(self) -> int:
-        """How often the estimator failed numerically and was re-initialised from its last valid estimate."""
+        """Number of numerical failures, after which the estimator was re-initialised from its last valid estimate."""
         ...
 
     def predict(self) -> None:
@@ -164,7 +164,7 @@ class SwitchingEstimator:
 
     @property
     def restarts(self) -> int:
-        """How often any of the estimators failed numerically or diverged, and was re-initialised."""
+        """Number of numerical failures and divergences, after which an estimator was re-initialised."""
         return self._begun_anew + sum(estimator.restarts for estimator in self.estimators)
 
     def predict(self) -> None:

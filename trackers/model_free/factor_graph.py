@@ -2,8 +2,8 @@
 
 Each measured frame has one variable, the state. Two consecutive states are connected by the motion model, discretised
 as in the extended Kalman filter but linearised at the smoothed states; each state has a measured pose with a Cauchy
-kernel (Wang, Posner and Newman 2015; Dellaert and Kaess 2017). The effect of a gross error depends on the point at
-which its state is linearised first.
+kernel (Wang, Posner and Newman 2015; Dellaert and Kaess 2017). The first linearisation point of a state determines the
+effect of a gross error.
 """
 
 from __future__ import annotations
@@ -32,13 +32,14 @@ from gridtrack.trackers.model_free.motion import (
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 
 LAG_S = 1.0
-"""Duration for which states are smoothed; older ones are marginalised into a prior."""
+"""Duration of the smoothed states; older ones are marginalised into a prior."""
 CAUCHY_WIDTH = 5.0
 """A measurement at this many standard deviations has half its weight. A Geman-McClure kernel of this width rejects
-more: it never converged to an object much faster than expected."""
+more, and never converged to an object much faster than expected."""
 GATE = 21.1
-"""Squared Mahalanobis distance of a pose from its prediction that is exceeded with probability 1e-4: chi-square, three
-degrees of freedom. Within it a state is linearised first at the measurement, beyond it at the prediction."""
+"""Squared Mahalanobis distance of a pose from its prediction, which valid poses exceed with probability 1e-4:
+chi-square, three degrees of freedom. Within it a state is linearised first at the measurement, beyond it at the
+prediction."""
 
 STATE_JACOBIAN = np.eye(6)
 """Jacobian of the state by itself."""
@@ -47,8 +48,8 @@ STATE_JACOBIAN = np.eye(6)
 class FactorGraphEstimator:
     """Fixed-lag smoother: a MotionEstimator. `mean` (6,) and `covariance` (6, 6): at the newest frame.
 
-    `restarts` counts how often gtsam found the system singular or indeterminate: the measurement of the frame is then
-    ignored, and a new graph starts from the prediction. Raises ValueError as `update` does.
+    `restarts` counts singular or indeterminate systems: the measurement of the frame is then ignored, and a new graph
+    starts from the prediction. Raises ValueError as `update` does.
     """
 
     gate = GATE

@@ -46,11 +46,11 @@ def add_tracks(
 ) -> None:
     """Combine the expected occupancy of each track into `occupancy` (steps+1, M, M) float32, at steps 0..steps.
 
-    `grid` has its corner in the fixed frame. The returns of a track are a mixture: they stay where they were last seen,
-    with the probability that the life table `residence` gives for their age, reduced for a fast track; or they move
-    with the object, in one of two regimes, blurred by the covariance of its position. The object survives each step
-    with probability `survival`. The expected occupancy is also added to `semantics` (steps+1, K, M, M), multiplied by
-    the `classes` (T, K) of the track.
+    `grid` has its corner in the fixed frame. The returns of a track are a mixture. They stay where they were last seen:
+    the life table `residence` gives the probability for their age, which is lower for a fast track. Or they move with
+    the object, in one of two regimes, blurred by the covariance of its position. The object survives each step with
+    probability `survival`. The expected occupancy is also added to `semantics` (steps+1, K, M, M), multiplied by the
+    `classes` (T, K) of the track.
     """
     if not tracks:
         return
@@ -67,7 +67,7 @@ def add_tracks(
 def _motions(tracks: Sequence[Track], regimes: Regimes, steps: int, grid: GridSpec) -> tuple[Array, Array]:
     """Mean pose of each track in each regime (T, 2, steps+1, 3) and the covariance of its position, in cells.
 
-    The present pose of a track that is seen now is taken as exact: its returns are known, only its motion is uncertain.
+    The present pose of a visible track counts as exact: its returns are known, only its motion is uncertain.
     """
     poses, spreads = [], []
     seen = np.array([not track.unseen for track in tracks])
@@ -85,7 +85,7 @@ def _motions(tracks: Sequence[Track], regimes: Regimes, steps: int, grid: GridSp
 
 
 def _surfaces(tracks: Sequence[Track], frame: GridFrame, grid: GridSpec) -> Surfaces:
-    """The surface of each track: its newest returns and the hidden part of its boundary, or, unobserved, all of it."""
+    """The surface of each track: its newest returns and the hidden part of its boundary; if unseen, all of it."""
     returns, boundaries = [track.returns for track in tracks], boundaries_of(tracks)
     seen, poses = np.array([not track.unseen for track in tracks]), poses_of(tracks)
     return_owners, boundary_owners = owners_of(bounds_of(returns)), owners_of(bounds_of(boundaries))
@@ -149,7 +149,7 @@ def in_cells(positions: Array, grid: GridSpec) -> Array:
 
 
 def _heading(velocity: Array, boundary: Array) -> float:
-    """The direction of motion; of a slow object the longer axis of its boundary (N, 2)."""
+    """The direction of motion; for a slow object the longer axis of its boundary (N, 2)."""
     if np.hypot(*velocity) >= HEADING_SPEED or len(boundary) < 2:
         return float(np.arctan2(velocity[1], velocity[0]))
     along = np.linalg.svd(boundary - boundary.mean(axis=0), full_matrices=False)[2][0]
@@ -216,8 +216,8 @@ def _normalise(semantics):  # type: ignore[no-untyped-def]
 def flow_of(tracks: Sequence[Track], steps: int, model: MotionModel, grid: GridSpec) -> NDArray[np.float16]:
     """Velocities (steps+1, 2, M, M), m/s, at steps 0..steps; NaN in cells that no confirmed or coasting track reaches.
 
-    `grid` has its corner in the fixed frame. A cell has the velocity of the track with the bounding box nearest to its
-    centre at that step: of the point of the rigid body there, predicted with the motion `model`.
+    `grid` has its corner in the fixed frame. At each step a cell belongs to the track with the nearest bounding box.
+    Its velocity is the one of this rigid body at the cell's centre, predicted with the motion `model`.
     """
     kept = [track for track in tracks if track.status is not Status.TENTATIVE]
     flow = np.full((steps + 1, 2, *grid.shape), np.nan, np.float32)
@@ -262,7 +262,7 @@ def draw_flow(flow, boxes, means, reach_m, corner, cell_m):  # type: ignore[no-u
 
 @numba.njit(error_model="numpy")
 def _covered(centre_m, radius_m, cell_m, size):  # type: ignore[no-untyped-def]
-    """First cell, and the one behind the last, of `size` cells along an axis that are within a radius of a centre."""
+    """Range (first, last + 1) of the cells within a radius of a centre, of `size` cells along an axis."""
     first, last = (centre_m - radius_m) / cell_m, (centre_m + radius_m) / cell_m
     return int(min(max(first, 0.0), size)), int(min(max(last + 1.0, 0.0), size))
 

@@ -18,15 +18,15 @@ from gridtrack.trackers.model_free.shape import to_body
 from gridtrack.trackers.model_free.tracks import Status, Track, boundaries_of
 
 SHADOW_M = 2.0
-"""Largest gap between the cut-off ends of a body and of a cluster that may continue it behind an occluder."""
+"""Largest gap between the cut-off ends of a body and of a cluster that may be its continuation behind an occluder."""
 MOVING_MPS = 1.0
 """Slower bodies are not continued: in a queue, neighbours are different objects."""
 PART_VELOCITY_MPS = 0.5
 """Standard deviation of the velocity of such a cluster relative to the body."""
 SIGNIFICANT = float(chi2.ppf(0.95, 2))
-"""Squared Mahalanobis distance of two velocities from which they differ significantly."""
+"""Beyond this squared Mahalanobis distance two velocities differ significantly."""
 KNOWN_MPS = 0.5
-"""A velocity with a larger root mean square error is not taken for zero, even if it does not differ significantly."""
+"""Limit of the root mean square error of a velocity that counts as zero."""
 
 
 def initiate(
@@ -38,8 +38,8 @@ def initiate(
 ) -> SwitchingEstimator:
     """The estimator of a new track; the body frame lies at the centre of the cluster, parallel to the grid.
 
-    The mean velocity is zero, or that of the long moving body of `tracks` which the cluster seems to continue: a bus
-    appears from behind pedestrians window by window, and the pose of a single window does not show its speed.
+    The mean velocity is zero, or the velocity of the long moving body of `tracks` that the cluster seems to continue: a
+    bus appears from behind pedestrians window by window, and the pose of a single window does not show its speed.
     """
     initiated = SwitchingEstimator(make_estimator, np.array([*cluster.centre, 0.0]), pose_noise(settings), regimes)
     body = continued_by(cluster, tracks)
@@ -88,7 +88,7 @@ class TrackMerger:
         self._together: dict[tuple[int, int], int] = {}
 
     def merged(self, tracks: Sequence[Track], periods: int) -> list[Track]:
-        """The tracks, `periods` after the last call; of two that are merged the older one remains."""
+        """The tracks, `periods` after the last call, without the younger track of each merged pair."""
         seen = [track for track in tracks if track.status is Status.CONFIRMED]
         together = {}
         merged: set[int] = set()

@@ -4,9 +4,9 @@ The boundary is a Gaussian mixture, and each return of the cluster is drawn from
 boundary point in view is drawn from the returns, because cells in view without a return are empty. The pose of maximum
 likelihood is found by Newton's method, from a wide kernel to a narrow one (EM-ICP: Granger and Pennec, ECCV 2002).
 
-The information of a pair of points about a motion in some direction depends on the outline around them: where the
-outline continues in that direction, there is none (generalised ICP: Segal, Haehnel and Thrun, RSS 2009; the aperture
-problem). The points themselves are cell centres, so that a side that slides along the grid would appear fixed to it.
+A pair of points has no information about a motion along a direction in which the outline around them continues
+(generalised ICP: Segal, Haehnel and Thrun, RSS 2009; the aperture problem). Without this, a side that slides along the
+grid would appear fixed to it, because the points are cell centres.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ MIN_LIKELIHOOD = np.float32(1e-30)
 """Smallest divisor in place of a likelihood of 0."""
 ZERO, ONE, SIXTEENTH = np.float32(0.0), np.float32(1.0), np.float32(1.0 / 16.0)
 SERIES = tuple(np.float32(1.0 / math.factorial(n)) for n in (2, 3, 4, 5))
-"""Single precision: the sums over all pairs of points take a third of the time."""
+"""Single precision, because the sums over all pairs of points then take a third of the time."""
 NO_POINT = 1e12
 """Squared distance if there is no point, m^2."""
 UNKNOWN = (1e4, 1e4, 1e3)
@@ -53,7 +53,7 @@ JACOBI_SWEEPS = 8
 class Outlines(NamedTuple):
     """G concatenated outlines: points (N, 2), metres, their weights (N,), and where each outline is cut off (N,).
 
-    The points of outline g are those from `bounds` (G+1,) [g] to [g+1]; a weight is the probability of a return there.
+    The points of outline g are from `bounds` (G+1,) [g] to [g+1]; a weight is the probability of a return there.
     """
 
     points: Array
@@ -115,10 +115,10 @@ class Pairs(NamedTuple):
 def match(boundaries: Outlines, seen: Mask, returns: Outlines, pairs: Pairs, surface_noise_m: float) -> Matches:
     """Match boundaries, in body frames, to returns, in the fixed frame; the boundary points `seen` (N,) are in view.
 
-    `surface_noise_m` is the standard deviation of a return about the boundary. Of the optima reached from all starts
-    the best is returned: a wide kernel biases the pose towards parts of a body that its boundary does not contain yet;
-    a narrow kernel does not converge from a distant start. A pair that is not oriented keeps the heading of the start,
-    with the variance UNKNOWN.
+    `surface_noise_m` is the standard deviation of a return about the boundary. The result is the best optimum from all
+    starts: a wide kernel biases the pose towards parts of a body that its boundary does not contain yet, and a narrow
+    kernel does not converge from a distant start. A pair that is not oriented keeps the heading of the start, with the
+    variance UNKNOWN.
     """
     pairs = pairs._replace(numbers=np.ascontiguousarray(pairs.numbers))
     back = np.where(seen, BACK * boundaries.weights, 0.0).astype(np.float32)
@@ -365,9 +365,9 @@ def _sum_terms(points, expected, on_boundary, around_x, around_y):  # type: igno
 def _invert(information):  # type: ignore[no-untyped-def]
     """Invert the result (3, 3) of `_derivatives` in place: positive definite, about UNKNOWN in unobserved directions.
 
-    In exact arithmetic `information` is at least the prior. If a long body meets the returns in one place only, a
-    turn about that place is the small difference of large sums; its rounding error in single precision exceeds the
-    prior: the difference to the prior is then added, in the directions that lack it.
+    In exact arithmetic `information` is at least the prior. But if a long body meets the returns in one place only, a
+    turn about that place is the small difference of large sums, with a rounding error above the prior in single
+    precision. The information is then raised to the prior in the directions that have less.
     """
     if not _is_below_prior(information):
         _invert_positive(information)
@@ -395,8 +395,8 @@ def _invert(information):  # type: ignore[no-untyped-def]
 def _diagonalise(a, axes):  # type: ignore[no-untyped-def]
     """Jacobi's method: replace the symmetric `a` (3, 3) by `axes`^T a `axes`, with its eigenvalues on the diagonal.
 
-    The eigenvectors are the columns of `axes` (3, 3). Each of the JACOBI_SWEEPS sweeps squares what is left besides the
-    diagonal (Golub and Van Loan, section 8.5).
+    The eigenvectors are the columns of `axes` (3, 3). Each of the JACOBI_SWEEPS sweeps squares the off-diagonal rest
+    (Golub and Van Loan, section 8.5).
     """
     for i in range(3):
         for j in range(3):

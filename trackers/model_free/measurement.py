@@ -19,7 +19,7 @@ from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track, boundaries_of, poses_of
 
 HEADING_FROM_M = 1.0
-"""Length of boundary and returns from which the heading is observable: of vehicles, not of pedestrians."""
+"""The heading is observable if boundary and returns are at least so long: for vehicles, not for pedestrians."""
 UNCERTAIN = 2.0
 """If the predicted position is more uncertain than this many surface widths, the cluster's centre is a start too."""
 REACH_SIGMAS = 3.0
@@ -59,8 +59,8 @@ def _starts(
 ) -> tuple[Array, Array]:
     """Start poses of each pair (P, 2, 3), and the standard deviation of the predicted position (P,), metres.
 
-    The first start is the predicted pose; the second one, if that is uncertain, has the boundary's centre at the
-    cluster's.
+    The first start is the predicted pose. If it is uncertain, the second has the boundary's centre at the cluster's
+    centre.
     """
     t, c = numbers.T
     boundaries = boundaries_of(tracks)
@@ -100,7 +100,7 @@ def pairing_of(
 ) -> Pairing:
     """Match each track to the clusters near it; the cost is the distance from the prediction plus the residual.
 
-    `distances` (K, T) of the clusters' returns from the predicted boundaries, metres; `views` (T) of those.
+    `distances` (K, T): of the clusters' returns from the predicted boundaries, metres. `views`: as in `match_pairs`.
     """
     costs, mahalanobis = np.full((2, len(tracks), len(clusters)), np.inf)
     freedom = np.zeros(costs.shape, np.int64)
@@ -117,10 +117,10 @@ def pairing_of(
 def membership(
     tracks: Sequence[Track], clusters: Sequence[Cluster], pairs: dict[int, int], settings: PipelineSettings
 ) -> NDArray[np.bool_]:
-    """Which clusters may belong to which tracks (T, C), in addition to the assigned `pairs` (track -> cluster).
+    """The possible members (T, C): clusters that may belong to a track besides its assigned one in `pairs`.
 
-    A cluster within reach of the assigned one (the other leg), or of the boundary if none is assigned; and a cluster
-    on the established boundary: the far part of a vehicle, but not a person who leaves a group.
+    These are clusters within reach of the assigned cluster (the other leg), or of the boundary if none is assigned; and
+    clusters on the established boundary: the far part of a vehicle, but not a person who leaves a group.
     """
     points = np.concatenate([cluster.points for cluster in clusters])
     boundaries = boundaries_of(tracks)
@@ -160,7 +160,7 @@ def squared_mahalanobis(found: Matches, tracks: Sequence[Track], owners: NDArray
 
 
 def _largest_deviation(covariances: Array) -> Array:
-    """The largest standard deviation (T,) of the position in any direction, of states with `covariances` (T, 6, 6)."""
+    """The largest standard deviation (T,) of the position in any direction, from `covariances` (T, 6, 6) of states."""
     xx, xy, yy = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
     return np.asarray(np.sqrt(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)))
 

@@ -21,7 +21,7 @@ from gridtrack.common.geometry import wrap_angle
 from gridtrack.trackers.model_free.arrays import Array
 
 INLINED = numba.njit(inline="always", error_model="numpy")
-"""For functions that are called in a loop: counting the references of the arguments takes as long as the function."""
+"""For functions in inner loops: without inlining, counting the references to arguments takes as long as the rest."""
 wrapped: Any = numba.njit(wrap_angle)
 """`wrap_angle` for compiled functions."""
 
@@ -50,8 +50,8 @@ class MotionModel(NamedTuple):
 class StateLimits(NamedTuple):
     """Limits of the state of an object that was just measured, in a window with frames of one period.
 
-    All its poses lie in the window: no two of them are farther apart than its diagonal, none is left faster than the
-    diagonal in a period, and a turn of more than half a circle in a period looks like one the other way.
+    All its poses lie in the window: two poses are at most its diagonal apart, and its speed is at most a diagonal in a
+    period. A turn of more than half a circle in a period looks like a turn the other way.
     """
 
     distance_m: float

@@ -35,7 +35,7 @@ from gridtrack.trackers.site_map import SiteMap
 class Pipeline:
     """Tracks of moving objects against a static background, and their forecast.
 
-    `background` is the map of the site, of a grid at `world_T_map` (by default at the grid of the first frame);
+    `background` is the map of the site on a grid at `world_T_map` (by default at the grid of the first frame);
     `residence` (A, S) float32 is the life table of returns that stay in place. Positions are in metres in the fixed
     frame of the `window`, which scrolls with the sensor: the arrays of cells move with it by whole cells.
     """
@@ -104,7 +104,7 @@ class Pipeline:
             self.window = self.window.moved(shift)
 
     def _segment(self, frame: GridFrame) -> list[Cluster]:
-        """Clusters of the returns that the background does not explain; the residence ages of the cells are updated."""
+        """Clusters of the returns outside the background. Also updates the residence ages of the cells."""
         explained = self.background.explained
         self.ages = next_ages(self.ages, frame.occupied & ~explained, len(self.residence) - 1, self.elapsed)
         cells, inside = self.grid.cells_of(frame.points)
@@ -151,7 +151,7 @@ class Pipeline:
             self._update_shapes([self.tracks[number] for number in shares], list(shares.values()), visible)
 
     def _update_shapes(self, tracks: list[Track], clusters: list[Cluster], visible: Mask) -> None:
-        """Update the shape of each track with its returns; those at previously hidden positions are `revealed`."""
+        """Update the shape of each track with its returns; returns at previously hidden positions are `revealed`."""
         assert self.frame is not None  # the previous frame: there are tracks
         owners = owners_of(bounds_of(clusters))
         points = np.concatenate([cluster.points for cluster in clusters])
@@ -169,7 +169,8 @@ class Pipeline:
             track.shape.update(body, cluster.cut, ~known, seen, self.settings.surface_noise_m, gain)
 
     def _update_existence(self, shares: dict[int, Cluster], views: list[Mask]) -> None:
-        """Update the existence of each track with its detection, or its miss as far as it is in view; delete tracks."""
+        """Update the existence of each track with its detection, or with its miss in proportion to its visible share;
+        delete improbable tracks."""
         settings = self.settings
         for number, track in enumerate(self.tracks):
             if number in shares:
@@ -228,8 +229,8 @@ class Pipeline:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """`forecast`, and P(class | occupied) (steps+1, K, M, M) float32.
 
-        Tracks have `classes` (T, K), the background has the `cell_prior` (K, M, M); the classes of a cell are
-        weighted by the occupancy that each contributes.
+        Tracks have `classes` (T, K), the background has the `cell_prior` (K, M, M). The classes of a cell are weighted
+        by the contributions to its occupancy.
         """
         occupancy = self.background.probabilities(steps)
         semantics = weight_by_cell_prior(occupancy, cell_prior)

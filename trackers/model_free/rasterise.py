@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from gridtrack.trackers.model_free.arrays import Array
 
 NEGLIGIBLE = 0.01
-"""A motion that makes no cell more probable than this is not drawn."""
+"""Motions are not drawn if no cell is more probable than this."""
 SAME_HEADING = 0.02
-"""A body that has turned by less, radians, keeps its patch."""
+"""A body keeps its patch while its heading changes by less, radians."""
 U = np.uint64
 """Index type of the inner loops: unsigned indices are not counted from the end, so the loops vectorise on whole arrays.
 A view of each row would do too, but its reference counting takes longer than the row."""
@@ -27,9 +27,9 @@ WINDOW_SIGMAS = 2.5
 MIN_BLUR = 0.2
 """Smallest standard deviation of the blur, in cells: below it the size of the cell dominates."""
 PIXELS_PER_BLUR = 1.1
-"""Smallest standard deviation of the blur in pixels of several cells, which are interpolated bilinearly."""
+"""Smallest standard deviation of the blur, in pixels, if pixels of several cells are interpolated bilinearly."""
 MIN_SHIFT = 0.2
-"""Rows are not sheared if the first and the last one would shift by fewer pixels than this."""
+"""Rows are sheared only if the first or the last row shifts by more pixels than this."""
 ERF_COEFFICIENTS = tuple(
     np.float32(a) for a in (0.0705230784, 0.0422820123, 0.0092705272, 0.0001520143, 0.0002765672, 0.0000430638)
 )
@@ -80,8 +80,7 @@ def draw_track(  # type: ignore[no-untyped-def]
     of probability `moved` (R, n+1), it is its surface, `offsets` (N, 2) with `weights` (N,), at the mean `poses` (R,
     n+1, 3), x and y in cells, heading in radians, blurred by `covariances` (R, n+1, 2, 2). Or its returns are in place
     at `points` (K, 2), of probability `in_place` (K, n+1), blurred by `blur`. A position with a standard deviation
-    greater than the window's side is not drawn: the object is more probably outside, and the image of its blur would
-    grow without a bound.
+    greater than the window's side is not drawn: the object is more probably outside, and the image would have no bound.
 
     It is also added to `semantics` (n+1, C, M, M), multiplied by P(class), `classes` (C,); C may be 0.
     """
@@ -278,7 +277,8 @@ def _pixel_covariance(covariance, scale):  # type: ignore[no-untyped-def]
 
 @numba.njit(error_model="numpy")
 def _pixel(cell, scale, count):  # type: ignore[no-untyped-def]
-    """The last of `count` pixels with a centre not beyond that of a cell, and the fraction of the way to the next."""
+    """The last of `count` pixels with its centre not beyond a cell's centre, and the fraction of the way to the
+    next."""
     position = min(max((cell + 0.5) / scale - 0.5, 0.0), count - 1.0)
     return U(position), np.float32(position - math.floor(position))
 
@@ -287,7 +287,7 @@ def _pixel(cell, scale, count):  # type: ignore[no-untyped-def]
 def _blurred(patch, corner, x, y, covariance, weight):  # type: ignore[no-untyped-def]
     """The patch (A, B) at x, y, blurred, times `weight`: an image and the row and column of its corner, in pixels.
 
-    A blur along x is followed by one along y, in which the rows are sheared for the correlation of the two.
+    A blur along x precedes a blur along y, which shears the rows for the correlation of x and y.
     """
     xx, xy, yy = covariance
     var_x, var_y = max(xx, MIN_BLUR**2), max(yy, MIN_BLUR**2)

@@ -1,8 +1,8 @@
-"""Residence time: how much longer a return that has stayed in place will stay, as a life table fitted to the site.
+"""Residence time: the remaining time of a return in its place, given its age, as a life table fitted to the site.
 
 The returns of a walker do not move continuously with the body: a foot rests for about half a second and then swings
-past the other, and a pedestrian who has stood for three seconds will probably stand on. For cars the table contains
-both queues and moving sides.
+past the other; a pedestrian who has stood for three seconds will probably stay. For cars the table contains both queues
+and moving sides.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from gridtrack.trackers.training.weights import Weights, probabilities
 
 Ages = NDArray[np.int64]
 OpenCells = Callable[[GridFrame], Mask]
-"""The open cells (M, M) of the window of a frame: returns there have moved in. Called for each frame of a stream."""
+"""The open cells (M, M) of the window of a frame, where returns have moved in. Called for each frame of a stream."""
 
 GENERAL_PERIOD_S = 0.05
 """The period of a life table for streams of any period."""
@@ -41,9 +41,9 @@ def table_shape(period_s: float) -> tuple[int, int]:
 
 
 def next_ages(ages: Ages, occupied: Mask, oldest: int, periods: int = 1) -> Ages:
-    """For how many periods each occupied cell (M, M), or one of its neighbours, has been occupied: at most `oldest`.
+    """The number of periods, at most `oldest`, for which each occupied cell (M, M) or a neighbour has been occupied.
 
-    `ages` (M, M): of the previous frame, `periods` earlier; NOT_OCCUPIED elsewhere.
+    NOT_OCCUPIED elsewhere. `ages` (M, M): of the previous frame, `periods` earlier.
     """
     before = _neighbourhood_maximum(ages)
     grown = np.where(before == NOT_OCCUPIED, 0, np.minimum(before + periods, oldest))
@@ -51,14 +51,14 @@ def next_ages(ages: Ages, occupied: Mask, oldest: int, periods: int = 1) -> Ages
 
 
 class OpenSoFar:
-    """OpenCells without a map: the cells that were open in more than `share` of the frames before (`OpenSpace`)."""
+    """OpenCells without a map: cells that were open in more than `share` of the earlier frames (`OpenSpace`)."""
 
     def __init__(self, grid: GridSpec, period_s: float, share: float) -> None:
         self._space, self._share, self._cell_m = OpenSpace(grid.shape, period_s), share, grid.cell_m
         self._window: SE2 | None = None
 
     def __call__(self, frame: GridFrame) -> Mask:
-        """The open cells (M, M) of the window of a frame, from the frames before it."""
+        """The open cells (M, M) of the window of a frame, from earlier frames."""
         window = self._window or frame.world_T_grid
         if shift := shift_between(window, frame.world_T_grid, self._cell_m):
             self._space.scroll(shift)
@@ -85,7 +85,7 @@ def fit_residence(
 def general_residence(sources: Iterable[FrameSource], open_share: float) -> NDArray[np.float32]:
     """The life table with steps of GENERAL_PERIOD_S, counted at many places with their own cells and periods.
 
-    A cell is open if it was so in more than `open_share` of the frames before.
+    A cell is open if it was open in more than `open_share` of the earlier frames.
     """
     shape = table_shape(GENERAL_PERIOD_S)
     total = np.zeros((2, *shape))
@@ -105,7 +105,7 @@ def resampled(table: NDArray[np.floating], from_s: float, to_s: float) -> NDArra
 def count_residence(
     frames: Iterable[GridFrame], opened: OpenCells, shape: tuple[int, int], cell_m: float
 ) -> NDArray[np.float64]:
-    """Counts (2, A, S) of returns in open cells by age, if the cell is visible s steps later: all, and those in place.
+    """Counts (2, A, S) of returns in open cells by age, if the cell is visible s steps later: all, and still in place.
 
     A return is in place if its cell or one of the eight neighbours is occupied.
     """
@@ -146,9 +146,9 @@ def residence_of(weights: Weights, period_s: float) -> NDArray[np.float32]:
 def probability_in_place(
     table: NDArray[np.float32], ages: NDArray[np.int64], unseen: NDArray[np.int64], steps: int
 ) -> NDArray[np.float32]:
-    """P(a return is in place) at steps 0..steps, (N, steps+1), of returns last seen `unseen` (N,) frames ago.
+    """P(a return is in place) at steps 0..steps, (N, steps+1), for returns last seen `unseen` (N,) frames ago.
 
-    `ages` (N,) are their ages then. Beyond the table its last column is used.
+    `ages` (N,) are their ages at that time. The last column of the table also counts beyond it.
     """
     ahead = np.minimum(unseen[:, None] + np.arange(steps + 1), table.shape[1] - 1)
     return np.asarray(table[np.minimum(ages, table.shape[0] - 1)[:, None], ahead])

@@ -1,4 +1,4 @@
-"""Segmentation: clusters of the foreground returns, and the returns at which an occluder cuts a surface off."""
+"""Segmentation: clusters of the foreground returns, and the returns where an occluder cuts off a surface."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ NO_RETURN, BACKGROUND = -2, -1
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """Returns of one cluster: `points` (N, 2), metres, fixed frame, and which of them are `cut` off (N,)."""
+    """Returns of one cluster: `points` (N, 2), metres, fixed frame; at points that are `cut` off (N,) an occluder may
+    hide the continuation of the surface (`cut_off_returns`)."""
 
     points: Array
     cut: Mask
-    """Points at which an occluder may hide the continuation of the surface (`cut_off_returns`)."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -40,7 +40,7 @@ class Cluster:
 def segment(points: Array, ranges: Array, link_m: float, link_per_m: float) -> NDArray[np.int64]:
     """Single-linkage clusters of `points` (N, 2) in metres, each at its range (N,) from its sensor in metres.
 
-    Two points are linked when their distance is at most `link_m + link_per_m * range`, at the range of the nearer one.
+    Two points are linked if their distance is at most `link_m + link_per_m * range`, at the smaller range.
     Returns the cluster number of each point (N,).
     """
     return np.asarray(_segment(points, link_m + link_per_m * ranges, np.argsort(points[:, 0])))
@@ -101,7 +101,7 @@ def joined(parts: Sequence[Cluster]) -> Cluster:
 
 
 def cut_off_returns(frame: GridFrame, grid: GridSpec, labels: NDArray[np.int64]) -> Mask:
-    """Which returns of the frame (N,) have a hidden neighbour cell that their own cluster does not hide.
+    """The returns of the frame (N,) with a hidden neighbour cell that their own cluster does not hide.
 
     `labels` (N,) are cluster numbers, or BACKGROUND. Cells outside the grid count as hidden.
     """

@@ -1,4 +1,4 @@
-"""Settings of the model-free pipeline, stage by stage; `fit` tunes those that depend on the site and its traffic."""
+"""Settings of the model-free pipeline, stage by stage; `fit` tunes the ones that depend on the site and its traffic."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gridtrack.trackers.model_free.motion import MotionModel, Regimes
 from gridtrack.trackers.training.labelled_scans import LabelSettings
 
 AssociationMethod = Literal["hungarian", "jcbb"]
-"""How clusters are assigned to tracks: by gating each pair, or the whole set of pairs."""
+"""The assignment of clusters to tracks: it gates each pair, or the whole set of pairs."""
 
 
 class PipelineSettings(Settings):
@@ -21,17 +21,17 @@ class PipelineSettings(Settings):
     background: Literal["fitted", "none"] = "fitted"
     """`fitted`: the map counted at the site; `none`: start without a map, and learn walls from the stream only."""
     explained_above: float = Field(0.96, gt=0, lt=1)
-    """A return is background in a cell that is occupied, itself or a neighbour, in more than this share of frames."""
+    """A return is background if its cell or a neighbour is occupied in more than this share of frames."""
     untracked_share: float = Field(0.05, ge=0, le=1)
     """P(occupied) of a cell just seen empty, without a track, as a share of its fitted occupancy rate."""
     rate_recovery_s: float = Field(1.0, gt=0, le=1000)
-    """Time constant with which P(occupied) of a cell that was seen empty recovers to its fitted rate."""
+    """Time constant of the recovery of P(occupied) to the fitted rate, in a cell that was seen empty."""
     static_above: float = Field(0.5, gt=0, lt=1)
     """A cell is forecast as background if it was occupied in more than this share of the recent frames."""
     adaptation_s: float = Field(5.0, gt=0, le=3600)
-    """Adaptation time: time constant of that recent record."""
+    """Adaptation time: time constant of the record of recent frames."""
     map_weight_s: float = Field(2.0, gt=0, le=3600)
-    """Map weight: the duration of observation that has the same weight in that record as the fitted rate."""
+    """Map weight: the fitted rate counts in the record like observation for this time."""
 
     # Segmentation
     link_m: float = Field(0.45, gt=0, le=10)
@@ -71,7 +71,7 @@ class PipelineSettings(Settings):
 
     # Association
     association: AssociationMethod = "hungarian"
-    """How clusters are assigned: `hungarian` gates each pair, `jcbb` the whole set of pairs."""
+    """Assignment of clusters: `hungarian` gates each pair, `jcbb` the whole set of pairs."""
     gate_probability: float = Field(0.9997, gt=0.5, lt=1)
     """Probability that the gate of an object contains its own cluster."""
     reach_m: float = Field(0.45, gt=0, le=20)
@@ -87,7 +87,7 @@ class PipelineSettings(Settings):
     mean_lifetime_s: float = Field(15.0, gt=0)
     """Mean time until an object leaves unobserved."""
     confirm_above: float = Field(0.8, gt=0, lt=1)
-    """Existence probability from which a tentative track is confirmed."""
+    """A tentative track is confirmed at this existence probability."""
     delete_below: float = Field(0.1, gt=0, lt=1)
     """Existence probability below which a track is deleted."""
 

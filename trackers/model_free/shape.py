@@ -16,7 +16,7 @@ from gridtrack.trackers.model_free.arrays import Array, split
 MAX_POINTS = 256
 """Maximum number of boundary points; the points of smallest weight are removed first."""
 ESTABLISHED_FRAMES = 8
-"""Age from which a boundary point belongs to the body, and not to the trail of an object that leaves it."""
+"""Older boundary points belong to the body; younger ones may be the trail of an object that leaves it."""
 HIDDEN_DECAY = 0.1
 """Decay rate of the weight of a hidden boundary point, relative to a point in view without a return."""
 REVEALED_WEIGHT = 0.5
@@ -49,12 +49,12 @@ class Shape:
         return shape
 
     def update(self, found: Array, found_cut: Mask, revealed: Mask, in_view: Mask, apart_m: float, gain: float) -> None:
-        """Update with the points `found` (K, 2) in one frame, body frame, of which some are cut off (K,).
+        """Update with the points `found` (K, 2) in one frame, body frame; `found_cut` (K,) are cut off.
 
-        A boundary point within `apart_m` of a found point is matched: its weight approaches 1 by the share `gain`; that
-        of an unmatched point approaches 0, slowly if it is not `in_view` (N,). A found point without a match is a
-        new boundary point, of weight 0 before this frame unless its position is `revealed` (K,). The first frames of a
-        shape have equal weight.
+        A boundary point within `apart_m` of a found point is matched: its weight approaches 1 by the share `gain`. The
+        weight of an unmatched point approaches 0, slowly if it is not `in_view` (N,). A found point without a match is
+        a new boundary point, of weight 0 before this frame unless its position is `revealed` (K,). The first frames of
+        a shape have equal weight.
         """
         gain = max(gain, 1.0 / (self.frames + 1))
         known, most = len(self.offsets), len(self.offsets) + len(found)
@@ -79,7 +79,7 @@ class Shape:
 
     @property
     def established(self) -> Mask:
-        """Which points (N,) have the age ESTABLISHED_FRAMES, or in a younger shape the age of the oldest."""
+        """The points (N,) with the age ESTABLISHED_FRAMES, or in a younger shape with the largest age."""
         return np.asarray(self.ages >= min(ESTABLISHED_FRAMES, self.ages.max()))
 
     @property
@@ -107,7 +107,7 @@ def rotation(angle: float) -> Array:
 
 
 def in_view(boundaries: Sequence[Array], grid: GridSpec, visible: Mask) -> list[Mask]:
-    """Which points of each boundary (N, 2), metres, fixed frame, lie in a visible cell; none outside the grid."""
+    """The points of each boundary (N, 2), metres, fixed frame, that lie in a visible cell; none outside the grid."""
     if not boundaries:
         return []
     cells, inside = grid.cells_of(np.concatenate(boundaries))

@@ -42,7 +42,7 @@ class ModelFreeTracker(CalibratedTracker):
     estimator: ClassVar[staticmethod[[Array, Array, MotionModel], MotionEstimator]]
     """Makes the motion estimator of a track: the only difference between the subclasses."""
     pipeline: ClassVar[type[Pipeline]] = Pipeline
-    """The stages; a study may replace one of them in a subclass, to measure its contribution."""
+    """The stages; a study may replace one in a subclass, to measure its contribution."""
 
     def __init__(self, stream: StreamSpec, options: PipelineSettings) -> None:
         """Raises WeightsError without a fitted background for the stream's site, grid and period."""
@@ -129,20 +129,18 @@ class ModelFreeTracker(CalibratedTracker):
 
     @property
     def recoveries(self) -> int:
-        """How often an estimator was re-initialised since `reset`: it had failed numerically, or diverged."""
+        """Number of re-initialisations of estimators since `reset`, after numerical failures and divergences."""
         return self._pipeline.restarts
 
     @classmethod
     def starts_from_general(cls, options: ModelFreeSettings) -> bool:
-        """The search starts from the settings of the general weights; classes are added to weights of the site."""
+        """The search starts from the settings of the general weights, except for classes, which need the site's."""
         return options.stage != "classes"
 
     @classmethod
     def fit(cls, task: FitTask) -> None:
-        """Fit the background map and tune the settings on `task.train`.
-
-        If it has classes, then fit the features of the tracks of each class to a few labelled scans.
-        """
+        """Fit the background map and tune the settings on `task.train`; with labels, then fit the features of the
+        tracks of each class to a few labelled scans."""
         from gridtrack.trackers.model_free.training import draw_scans, fit_classes, fit_pipeline
 
         labelled = draw_scans(task)

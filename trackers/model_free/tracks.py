@@ -19,11 +19,11 @@ NOT_PLACED = np.empty(0), np.empty(0), np.empty((0, 2))
 
 
 class Window:
-    """The pose of the grid in the fixed frame, which is the grid frame of the first update and does not move.
+    """The pose of the grid in the fixed frame, which is the grid frame of the first update.
 
-    The axes of the fixed frame are the world's; its origin is near the sensor, so that coordinates stay small wherever
-    the origin of the world is. `shift` is how far the window has moved since then, in whole cells; `fixed_grid` is the
-    grid with its corner in the fixed frame; `offset_m` (2,) leads from the grid frame to the fixed frame.
+    The fixed frame has the axes of the world and an origin near the sensor, so that coordinates are small. `shift` is
+    the motion of the window since the first update, in whole cells; `fixed_grid` is the grid with its corner in the
+    fixed frame; `offset_m` (2,) leads from the grid frame to the fixed frame.
     """
 
     __slots__ = ("fixed_grid", "grid", "offset_m", "shift")
@@ -35,7 +35,7 @@ class Window:
         self.fixed_grid = GridSpec(grid.size, grid.cell_m, (x, y)) if shift else grid
 
     def moved(self, by: Shift) -> Window:
-        """The window after it moved on."""
+        """The window after a further shift."""
         return Window(self.grid, Shift(self.shift.rows + by.rows, self.shift.columns + by.columns))
 
 
@@ -57,7 +57,7 @@ class Track:
     returns: Array
     """Its newest returns (N, 2), metres, fixed frame, observed `unseen` periods ago."""
     ages: NDArray[np.int64]
-    """For how many periods each return (N,) had been in place at that time."""
+    """The number of periods for which each return (N,) had been in place at that time."""
     existence: float
     confirmed: bool = False
     unseen: int = 0
@@ -116,6 +116,6 @@ def existence_when_detected(existence: float, detection_probability: float, clut
 def existence_when_missed(existence: float, detection_probability: float) -> float:
     """Bayes' rule for the existence probability after a missed detection.
 
-    `detection_probability`: of an existing object; 0 if it would be hidden, so that a miss says nothing.
+    `detection_probability`: of an existing object; 0 for a hidden one, because its miss is no evidence.
     """
     return existence * (1.0 - detection_probability) / (1.0 - existence * detection_probability)

@@ -70,7 +70,7 @@ SETTING_RANGES = {
 PIPELINE_OF_PLACE = frozenset({"untracked_share", "rate_recovery_s", "static_above", "adaptation_s", "map_weight_s"})
 """Settings that weigh the map of the place against the stream: the settings of the background."""
 WITHOUT_MAP = {"background": "none"}
-"""The setting of a pipeline that finds its background while the stream goes."""
+"""The setting of a pipeline that learns its background from the stream."""
 COMPONENTS = (1, 2, 4, 8)
 LIFE_POWERS = (0.1, 0.15, 0.25, 0.35, 0.5, 0.7, 1.0)
 PRIOR_POWERS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -80,8 +80,8 @@ SHRINKAGE = 0.05
 SAMPLES_PER_COMPONENT = 40
 """Minimum number of samples (frames of tracks) of a class for each further Gaussian."""
 SMOOTHING_M, SMOOTHED_WEIGHT, GLOBAL_WEIGHT = 1.6, 1.0, 10.0
-"""The prior of a cell: its own returns, plus its surroundings, a Gaussian of deviation SMOOTHING_M, with a
-total weight of SMOOTHED_WEIGHT returns; the surroundings include all returns of the site with GLOBAL_WEIGHT returns."""
+"""The prior of a cell: its own returns, plus its surroundings (a Gaussian of deviation SMOOTHING_M) with the weight of
+SMOOTHED_WEIGHT returns. The surroundings include all returns of the site with the weight of GLOBAL_WEIGHT returns."""
 
 
 def fit_pipeline(tracker: type[ModelFreeTracker], task: FitTask) -> None:
@@ -160,7 +160,7 @@ class TrackSamples(NamedTuple):
 
 
 def draw_scans(task: FitTask) -> LabelledScans | None:
-    """The labelled scans of the training; None if no classes are requested or available, or for any place.
+    """The labelled scans of the training; None for general weights, and if no classes are requested or available.
 
     Raises ConfigurationError if too few scans are labelled or classes are requested for any place, WeightsError
     if there are no weights to add classes to.
@@ -178,7 +178,7 @@ def draw_scans(task: FitTask) -> LabelledScans | None:
 
 
 def fit_classes(kind: type[ModelFreeTracker], labelled: LabelledScans, task: FitTask) -> None:
-    """Train classes on the `labelled` scans and add them to the weights at `task.out`, which are otherwise unchanged.
+    """Train classes on the `labelled` scans and add them to the weights at `task.out`.
 
     Raises ConfigurationError if `task.validation` has no labels.
     """
@@ -288,7 +288,7 @@ def fit_mixtures(training: TrackSamples, cell_prior: NDArray[np.float64], compon
     """Mixture discriminant analysis (Hastie and Tibshirani, 1996): Gaussians with one covariance for each class.
 
     The class of a sample is the class of most of its cells. A class without samples has the distribution of all
-    samples. The powers are not chosen here.
+    samples. `best_model` chooses the powers.
     """
     known = training.cells.any(axis=1)
     features, targets = training.features[known], training.cells[known].argmax(axis=1)
@@ -326,7 +326,7 @@ def _results(
     loss: float,
     task: FitTask,
 ) -> dict[str, Any]:
-    """The results of the classes in the card, with their own command: the settings may be from an earlier training."""
+    """The results of the classes in the card, with their own command, as the settings may be from another training."""
     targets = training.cells.argmax(axis=1)[training.cells.any(axis=1)]
     tracks = [len(np.unique(training.track[training.cells[:, k] > 0])) for k in range(len(classes))]
     return {

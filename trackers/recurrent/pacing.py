@@ -97,7 +97,7 @@ class SubstepNetwork(StreamNetwork):
 
 
 class InterleavedNetwork(StreamNetwork):
-    """Has `phases` states, each of which takes one frame in `phases`.
+    """Has `phases` states; each takes one frame in `phases`.
 
     Its State is a tuple of them; the last one has taken the last frame. A step without input forecasts the next frame
     from the state that would take it, which is `phases` frames older.

@@ -134,7 +134,7 @@ def _trainer(settings: TrainingSettings, devices: Devices, task: FitTask) -> lig
     assert settings.precision != "auto"
     folder = task.log_dir / "checkpoints"
     best = ModelCheckpoint(folder, filename=BEST, monitor="score", mode="max", enable_version_counter=False)
-    # after every epoch, whatever the score
+    # after every epoch, at any score
     last = ModelCheckpoint(folder, filename=LAST, enable_version_counter=False)
     timed = ModelCheckpoint(
         folder,

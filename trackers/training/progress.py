@@ -45,7 +45,7 @@ class Progress:
 
     @contextmanager
     def stage(self, unit: str, total: int, done: int = 0) -> Iterator[Stage]:
-        """A stage of `total` iterations, of which `done` were done by an earlier training."""
+        """A stage of `total` iterations; an earlier training did `done` of them."""
         stage = Stage(unit, total, done)
         self._stages.append(stage)
         try:

@@ -103,24 +103,14 @@ def search_settings(
     """
     if not ranges:
         return [start]
-    log = SearchLog(
-        task.log_dir / SEARCH_FILE,
-        {
-            "objective": target.name,
-            "ranges": {key: list(bounds) for key, bounds in ranges.items()},
-            "start": start.model_dump(mode="json"),
-            "seed": task.seed,
-            "train": [[source.name, source.sha256, len(source)] for source in task.train],
-        },
-    )
+    log = _log_of(ranges, target, start, task)
 
-    def with_tried(trial: optuna.trial.FrozenTrial) -> _Tuned:
-        tried = {key: three_digits(value) for key, value in trial.params.items()}
-        return type(start)(**{**start.model_dump(), **tried})
+    def with_tried(values: Mapping[str, float]) -> tuple[dict[str, float], _Tuned]:
+        tried = {key: three_digits(value) for key, value in values.items()}
+        return tried, type(start)(**{**start.model_dump(), **tried})
 
     def value_of(trial: optuna.Trial) -> float:
-        tried = {key: three_digits(trial.suggest_float(key, *ranges[key], log=True)) for key in ranges}
-        settings = type(start)(**{**start.model_dump(), **tried})
+        tried, settings = with_tried({key: trial.suggest_float(key, *ranges[key], log=True) for key in ranges})
         scores, value = _scored(trial, log.of(tried) or target.of(settings))
         log.add(tried, scores)
         if not math.isfinite(value):
@@ -143,10 +133,24 @@ def search_settings(
         if not stage.done:
             raise
         reached = f"search iteration {stage.done} of {iterations}"
-        raise SearchInterrupted(with_tried(study.best_trial), reached) from None
+        raise SearchInterrupted(with_tried(study.best_params)[1], reached) from None
     task.report(f"best of {iterations} search iterations: {target.name} {study.best_value:.5f}")
     best = sorted(study.get_trials(deepcopy=False), key=lambda trial: -trial.values[0])[:FINALISTS]
-    return [with_tried(trial) for trial in best]
+    return [with_tried(trial.params)[1] for trial in best]
+
+
+def _log_of(
+    ranges: Mapping[str, tuple[float, float]], target: SearchTarget[_Tuned], start: _Tuned, task: FitTask
+) -> SearchLog:
+    """The scores of an interrupted search with the same task, or a new log."""
+    identity = {
+        "objective": target.name,
+        "ranges": {key: list(bounds) for key, bounds in ranges.items()},
+        "start": start.model_dump(mode="json"),
+        "seed": task.seed,
+        "train": [[source.name, source.sha256, len(source)] for source in task.train],
+    }
+    return SearchLog(task.log_dir / SEARCH_FILE, identity)
 
 
 def _study(start: dict[str, float], seed: int) -> optuna.Study:

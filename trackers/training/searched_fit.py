@@ -58,9 +58,9 @@ _Searched = TypeVar("_Searched", bound=Settings)
 class SettingsSearch(Generic[_Searched]):
     """The search for a `tracker`: settings of one `kind`, with the `ranges` that are searched log-uniformly.
 
-    `of_place`: the settings of which general weights know nothing. `during(settings)`: faster, less accurate settings
-    for the search. `without_map`: the settings with which the tracker starts without its map of the place; empty if
-    it has no map, or cannot start without it.
+    `of_place`: the settings about the place, which general weights do not know. `during(settings)`: faster, less
+    accurate settings for the search. `without_map`: the settings with which the tracker starts without its map of the
+    place; empty if it has no map, or cannot start without it.
     """
 
     tracker: type[CalibratedTracker]

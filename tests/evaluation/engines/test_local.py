@@ -1,4 +1,4 @@
-"""The engine of this machine: what it keeps while a run lasts."""
+"""The engine of this machine: its scratch folder."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
 
 
-def test_what_a_killed_run_left_behind_is_removed(settings, progress, tmp_path):
+def test_the_scratch_folder_of_a_killed_run_is_removed(settings, progress, tmp_path):
     left = tmp_path / "run" / ".engine" / "of-a-killed-run" / "kalman.toml"
     left.parent.mkdir(parents=True)
     left.write_text("weights")

@@ -75,7 +75,7 @@ def test_two_engines_agree_to_the_last_count(compare, progress, tmp_path, train,
     assert one == other
 
 
-def test_thresholds_that_a_process_has_chosen_are_found_by_the_next(tmp_path):
+def test_a_process_reuses_the_thresholds_of_an_earlier_one(tmp_path):
     bins = np.random.default_rng(0).integers(1, PROBABILITY_BINS, (11, len(STRATA)))
     chosen = Thresholds(bins, "room.mcap@validation", STRATA)
     SharedThresholds(tmp_path).learn("a key", ThresholdsUsed.of(chosen))
@@ -87,10 +87,10 @@ def test_thresholds_that_a_process_has_chosen_are_found_by_the_next(tmp_path):
 
 
 @pytest.mark.parametrize(("number", "reason"), [(signal.SIGKILL, "signal 9"), (signal.SIGINT, "it was interrupted")])
-def test_a_job_whose_process_is_killed_or_interrupted_starts_again_with_a_note(
+def test_a_job_starts_again_with_a_note_if_its_process_is_killed_or_interrupted(
     compare, progress, cluster, hangs, number, reason
 ):
-    """As if its machine is lost, or a scheduler needs it for another user."""
+    """The cause may be a lost machine, or a scheduler that needs it for another user."""
     progress.on_frame = lambda trial, delivered: delivered == HUNG and signal_to(cluster.started[0], number)
     assert trial_of(compare(hangs), "staged").outcome == "ok"
     lost = f"staged@room: lost by the engine ({reason}); starts again, 1 of 2"
@@ -99,7 +99,7 @@ def test_a_job_whose_process_is_killed_or_interrupted_starts_again_with_a_note(
     assert len(cluster.started) == 2
 
 
-def test_a_job_that_is_lost_again_and_again_ends_as_failed(compare, cluster, monkeypatch):
+def test_a_job_that_is_lost_too_often_ends_as_failed(compare, cluster, monkeypatch):
     start = cluster.start
     monkeypatch.setattr(cluster, "start", lambda folders: [(task, task.kill())[0] for task in start(folders)])
     outcome = trial_of(compare("persistence"), "persistence")
@@ -108,7 +108,7 @@ def test_a_job_that_is_lost_again_and_again_ends_as_failed(compare, cluster, mon
     assert outcome.reason == ("lost by the engine 3 times, the last time because signal 9: compare with --resume")
 
 
-def test_a_process_of_a_lost_machine_that_still_runs_changes_no_result(compare, progress, tmp_path, cluster, hangs):
+def test_a_process_on_a_machine_that_was_cut_off_changes_no_result(compare, progress, tmp_path, cluster, hangs):
     """The machine is only cut off: its process continues, and notices that its task was abandoned."""
     ended, cut_off = cluster.ended, []
 
@@ -147,8 +147,8 @@ def test_an_interrupt_keeps_the_scores_and_leaves_no_process(compare, progress, 
     assert len(cluster.started) == 3
 
 
-def test_an_interrupt_ends_a_run_whose_jobs_have_nothing_to_reply(compare, progress, cluster, hangs, monkeypatch):
-    """As jobs that still wait for a machine."""
+def test_an_interrupt_ends_a_run_of_jobs_without_a_reply(compare, progress, cluster, hangs, monkeypatch):
+    """Such as jobs that still wait for a machine."""
     cancel = cluster.cancel
     monkeypatch.setattr(cluster, "cancel", lambda tasks, *, force: cancel(tasks, force=True))
     progress.on_frame = interrupt_host
@@ -196,7 +196,7 @@ def test_a_machine_with_another_recording_or_version_refuses_the_job(
     )
 
 
-def test_only_the_path_of_a_folder_travels_and_an_order_does_not_grow_with_the_run(settings, tmp_path, record):
+def test_a_task_receives_only_the_path_of_a_folder_and_orders_do_not_grow_with_the_run(settings, tmp_path, record):
     def order(count):
         several = tuple(str(record(f"r{n}", 8, {}, wall_m=3 + n / 10)) for n in range(count))
         plan = resolve(settings("persistence", "blank", recordings=several))
@@ -237,7 +237,7 @@ def test_a_cluster_without_room_for_a_trial_is_refused(compare, cluster):
         ({"follow": True}, "--follow runs on this machine"),
     ],
 )
-def test_what_a_cluster_cannot_do_is_refused_in_one_line(settings, engine, given, message):
+def test_options_that_a_cluster_does_not_support_are_refused_in_one_line(settings, engine, given, message):
     with pytest.raises(ConfigurationError, match=message):
         resolve(settings("persistence", engine=engine, **given))
 

@@ -47,12 +47,12 @@ def slurm(machine, monkeypatch):
 
 
 def of_slurm(*command):
-    """What a command of Slurm prints, in lines."""
+    """The output lines of a command of Slurm."""
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
 
 
 def jobs():
-    """Jobs that wait, run, or have not ended wholly."""
+    """Jobs that wait, run or are ending."""
     return of_slurm("squeue", "--noheader", "--array", "--format=%i")
 
 
@@ -62,7 +62,7 @@ def completed():
 
 
 def first_job():
-    """The id and the node of the running task that carries out the first trial."""
+    """The id and the node of the task that runs the first trial."""
     lines = of_slurm("squeue", "--noheader", "--array", "--states=RUNNING", "--format=%i %N")
     (found,) = [line.split() for line in lines if line.split()[0].endswith("_0")]
     return found
@@ -83,7 +83,7 @@ def killed(job, node):
 @pytest.mark.usefixtures("staged", "slurm")
 @pytest.mark.parametrize(("take_away", "reason"), [(preempted, "PREEMPTED"), (killed, "FAILED: signal 9")])
 def test_a_trial_that_is_taken_away_in_mid_run_changes_no_count(settings, progress, tmp_path, take_away, reason):
-    """It alone starts again; the tracker that fails by itself never does. Other states: test_slurm_job.py."""
+    """Only this trial starts again; a tracker that fails by itself does not. Other states: test_slurm_job.py."""
     ended = []
 
     def end_its_job(trial, delivered):
@@ -178,7 +178,7 @@ def test_a_job_that_cannot_start_reports_the_last_line_of_its_errors(settings, p
         ("mem_gb=5000", EngineError, "sbatch: Batch job submission failed: "),
     ],
 )
-def test_what_slurm_cannot_give_is_refused_in_one_line(settings, progress, capfd, given, error, message):
+def test_requests_beyond_the_means_of_slurm_are_refused_in_one_line(settings, progress, capfd, given, error, message):
     with pytest.raises(error, match=message) as refused:
         run(resolve(settings("persistence", engine="slurm", slurm=parse_slurm(given))), (), progress)
     assert "\n" not in str(refused.value)

@@ -54,7 +54,7 @@ def job(folders, monkeypatch):
 
 @pytest.fixture
 def cluster(tmp_path, monkeypatch):
-    """A cluster whose jobs have the states in the file `states`; the file `cancelled` has the arguments of scancel."""
+    """A cluster with the states of its jobs in the file `states`; the arguments of scancel go to `cancelled`."""
     for name, does in (
         ("sinfo", "echo 'low*|4|idle|'"),
         ("squeue", f"cat {tmp_path}/states"),
@@ -68,7 +68,7 @@ def cluster(tmp_path, monkeypatch):
 
 
 def tasks_of(folders, *states):
-    """The tasks of the array, whose jobs have these states."""
+    """The tasks of the array, with these states of their jobs."""
     lines = (f"7_{number}|{state}|0|None|" for number, state in enumerate(states))
     (folders[0].parent / "states").write_text("\n".join(lines), "utf-8")
     return [SlurmTask(f"7_{number}", folder, folder / "log") for number, folder in enumerate(folders)]
@@ -110,7 +110,7 @@ def test_a_job_claims_no_further_task_after_an_interrupt_or_a_minute(job, monkey
 def test_a_task_has_ended_when_its_job_claims_another_and_is_lost_with_the_job_that_runs_it(
     job, folders, cluster, state
 ):
-    """Also one that failed: its job lives on, so it was the tracker's own failure, which is never retried."""
+    """So has a failed task: its job continues, so the tracker itself failed, which is never retried."""
     job(0, lambda number: number != 3)
     tasks = tasks_of(folders, state, "RUNNING", "PENDING", "PENDING", "COMPLETED")
     ends = cluster.ended(tasks)

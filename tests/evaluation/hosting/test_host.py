@@ -1,4 +1,4 @@
-"""The host: what /proc shows a tracker's process of the recording, and processes that a tracker leaves behind."""
+"""The host: traces of the recording in /proc, and processes that a tracker leaves behind."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from tests.conftest import PLUGINS
 PR_CAPBSET_DROP = 24
 CAP_SYS_PTRACE, CAP_SYS_ADMIN, CAP_PERFMON = 19, 21, 38
 ENDED, LEFT = "86411", "86413"
-"""Durations that no other process of this machine waits for, in seconds."""
+"""Unusual durations, seconds, that identify the processes of this test."""
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="/proc, and the adoption of orphans, are Linux's")
 
 
 def drop_tracing() -> None:
-    """Take the right to read every process from root; no shield prevents that."""
+    """Remove root's right to read every process, which no shield prevents."""
     for right in (CAP_SYS_PTRACE, CAP_SYS_ADMIN, CAP_PERFMON):
         ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, right, 0, 0, 0)
 
@@ -62,7 +62,7 @@ def left_behind(seconds: str) -> list[psutil.Process]:
 
 
 @pytest.mark.usefixtures("burglar")
-def test_the_host_ends_a_process_whose_tracker_killed_its_own_supervisor_and_continues(record, tmp_path):
+def test_the_host_ends_the_processes_of_a_tracker_that_killed_its_supervisor_and_continues(record, tmp_path):
     rows = ["--no-floors", "--tracker", f'burglar:attacks=[["outlives","{ENDED}"]]', "--tracker", "persistence"]
     command = [sys.executable, "-m", "gridtrack.cli", "compare", str(record()), *rows, "--out", str(tmp_path / "run")]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -74,8 +74,8 @@ def test_the_host_ends_a_process_whose_tracker_killed_its_own_supervisor_and_con
 
 
 @pytest.mark.usefixtures("burglar")
-def test_without_adoption_it_would_be_left(tmp_path):
-    """The attack itself works: in a process that is not gridtrack's alone, and adopts nothing."""
+def test_without_adoption_the_process_would_remain(tmp_path):
+    """The attack works in a program that is not gridtrack alone, and therefore adopts no orphans."""
     script = f"""
 from pathlib import Path
 from gridtrack.common.grid import GridSpec

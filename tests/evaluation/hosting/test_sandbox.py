@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import mmap
 import os
 import socket
 import subprocess
@@ -147,6 +148,18 @@ def test_no_key_of_the_kernel_outlives_its_process(attack, confined):
 
 
 @pytest.mark.parametrize("confined", [False, True], ids=["open", "sandbox"])
+def test_the_pages_that_a_file_has_in_memory_cannot_be_asked(attack, tmp_path, confined):
+    """A tracker could read some pages of its own files in one pass, and look for them in the next."""
+    own = tmp_path / "site" / "weights.bin"
+    own.parent.mkdir(exist_ok=True)
+    with own.open("wb") as file:
+        file.write(bytes(16 * mmap.PAGESIZE))
+        os.fsync(file)
+    _, found = attack(("leaves_pages", own), ("finds_pages", own), confined=confined)
+    assert len(found) == (0 if confined else 16)
+
+
+@pytest.mark.parametrize("confined", [False, True], ids=["open", "sandbox"])
 def test_no_file_is_a_memory_of_a_recording_for_a_later_pass(attack, confined):
     """Also not in the two folders that it may write to."""
     places = [Path(folder, f"memory-{uuid4()}") for folder in ("/tmp", "/dev/shm")]
@@ -175,7 +188,7 @@ def test_files_in_its_memory_count_as_memory(attack, folder):
     assert not Path(folder, "burglar").exists()
 
 
-def test_scores_are_those_without_a_sandbox(compare, tmp_path):
+def test_scores_are_equal_with_and_without_the_sandbox(compare, tmp_path):
     scores = []
     for confined in (False, True):
         limits, out = Limits(sandbox=confined), tmp_path / f"run {confined}"

@@ -40,7 +40,7 @@ def log(tmp_path: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def _leaves_no_process(bad_trackers: None) -> Iterator[None]:
-    """Every test here also claims this: when the trial is over, no child of the referee lives."""
+    """Every test here also checks that no child of the referee is alive after the trial."""
     before = set(psutil.Process().children(recursive=True))
     descriptors = psutil.Process().num_fds()
     yield
@@ -94,7 +94,7 @@ def test_a_tracker_killed_by_a_signal_is_a_crash_that_names_it(tmp_path: Path) -
     assert at_every_stage("kills-itself", tmp_path) == [("crashed", f"{at(s)}: killed by SIGKILL") for s in STAGES]
 
 
-def test_an_exception_is_a_crash_whose_last_line_is_the_reason(tmp_path: Path, trackers_here: None) -> None:
+def test_an_exception_is_a_crash_with_its_last_line_as_the_reason(tmp_path: Path, trackers_here: None) -> None:
     reasons = [f"{at(stage)}: " if stage != "start" else "" for stage in STAGES]
     assert at_every_stage("raises", tmp_path) == [("crashed", f"{r}ValueError: the gate is negative") for r in reasons]
 
@@ -170,7 +170,7 @@ def test_a_failure_to_start_has_its_own_outcome(log: Path, trackers_here: None) 
     assert outcome("out-of-memory", log) == ("out-of-memory", "update with frame 1: MemoryError:")
 
 
-def test_what_libraries_print_goes_to_the_log_and_never_into_the_wire(log: Path) -> None:
+def test_output_of_libraries_goes_to_the_log_and_never_into_the_wire(log: Path) -> None:
     run("prints-everywhere", log, at="every")
     lines = log.read_text().splitlines()
     for line in ("from python", "from C", "to descriptor 1", "from a subprocess"):

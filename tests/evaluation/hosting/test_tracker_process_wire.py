@@ -89,7 +89,7 @@ def end(how: str, tmp_path: Path, size: int = 20) -> tuple[str, str]:
     return ended.value.outcome, ended.value.reason
 
 
-def test_a_program_may_name_its_role_and_the_comparisons_that_it_is_the_reference_of(described) -> None:
+def test_a_program_may_name_its_role_and_the_comparisons_with_it_as_reference(described) -> None:
     floor = described({"role": "floor", "reference_for": ["classes", "occupancy"]})
     assert (floor.role, floor.reference_for) == ("floor", {"occupancy", "classes"})
     plain = described({})

@@ -79,7 +79,7 @@ def test_the_timeline_is_monotonic(costs: list[tuple[float, float]], frames: int
     assert np.flatnonzero(found.accepted).tolist() == taken
 
 
-def test_the_highest_rate_is_that_of_the_99th_percentile() -> None:
+def test_the_highest_rate_follows_from_the_99th_percentile() -> None:
     costs = Costs(tuple([10.0] * 98 + [40.0] * 2), tuple([10.0] * 100))
     assert costs.highest_rate_hz == pytest.approx(1000.0 / 50.0)
     assert timeline(1000, 50.0, costs).missed == 0

@@ -31,7 +31,7 @@ def test_a_recording_without_named_stretches_is_tested_whole_at_one_half(record)
     split = plan_split(str(record(stretches={})), None, SECOND)
     assert len(split.test) == 200
     assert split.validation is None
-    assert "the thresholds of a tracker are those of its weights' card" in split.notices[0]
+    assert "the thresholds of a tracker come from its weights' card" in split.notices[0]
 
 
 def test_a_range_is_part_of_the_name_of_its_split(record):

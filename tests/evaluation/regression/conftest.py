@@ -53,7 +53,7 @@ class Made:
     noise: float = 0.0
     """Spread of the recall from recording to recording, of this training only."""
     only: tuple[str, ...] = ()
-    """The recordings that the loss is confined to; all where empty."""
+    """The recordings with the loss; all if empty."""
     occupied: bool = True
     """Whether any cell is."""
     nats: float = 0.1
@@ -64,12 +64,12 @@ class Made:
     """The recordings in which the log losses are five times as large."""
     run_seed: int = 0
     tracker: str = ""
-    """The tracker under the label; its name where empty."""
+    """The tracker of the label; by default the label itself."""
     points: str = "centres"
     argv: tuple[str, ...] = ()
     recoveries: int = 0
     degradations: tuple[float, ...] = ()
-    """Values of `beam-dropout` that it was scored at."""
+    """Scored values of `beam-dropout`."""
     outcome: str = "ok"
     scored: int = FRAMES
     ms: float | None = None
@@ -77,7 +77,7 @@ class Made:
 
 
 def tally_of(made: Made, recording: str, frame: int, rng: np.random.Generator, offset: float) -> Tally:
-    """Counts of one scored frame: the same cells whatever the tracker, its hits drawn by `rng`."""
+    """Counts of one scored frame: equal cells for all trackers, and hits drawn by `rng`."""
     cells = np.random.default_rng([zlib.crc32(recording.encode()), frame])
     recall = np.full((STEPS + 1, len(STRATA)), made.recall + offset)
     if not made.only or recording in made.only:
@@ -156,7 +156,7 @@ Written = Callable[[str, Callable[[Path], object]], Path]
 
 @pytest.fixture(scope="session")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
-    """`written(key, write)`: the folder that `write` has filled, once a session for each `key`."""
+    """`written(key, write)`: a folder that `write` fills once a session for each `key`."""
     folders: dict[str, Path] = {}
 
     def written(key: str, write: Callable[[Path], object]) -> Path:
@@ -171,7 +171,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
 
 @pytest.fixture
 def run_of(written: Written) -> WriteRun:
-    """`run_of(trackers, recordings)`: a run as of `write_run`, not to be changed."""
+    """`run_of(trackers, recordings)`: a run of `write_run`, which tests must not change."""
     return lambda *given, **how: written(repr((given, how)), lambda folder: fill_run(folder, *given, **how))
 
 
@@ -237,8 +237,7 @@ def edit() -> Callable[[Path, Callable[[Any], Any]], None]:
 
 @pytest.fixture
 def edit_baseline(edit: Callable[[Path, Callable[[Any], Any]], None]) -> Callable[[Path, Callable[[Any], Any]], None]:
-    """`edit_baseline(file, change)` is `edit` with a digest that fits: a file that a program of ours could have
-    written."""
+    """`edit_baseline(file, change)` is `edit` with a valid digest, as if gridtrack had written the file."""
 
     def edit_baseline(path: Path, change: Callable[[Any], Any]) -> None:
         edit(path, change)

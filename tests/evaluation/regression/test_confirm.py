@@ -1,4 +1,4 @@
-"""`gridtrack regress --confirm`: what looks worse runs again, and is worse if it is worse again."""
+"""`gridtrack regress --confirm`: worse rows run again, and stay worse if the second run is worse too."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Options(Settings):
 
 
 class Moody(Tracker):
-    """Forecasts the last frame, and nothing while a file `bad` is in its folder; crashes if one `broken` is."""
+    """Forecasts the last frame; nothing if its folder has a file `bad`; crashes if it has a file `broken`."""
 
     Options = Options
 
@@ -52,7 +52,7 @@ class Moody(Tracker):
 
 @pytest.fixture
 def folder(install, tmp_path, trackers_here):
-    """What decides how the tracker `moody` does."""
+    """The folder with the files that control the tracker `moody`."""
     install("moody", {"moody": "moody_tracker:Moody"}, {"moody_tracker.py": MOODY})
     made = tmp_path / "mood"
     made.mkdir()
@@ -83,7 +83,7 @@ def runs(folder, record, progress, regress, tmp_path):
     return now, baseline
 
 
-def test_a_fall_that_stays_away_in_a_second_run_is_not_worse_and_both_results_are_told(runs, folder, regress, tmp_path):
+def test_a_fall_in_the_first_run_only_is_not_worse_and_both_results_are_printed(runs, folder, regress, tmp_path):
     now, baseline = runs
     assert regress(now, "--baseline", baseline).code == 1
     assert (folder / "starts").read_text() == ""
@@ -91,9 +91,9 @@ def test_a_fall_that_stays_away_in_a_second_run_is_not_worse_and_both_results_ar
     junit, page = tmp_path / "junit.xml", tmp_path / "page.md"
     done = regress(now, "--baseline", baseline, "--confirm", "--junit", junit, "--markdown", page)
     assert done.code == 0
-    told = [line for line in done.out.splitlines() if line.startswith("not confirmed: moody, visible, 0 to 0.5 s")]
-    assert told[0].partition("; in a second run: ")[2].startswith("F1 0.")
-    assert told[0].count("is worse") == 1
+    lines = [line for line in done.out.splitlines() if line.startswith("not confirmed: moody, visible, 0 to 0.5 s")]
+    assert lines[0].partition("; in a second run: ")[2].startswith("F1 0.")
+    assert lines[0].count("is worse") == 1
     assert "no worse than the baseline" in done.out
     assert (folder / "starts").read_text() == ".."  # its two trials, and no other
     assert "| not confirmed |" in page.read_text()
@@ -103,7 +103,7 @@ def test_a_fall_that_stays_away_in_a_second_run_is_not_worse_and_both_results_ar
     assert any("; in a second run: F1 0." in case.text for case in suite.findall("testcase/system-out"))
 
 
-def test_a_fall_that_is_there_again_is_worse(runs, folder, regress):
+def test_a_fall_in_both_runs_is_worse(runs, folder, regress):
     now, baseline = runs
     done = regress(now, "--baseline", baseline, "--confirm", "--json")
     verdict = json.loads(done.out)
@@ -112,7 +112,7 @@ def test_a_fall_that_is_there_again_is_worse(runs, folder, regress):
     assert all(look["confirmed"] and look["second"]["fall"] > 0 for look in verdict["second_looks"])
 
 
-def test_a_second_run_that_fails_or_is_of_something_else_is_not_measured(runs, folder, regress, edit, tmp_path):
+def test_a_second_run_that_fails_or_has_other_inputs_is_not_measured(runs, folder, regress, edit, tmp_path):
     now, baseline = runs
     (folder / "broken").touch()
     done = regress(now, "--baseline", baseline, "--confirm")
@@ -149,7 +149,7 @@ def test_the_same_counts_again_confirm_every_row(write_run, trainings):
     assert again.worse == verdict.worse
 
 
-def test_nothing_runs_again_where_nothing_looks_worse(runs, folder, regress, tmp_path):
+def test_without_a_worse_row_nothing_runs_again(runs, folder, regress, tmp_path):
     baseline = runs[1]
     done = regress(tmp_path / "then", "--baseline", baseline, "--confirm")
     assert (done.code, (folder / "starts").read_text()) == (0, "")
@@ -158,7 +158,7 @@ def test_nothing_runs_again_where_nothing_looks_worse(runs, folder, regress, tmp
 
 
 def test_the_record_of_a_run_starts_no_program(folder, record, progress, regress, tmp_path):
-    """The run may be a stranger's: its trackers.toml names an interpreter, which would run as the user."""
+    """The run may come from somebody else: its trackers.toml names an interpreter, which would run as the user."""
     recording, programs = record("one", seconds=8, stretches={}, wall_m=3.0), tmp_path / "trackers.toml"
     programs.write_text(f'[mine]\npython = "{sys.executable}"\ntracker = "moody"\n')
     settings = CompareSettings(

@@ -99,7 +99,7 @@ def test_a_history_that_was_changed_or_shortened_is_refused(check, tmp_path, edi
     assert (done.code, "changed since it was written" in done.err) == (2, True)
     first.unlink()
     done = check("three", GOOD)
-    assert (done.code, "the entry before that of" in done.err) == (2, True)
+    assert (done.code, "the entry before 20" in done.err) == (2, True)
     first.write_text(text)
     edit(second, lambda content: content.update(schema=9))
     done = check("three", GOOD)
@@ -108,8 +108,8 @@ def test_a_history_that_was_changed_or_shortened_is_refused(check, tmp_path, edi
 
 @pytest.fixture
 def drift(write_run, regress, tmp_path):
-    """`drift(n, *options)`: after `n` updates in one history, each of which raises the log loss by half a margin,
-    `regress` on a run with the next such rise, which passes without the history."""
+    """`drift(n, *options)`: `n` updates in one history, each with a log loss higher by half a margin; then `regress` on
+    a run with one more rise, which passes without the history."""
 
     def drift(updates, *options):
         asked = ["--baseline", tmp_path / "baseline.json"]

@@ -47,7 +47,7 @@ def test_equal_rows_have_p_1_beside_a_fallen_one():
     assert alone == beside < 0.01
 
 
-def test_of_two_recordings_a_collapse_on_either_is_listed():
+def test_a_collapse_on_either_of_two_recordings_is_listed():
     row = fallen_row((0.3, 0.6, 0.9), 0.4, ("one", "two") * (UNITS // 2))
     found = judged_recordings([row], row_tests([row]), GateSettings())
     assert {(one.recording, one.criterion) for one in found} == {("one", "collapse"), ("two", "collapse")}

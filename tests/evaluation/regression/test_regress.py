@@ -1,4 +1,4 @@
-"""`gridtrack regress`: what passes, what is worse, and what never passes."""
+"""`gridtrack regress`: runs that pass, runs that are worse, and runs that never pass."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_file_that_is_no_baseline_is_neither_read_nor_replaced(content, write_
         assert mine.read_text() == content
 
 
-def test_an_update_tells_what_is_worse_than_in_the_baseline_that_it_replaces(baseline, write_run, regress):
+def test_an_update_lists_the_scores_that_are_worse_than_in_the_replaced_baseline(baseline, write_run, regress):
     again = regress(write_run("same", NAMES), "--baseline", baseline, "--update")
     assert again.out.splitlines()[0] == "no worse than the baseline that it replaces"
     lower = regress(write_run("lower", {**NAMES, "kalman": {"recall": 0.3}}), "--baseline", baseline, "--update")
@@ -106,23 +106,24 @@ def test_a_small_fall_on_one_recording_of_twenty_is_printed_as_no_collapse(basel
     assert "change on one recording, no collapse: kalman on junction-07, dynamic" in done.out
 
 
-def test_on_too_few_units_any_fall_is_worse_unless_a_tolerance_is_stated(short_baseline, write_run, regress):
+def test_on_too_few_units_any_fall_is_worse_unless_a_tolerance_or_margin_is_given(short_baseline, write_run, regress):
     run = write_run("now", {**NAMES, "kalman": {"loss": 0.01}}, recordings=2)
     done = regress(run, "--baseline", short_baseline)
     assert done.code == 1
     assert "2 paired units, too few for significance, which needs 20" in done.out
     assert "persistence: every count is as in the baseline" in done.out
-    assert regress(run, "--baseline", short_baseline, "--tolerance", "kalman=0.05").code == 0
+    for tolerated in (("--tolerance", "kalman=0.05"), ("--margin", "0.05")):
+        assert regress(run, "--baseline", short_baseline, *tolerated).code == 0
 
 
-def test_of_one_short_recording_each_pair_has_one_statement_and_one_rule(baseline_of, write_run, regress, tmp_path):
+def test_one_short_recording_has_one_statement_for_each_pair_and_one_rule(baseline_of, write_run, regress, tmp_path):
     path = baseline_of(NAMES, recordings=1)
     run = write_run("now", {**NAMES, "kalman": {"loss": 0.05}}, recordings=1)
     done = regress(run, "--baseline", path, "--markdown", tmp_path / "said.md")
-    told = [line for line in done.out.splitlines() if "kalman" in line and ": F1 " in line]
+    sentences = [line for line in done.out.splitlines() if "kalman" in line and ": F1 " in line]
     assert done.code == 1
-    assert len({line.split(": F1")[0] for line in told}) == len(told) >= 3
-    assert all(line.startswith("worse: kalman, ") and line.endswith("; any fall is worse") for line in told)
+    assert len({line.split(": F1")[0] for line in sentences}) == len(sentences) >= 3
+    assert all(line.startswith("worse: kalman, ") and line.endswith("; any fall is worse") for line in sentences)
     assert not any(" on one recording" in line for line in done.out.splitlines() if "kalman" in line)
     assert "On one recording" not in (tmp_path / "said.md").read_text()
 
@@ -139,8 +140,8 @@ def test_no_stated_fall_is_larger_than_the_score_itself(baseline_of, write_run, 
     wide = regress(run, "--baseline", path, "--margin", "0.9", "--junit", tmp_path / "junit.xml")
     assert wide.code == 0
     cases = ElementTree.parse(tmp_path / "junit.xml").iterfind("testcase")
-    told = {case.findtext("system-out").split("; ")[-1] for case in cases if case.get("name").startswith("F1")}
-    assert told == {"no fall is beyond the margin of 0.9000"}
+    sentences = {case.findtext("system-out").split("; ")[-1] for case in cases if case.get("name").startswith("F1")}
+    assert sentences == {"no fall is beyond the margin of 0.9000"}
 
 
 @pytest.mark.parametrize(
@@ -152,7 +153,7 @@ def test_no_stated_fall_is_larger_than_the_score_itself(baseline_of, write_run, 
         (0.2, 0.005, "worse", "no fall alike in all units could be found"),
     ],
 )
-def test_where_no_fall_is_large_enough_the_sentence_of_a_row_says_why(baseline, margin, verdict, says):
+def test_a_row_says_why_no_fall_is_large_enough(baseline, margin, verdict, says):
     where = "net", "f1.f1", "F1", "dynamic", "long", ""
     row = VerdictRow(*where, baseline, baseline, 0.0, margin, float("inf"), 1.0, None, "", verdict)
     assert sentence_of(row).split("; ")[-1] == says
@@ -182,7 +183,7 @@ def test_a_change_is_printed_with_digits_that_show_it(then, now, relative, says)
     assert ", p < 0.0001;" in sentence_of(row)
 
 
-def test_what_is_worse_is_listed_from_the_worst_down(short_baseline, write_run, regress):
+def test_worse_rows_are_listed_from_the_worst_down(short_baseline, write_run, regress):
     trackers = {"kalman": {"recall": 0.58}, "persistence": {**NAMES["persistence"], "recall": 0.1}}
     said = regress(write_run("now", trackers, recordings=2), "--baseline", short_baseline).out.splitlines()
     worse = [line for line in said if line.startswith("worse: ") and "F1" in line and " on junction" not in line]
@@ -280,7 +281,7 @@ def damage(path):
 
 @pytest.mark.parametrize("file", ["sums.parquet", "outcome.json"])
 @pytest.mark.parametrize("harm", [damage, lambda path: path.unlink()])
-def test_a_trial_whose_files_are_damaged_or_gone_never_passes(short_baseline, write_run, regress, file, harm):
+def test_a_trial_with_damaged_or_missing_files_never_passes(short_baseline, write_run, regress, file, harm):
     run = write_run("now", NAMES, recordings=2)
     harm(run / "kalman@junction-01" / file)
     done = regress(run, "--baseline", short_baseline)
@@ -385,7 +386,7 @@ CONFLICT = "{\n<<<<<<< HEAD\n"
         ("version https://git-lfs.github.com/spec/v1\n", "utf-8", "(it is a Git LFS pointer: run `git lfs pull`"),
     ],
 )
-def test_a_baseline_that_an_editor_or_git_has_spoilt_says_how(
+def test_a_baseline_damaged_by_an_editor_or_git_is_refused_with_the_cause(
     short_baseline, write_run, regress, before, encoding, says
 ):
     short_baseline.write_bytes((before + short_baseline.read_text()).encode(encoding))
@@ -406,7 +407,7 @@ def test_a_run_without_an_occupied_cell_is_not_measured_and_makes_no_baseline(wr
     assert not (tmp_path / "new.json").exists()
 
 
-def test_a_baseline_that_is_not_there_names_the_option_that_makes_it(write_run, regress, tmp_path):
+def test_the_error_of_a_missing_baseline_names_the_option_that_makes_it(write_run, regress, tmp_path):
     done = regress(write_run("now", NAMES, recordings=1), "--baseline", tmp_path / "none.json")
     assert (done.code, "--update makes one of the run" in done.err) == (2, True)
     debugged = regress("--debug", tmp_path / "now", "--baseline", tmp_path / "none.json")
@@ -455,7 +456,7 @@ def test_speed_is_judged_as_a_ratio_so_a_slower_machine_passes_and_a_slower_trac
     assert regress(slower, *asked, "--speed-margin", "0.7").code == 0
 
 
-def test_speed_that_was_not_measured_is_noted_and_where_requested_never_passes(short_baseline, write_run, regress):
+def test_unmeasured_speed_is_noted_and_never_passes_if_requested(short_baseline, write_run, regress):
     run = write_run("now", NAMES, recordings=2)
     noted = regress(run, "--baseline", short_baseline)
     assert (noted.code, "note: speed is not judged: kalman@junction-00 has no latency in the" in noted.out) == (0, True)
@@ -463,7 +464,7 @@ def test_speed_that_was_not_measured_is_noted_and_where_requested_never_passes(s
     assert (requested.code, "speed cannot be judged" in requested.err) == (3, True)
 
 
-def test_junit_and_markdown_say_what_is_worse_and_escape_every_name(write_run, regress, tmp_path):
+def test_junit_and_markdown_list_worse_rows_and_escape_every_name(write_run, regress, tmp_path):
     hostile = "a-b.c_d e"
     path, junit, markdown = (tmp_path / name for name in ("b.json", "junit.xml", "page.md"))
     regress(write_run("then", {hostile: {"options": {"x": "<script>|"}}}, recordings=2), "--baseline", path, "--update")
@@ -476,6 +477,12 @@ def test_junit_and_markdown_say_what_is_worse_and_escape_every_name(write_run, r
     assert "<script>" not in page
     assert "\x1b" not in page + junit.read_text()
     assert "| worse | a-b.c\\_d e | F1 | dynamic | 0 to 0.5 s |" in page
+
+
+def test_a_device_without_space_is_one_line_with_the_remedy(short_baseline, write_run, regress):
+    done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline, "--markdown", "/dev/full")
+    assert done.code == 2
+    assert "/dev/full: No space left on device: free space there, or write to another disk" in done.err
 
 
 def test_junit_and_markdown_of_a_run_that_was_not_measured_hold_errors(short_baseline, write_run, regress, tmp_path):

@@ -14,7 +14,7 @@ MIDDLE = slice(5, 13)
 
 @pytest.fixture
 def baseline_of(write_run, regress, tmp_path):
-    """`baseline_of(*trainings)`: a baseline of one run for each, given as fields of Made, and what was printed."""
+    """`baseline_of(*trainings)`: a baseline of one run for each, given as fields of Made, and the output."""
 
     def baseline_of(*trainings, recordings=20):
         runs = [write_run(f"then-{n}", {"net": made}, recordings) for n, made in enumerate(trainings)]
@@ -42,7 +42,7 @@ def test_a_weaker_training_is_no_worse_than_two_with_the_same_spread(baseline_of
     assert "of 2 runs\nnet: F1 differs by up to 0.0" in made.out
     done = regress(write_run("now", {"net": WEAKER}), "--baseline", path)
     assert done.code == 0
-    assert "the spread between trainings is that of the 2 runs of the baseline" in done.out
+    assert "the spread between trainings is from the 2 runs of the baseline" in done.out
 
 
 def test_a_fall_beyond_the_spread_between_trainings_is_worse_and_the_spread_is_printed(baseline_of, write_run, regress):

@@ -42,7 +42,7 @@ def asked(compared, tmp_path):
 
 
 def times(monkeypatch, **ms: float) -> list[str]:
-    """Let the calls of each tracker take `ms`; the returned list gets the name of each in its order."""
+    """Let the calls of each tracker take `ms`; the returned list gets the names in the order of the calls."""
     calls: list[str] = []
 
     def last_ms(process: TrackerProcess) -> float:
@@ -78,7 +78,7 @@ def test_a_tracker_that_takes_longer_than_its_base_is_worse_and_both_get_each_fr
     assert regress(*asked, "--speed-margin", "0.6").code == 0
 
 
-def test_a_tracker_that_takes_as_long_passes_and_its_ratio_is_told(asked, regress, monkeypatch, tmp_path):
+def test_a_tracker_that_takes_as_long_passes_and_its_ratio_is_printed(asked, regress, monkeypatch, tmp_path):
     times(monkeypatch, staged=2.1, old=2.0)
     page, junit = tmp_path / "page.md", tmp_path / "junit.xml"
     done = regress(*asked, "--markdown", page, "--junit", junit)
@@ -91,7 +91,7 @@ def test_a_tracker_that_takes_as_long_passes_and_its_ratio_is_told(asked, regres
     assert "speed of update in turns with old" in junit.read_text()
 
 
-def test_what_cannot_be_timed_is_not_measured_and_wrong_use_is_told(asked, compared, staged, regress):
+def test_a_failed_timing_is_not_measured_and_wrong_use_is_refused(asked, compared, staged, regress):
     out, baseline = compared
     assert (regress(*asked[:-2]).code, "no tracker 'old'" in regress(*asked[:-2]).err) == (2, True)
     wrong = regress(out, "--baseline", baseline, "--speed-base", "staged")

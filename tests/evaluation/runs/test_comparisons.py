@@ -62,7 +62,7 @@ def test_the_difference_from_the_reference_is_the_jackknifes_computed_one_record
     assert found.p == pytest.approx(2 * stats.t.sf(abs(value) / error, freedom), abs=5e-4)
 
 
-def test_better_is_said_where_it_is_shown_over_the_whole_family(twenty):
+def test_a_verdict_of_better_is_corrected_for_the_whole_family(twenty):
     good = difference(twenty[1], "good")
     assert (good.recordings, good.reference, good.units, good.frames) == ("all recordings", "persistence", 20, 80)
     assert {(t.stratum, t.horizon_s) for t in good.tests} == {
@@ -206,7 +206,7 @@ def test_a_pair_has_the_difference_and_the_p_value_of_the_test_against_the_refer
     assert found.difference.p == pytest.approx(expected.p, rel=0.01)
 
 
-def test_holm_is_over_all_pairs_of_the_score_and_better_is_said_where_it_is_shown(twenty):
+def test_holm_is_over_all_pairs_of_the_score_and_better_follows_from_it(twenty):
     tests = family(twenty[1]).pairs
     p = np.array([t.difference.p for t in tests])
     assert [t.p_holm for t in tests] == pytest.approx(holm(p).tolist(), rel=0.01)

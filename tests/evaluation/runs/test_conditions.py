@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gridtrack.evaluation.referee.deadline import Costs
+from gridtrack.evaluation.hosting.timing import Call
+from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.evaluation.runs import timed_passes
 from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
@@ -26,7 +27,9 @@ def costing(monkeypatch):
     """`costing(update_ms, predict_ms)` sets the measured cost of every frame."""
 
     def costing(update_ms, predict_ms):
-        monkeypatch.setattr(timed_passes, "_measure", lambda *_: (Costs((update_ms,), (predict_ms,)), 12))
+        calls = timed_passes._TimedCalls()
+        calls.add(Call(update_ms, update_ms), Call(predict_ms, predict_ms))
+        monkeypatch.setattr(timed_passes, "_timed_calls", lambda *_: calls)
 
     return costing
 
@@ -40,6 +43,41 @@ def test_a_tracker_without_delay_scores_as_without_a_clock(compare, costing):
     for at in result.deadline.rates:
         assert (at.missed, at.frames, at.age_frames.p99) == (0, 110, 0.0)
         assert at.f1 == f1_of(result)
+
+
+def test_a_timed_tracker_has_the_requests_of_one_that_is_scored(compare, record, monkeypatch):
+    """Frame by frame, until the timed pass ends: no request tells a tracker that it is timed."""
+    requests = {}
+
+    def recorded(name, told):
+        original = getattr(TrackerProcess, name)
+
+        def call(process, argument):
+            requests.setdefault(id(process), (process, process.stderr_path.name, []))[2].append(told(argument))
+            return original(process, argument)
+
+        monkeypatch.setattr(TrackerProcess, name, call)
+
+    recorded("update", lambda frame: frame.stamp_ns)
+    recorded("predict", lambda steps: f"{steps} steps")
+    path = str(record("plain", stretches={}))
+    compare("persistence", recordings=(path,), latency=True, deadline=True)
+    by_log = [(log, asked) for _, log, asked in requests.values()]
+    (scored,) = (asked for log, asked in by_log if log == "stderr.log")
+    (latency,) = (asked for log, asked in by_log if log == "latency.log")
+    timed, *at_rates = (asked for log, asked in by_log if log == "deadline.log")
+    assert latency == scored[: len(latency)]
+    assert at_rates
+    for asked in at_rates:  # persistence misses no frame
+        assert timed == asked[: len(timed)]
+    assert len([one for one in latency if one == "10 steps"]) > 10
+
+
+def test_a_tracker_that_is_fast_only_where_it_is_timed_is_a_notice(compare, record, tmp_path):
+    path, starts = record("plain", stretches={}, seconds=8), tmp_path / "starts"
+    summary = compare(f"staged:sleep_s=0.03,starts={starts},sleeps=first", recordings=(str(path),), latency=True)
+    (notice,) = (one for one in summary.notices if "when it was timed alone" in one)
+    assert notice.startswith("staged on plain: an update took 3")
 
 
 def test_a_busy_tracker_misses_frames_and_scores_less(compare, costing):
@@ -62,6 +100,19 @@ def test_frames_kept_over_a_reset_are_useless_in_another_condition(compare):
     assert other.robustness.kinds["beam_dropout"][1:] == one.robustness.kinds["beam_dropout"][1:]
     for rate in other.deadline.rates:
         assert rate.f1["dynamic"][-1] < 0.9
+
+
+@pytest.mark.usefixtures("bad_trackers")
+def test_a_tracker_that_keeps_the_frames_in_a_file_is_marked_and_an_honest_one_is_not(compare, tmp_path):
+    trackers = f"keeps-a-file:file={tmp_path / 'kept.npy'}", "staged"
+    summary = compare(*trackers, deadline=True, degrade=Degradation(beam_dropout=0.5))
+    hostile, honest = (trial_of(summary, label) for label in ("keeps-a-file", "staged"))
+    assert hostile.robustness.kinds["beam_dropout"][-1].f1["dynamic"][5] > 0.9
+    assert "which is more than chance" in hostile.memory
+    assert honest.memory == ""
+    assert [notice for notice in summary.notices if "--sandbox prevents it" in notice] == [
+        f"keeps-a-file on room: {hostile.memory}: the tracker may remember the recording; --sandbox prevents it"
+    ]
 
 
 def test_a_tracker_that_fails_in_the_deadline_pass_keeps_its_score_with_a_notice(compare, record, tmp_path):

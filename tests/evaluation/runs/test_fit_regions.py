@@ -44,7 +44,7 @@ def with_truth(tmp_path):
     return path
 
 
-def test_the_score_of_a_fit_is_that_of_the_referee_on_the_same_stretch(with_truth, tmp_path):
+def test_the_score_of_a_fit_equals_the_referees_on_the_same_stretch(with_truth, tmp_path):
     stream = open_stream(f"{with_truth}@2s-9s")
     source, score = stored(stream, tmp_path / "0.frames")
     found, expected = score(persistence(source), source, STEPS), of_the_referee(stream)
@@ -96,7 +96,7 @@ def test_frames_that_are_of_no_stretch_of_the_training_are_not_scored(with_truth
 
 
 @pytest.mark.parametrize(("with_truth", "poses"), [(True, (0.0, 0.0)), (True, (0.05, 0.01)), (False, (0.0, 0.0))])
-def test_the_score_of_a_fit_is_that_of_the_referee_where_the_sensor_moves(tmp_path, with_truth, poses):
+def test_the_score_of_a_fit_equals_the_referees_if_the_sensor_moves(tmp_path, with_truth, poses):
     path = drive.write_recording(tmp_path / "d.mcap", 16, with_truth=with_truth, pose_noise=poses)
     stream = open_stream(path)
     source, score = stored(stream, tmp_path / "0.frames")

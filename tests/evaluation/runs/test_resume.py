@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 
@@ -14,6 +15,7 @@ from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.runs import jobs, plan, run_folder
 from gridtrack.evaluation.runs.jobs import SharedInputs
 from gridtrack.evaluation.runs.result_files import RunError
+from gridtrack.evaluation.runs.run_folder import run_lock
 from gridtrack.evaluation.runs.sums import SUMS_FILE
 from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.reports.run import read_runs
@@ -204,11 +206,14 @@ def test_links_that_an_engine_left_in_a_killed_run_stop_nothing(compare, tmp_pat
     assert trial_of(compare("blank", "persistence", resume=True), "persistence").outcome == "ok"
 
 
-def test_a_lock_that_is_a_link_is_not_written_to(compare, tmp_path):
+@pytest.mark.parametrize(
+    ("link", "reason"), [(os.symlink, "cannot be opened"), (os.link, "a file with a second name")], ids=["soft", "hard"]
+)
+def test_a_lock_that_is_a_link_is_not_written_to(tmp_path, link, reason):
     mine = tmp_path / "mine"
     mine.write_text("precious")
     (tmp_path / "run").mkdir()
-    (tmp_path / "run" / ".lock").symlink_to(mine)
-    with pytest.raises(RunError, match=r"run/\.lock: cannot be opened"):
-        compare("blank")
+    link(mine, tmp_path / "run" / ".lock")
+    with pytest.raises(RunError, match=rf"run/\.lock: {reason}"), run_lock(tmp_path / "run"):
+        pass
     assert mine.read_text() == "precious"

@@ -143,7 +143,7 @@ def test_a_training_reports_a_damaged_entry_and_makes_it_again(record, cache, tm
 
 
 @pytest.mark.parametrize("kind", ["room", "truth", "drive", "cut off"])
-def test_a_kept_survey_is_that_of_the_recording(kind, record, cache, tmp_path):
+def test_a_kept_survey_equals_the_recordings(kind, record, cache, tmp_path):
     path = tmp_path / "one.mcap"
     if kind == "truth":
         truth_scene.write_recording(path, seconds=4)

@@ -386,7 +386,7 @@ def test_an_order_by_pr_auc_that_is_not_that_by_f1_is_named():
     )
 
 
-def test_the_horizon_of_a_reversed_ranking_is_that_of_the_step():
+def test_the_horizon_of_a_reversed_ranking_is_the_steps():
     """A period of 80 ms has no step at 1 s: the tables say 0.96 s, and so does the notice."""
     described = synthetic.description(period_s=0.08, steps=synthetic.STEPS)
     (line,) = reversed_lines({"a": (0.2, 0.1), "b": (0.1, 0.2)}, described)

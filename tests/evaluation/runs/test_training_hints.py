@@ -94,7 +94,7 @@ def test_the_hint_of_one_trial_keeps_out_of_the_stretches_of_the_others(record, 
     assert gridtrack(*command, "--resume").exit_code == 0
 
 
-def test_the_hint_of_a_trial_on_another_machine_is_that_of_the_whole_run(record, settings, tmp_path):
+def test_the_hint_of_a_trial_on_another_machine_is_the_whole_runs(record, settings, tmp_path):
     """A worker knows one recording and stretch of the run: it would name the stretch that another one is scored on."""
     path = record(stretches={})
     both = settings("static-map:card=site", recordings=(f"{path}@0s-4s", f"{path}@14s-20s"), horizon_s=0.5)

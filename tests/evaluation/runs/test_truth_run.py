@@ -164,7 +164,7 @@ def test_a_class_that_a_tracker_lacks_gives_a_notice_and_counts_as_misclassified
     assert confusion[[cyclist, static], [cyclist, static]].sum() == 0
 
 
-def test_recall_by_class_is_that_of_dynamic_cells_of_the_class(complete):
+def test_recall_by_class_is_the_recall_of_its_dynamic_cells(complete):
     summary, _ = complete
     recall = {name: curve(trial_of(summary, "persistence"), name, "class_recall.recall") for name in (
         "dynamic cyclist", "occluded pedestrian",

@@ -134,7 +134,7 @@ def test_a_target_without_scans_has_no_beams():
 
 
 @pytest.mark.parametrize("number", [1, 501, 4000])
-def test_the_median_of_binned_errors_is_that_of_the_errors_within_a_part_of_a_bin(number):
+def test_the_median_of_binned_errors_is_right_within_a_part_of_a_bin(number):
     errors = np.random.default_rng(number).lognormal(-1.0, 1.5, number)
     counts = np.histogram(errors, EDGES_M)[0].astype(float)
     assert median_size(counts) == pytest.approx(np.median(errors), rel=0.12)

@@ -129,7 +129,7 @@ SHAPES = {"mostly near 0": (0.02, 2.0), "spread": (0.3, 3.0), "even": (1.0, 1.0)
 
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 @pytest.mark.parametrize("strength", [1.0, 0.7], ids=["calibrated", "too timid"])
-def test_pr_auc_is_within_a_few_thousandths_of_that_of_the_probabilities_themselves(shape, strength):
+def test_pr_auc_is_within_a_few_thousandths_of_the_exact_value(shape, strength):
     rng = np.random.default_rng(9)
     size = 300
     p = rng.beta(*shape, (1, size, size)).astype(np.float32)

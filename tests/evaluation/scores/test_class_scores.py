@@ -82,7 +82,7 @@ def test_a_tracker_without_classes_has_no_class_log_loss(case):
     assert CLASS_LOG_LOSS.count(forecast, known, CLASS_LOG_LOSS.new_memory(known)) is None
 
 
-def test_classes_are_matched_by_name_whatever_their_order(case):
+def test_classes_are_matched_by_name_in_any_order(case):
     semantics, targets = case
     order = [2, 0, 3, 1]
     names = [NAMES[k] for k in order]

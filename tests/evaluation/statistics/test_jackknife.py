@@ -149,7 +149,7 @@ def test_a_small_loss_is_as_uncertain_as_a_large_one_that_varies_as_much(score):
     assert small_high / small_low == pytest.approx(float(high / low), rel=0.05)
 
 
-def test_the_interval_of_a_loss_that_only_one_unit_has_is_wide_and_that_of_none_is_a_point():
+def test_the_interval_of_a_loss_in_one_unit_is_wide_and_without_loss_it_is_a_point():
     part, whole = np.zeros((20, 2)), np.full((20, 2), 20.0)
     part[3, 0] = 8.0
     low, high = ratio_interval(part, whole)
@@ -302,7 +302,7 @@ def test_the_interval_of_pr_auc_is_the_jackknife_of_its_log_odds_computed_one_un
     assert np.ravel(ends_of(found, "odds")) == pytest.approx(ends)
 
 
-def test_the_difference_in_pr_auc_is_paired_and_that_of_equal_forecasts_is_none():
+def test_the_difference_in_pr_auc_is_paired_and_zero_for_equal_forecasts():
     rng = np.random.default_rng(6)
     good, poor = (pr_auc_of(*histograms(rng, skill=skill)) for skill in (2.5, 1.5))
     found = difference(good, poor)

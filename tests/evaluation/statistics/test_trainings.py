@@ -19,7 +19,7 @@ def trainings_of(recalls, learned=True, occupied=1000.0):
     )
 
 
-def test_the_variance_is_that_over_units_and_that_of_both_means_over_trainings():
+def test_the_variance_is_the_sum_over_units_and_over_both_trackers_trainings():
     rng = np.random.default_rng(3)
     own, other = (0.5 + 1e-4 * rng.standard_normal((3, 20, 1)) for _ in range(2))
     own[0] += 3e-4  # one training is better everywhere

@@ -266,7 +266,7 @@ def test_a_later_part_of_a_split_recording_has_the_static_transforms_of_the_firs
     bag(STATIC, *MOVING, name=first)
     recording = open_recording(part)
     assert made.walls_stay(recording.scans())
-    assert the_warning(recording).endswith(f"its static transforms are those of {first}")
+    assert the_warning(recording).endswith(f"its static transforms are from {first}")
 
 
 def test_a_number_at_the_end_of_a_name_is_no_split_recording_where_nothing_is_missing(bag: Bag) -> None:

@@ -107,7 +107,7 @@ def general(tmp_path):
 def test_a_site_starts_from_general_settings_and_searches_near_them(
     best_s, found_s, general, tmp_path, monkeypatch
 ) -> None:
-    """How its map is weighed is searched in the whole range; the general settings are kept where nothing is better."""
+    """The weight of its map is searched in the whole range; the general settings are kept if nothing is better."""
     monkeypatch.setattr(searched_fit, "SEARCH_ITERATIONS", 6)
     asked = []
 

@@ -21,7 +21,7 @@ def test_a_return_is_evidence_of_occupied_a_crossed_cell_of_free_and_a_hidden_ce
     assert evidence.free.tolist() == [[0.0, pytest.approx(0.7), 0.0]]
 
 
-def test_the_combination_of_one_cell_is_that_computed_by_hand() -> None:
+def test_the_combination_of_one_cell_equals_a_computation_by_hand() -> None:
     # unknown before: 0.2, silent: 0.1, conflict: 0.5 * 0.1 + 0.3 * 0.8 = 0.29
     found = combined(Masses(cell(0.5), cell(0.3)), Masses(cell(0.8), cell(0.1)))
     assert found.occupied[0, 0] == pytest.approx((0.5 * 0.8 + 0.5 * 0.1 + 0.2 * 0.8) / 0.71, rel=1e-6)
@@ -41,7 +41,7 @@ def test_without_unknown_mass_the_combination_is_bayes_rule() -> None:
     assert found.occupied[0, 0] == pytest.approx(0.2 / (0.2 + 0.8 * 0.1), rel=1e-6)
 
 
-def test_the_newborn_mass_of_one_cell_is_that_computed_by_hand() -> None:
+def test_the_newborn_mass_of_one_cell_equals_a_computation_by_hand() -> None:
     # rho_b = 0.9 * 0.02 * 0.6 / (0.4 + 0.02 * 0.6)
     assert newborn_mass(cell(0.9), cell(0.4), 0.02)[0, 0] == pytest.approx(0.9 * 0.012 / 0.412, rel=1e-6)
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Shift, rolled
 from gridtrack.common.raycast import cast_scan
@@ -277,11 +276,6 @@ def test_velocities_of_later_steps_are_where_the_box_will_be_and_leave_the_occup
     assert np.nanmedian(found.velocity[8][0, there]) == pytest.approx(5.0, abs=0.7)
     assert np.abs(np.nanmedian(found.velocity[8][:, about(WALL)], axis=1)).max() < 0.05
     assert np.isnan(found.velocity[8][:, GRID.size // 2 :, : GRID.size // 8]).all(), "no particle comes here"
-
-
-def test_without_weights_the_error_names_the_training_command() -> None:
-    with pytest.raises(WeightsError, match="gridtrack train dogma"):
-        DogmaTracker(StreamSpec(GRID, PERIOD_S, "yard"), DogmaSettings())
 
 
 # A sensor that moves

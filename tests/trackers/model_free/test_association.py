@@ -105,7 +105,7 @@ def test_a_limited_search_is_at_least_as_good_as_the_pruned_hungarian_assignment
         assert len(pairs) >= np.flatnonzero(likely).max() + 1
 
 
-def test_distance_from_a_boundary_is_that_of_its_nearest_point():
+def test_distance_from_a_boundary_is_the_distance_from_its_nearest_point():
     points = np.array([[0.0, 0.0], [3.0, 4.0], [10.0, 0.0]])
     boundaries = [np.array([[0.0, 1.0], [3.0, 3.5]]), np.array([[10.0, 2.0]])]
     distances = distances_to(points, boundaries)
@@ -129,7 +129,7 @@ def test_a_separate_leg_belongs_to_its_person():
     assert left == []
 
 
-def test_two_people_whose_returns_touch_remain_two():
+def test_two_people_in_contact_remain_two():
     both = cluster([[0.0, 0.0], [0.1, 0.0], [0.5, 0.0], [0.6, 0.0]])
     shares, left = shared([both], {0: 0}, [(0.0, 0.1), (0.6, 0.1)], reach_m=0.5)
     assert shares[0].points[:, 0].tolist() == [0.0, 0.1]

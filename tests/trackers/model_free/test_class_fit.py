@@ -67,10 +67,10 @@ def test_the_card_describes_the_training_of_classes(path):
     card = read_card(path)
     assert card.classes == ("pedestrian", "car")
     assert card.settings["labelled_scans"] == 80
-    told = card.results["classes"]
-    assert told["labelled"].startswith("street.mcap, 80 scans from")
-    assert told["tracks"]["pedestrian"] >= 2
-    assert told["validation_log_loss"] < 0.2
+    results = card.results["classes"]
+    assert results["labelled"].startswith("street.mcap, 80 scans from")
+    assert results["tracks"]["pedestrian"] >= 2
+    assert results["validation_log_loss"] < 0.2
 
 
 def test_adding_classes_leaves_other_arrays_unchanged_and_is_reproducible(path, tmp_path):

@@ -85,7 +85,7 @@ def test_extents_do_not_depend_on_the_heading():
     assert found[2] == pytest.approx(found[0])
 
 
-def test_densities_are_those_of_scipys_gaussians(model):
+def test_densities_equal_scipys_gaussians(model):
     features = some_people_and_cars(seed=1).features
     expected = np.zeros((len(features), 2))
     for k in range(2):
@@ -116,11 +116,11 @@ def test_tracks_with_equal_features_have_the_cell_prior_with_its_power(model):
     place = anywhere()
     place[:, :, :30], place[:, :, 30:] = [[[0.9]], [[0.1]]], [[[0.2]], [[0.8]]]
     left, right = track_of(legs((2.0, 0.0)), (0.0, 1.0)), track_of(legs((10.0, 0.0)), (0.0, 1.0))
-    told = model._replace(powers=np.array([0.0, 1.0]), cell_prior=place)
-    log_prior = mean_log_prior([left, right], told.cell_prior, WINDOW)
-    assert told.posteriors(np.zeros((2, 2)), log_prior) == pytest.approx(np.array([[0.9, 0.1], [0.2, 0.8]]))
-    untold = told._replace(powers=np.zeros(2))
-    assert untold.posteriors(np.zeros((2, 2)), log_prior) == pytest.approx(np.tile(model.frequency, (2, 1)))
+    by_place = model._replace(powers=np.array([0.0, 1.0]), cell_prior=place)
+    log_prior = mean_log_prior([left, right], by_place.cell_prior, WINDOW)
+    assert by_place.posteriors(np.zeros((2, 2)), log_prior) == pytest.approx(np.array([[0.9, 0.1], [0.2, 0.8]]))
+    by_frequency = by_place._replace(powers=np.zeros(2))
+    assert by_frequency.posteriors(np.zeros((2, 2)), log_prior) == pytest.approx(np.tile(model.frequency, (2, 1)))
 
 
 def test_probabilities_are_calibrated_on_other_tracks(model):

@@ -17,7 +17,7 @@ PERIOD_S = 0.125
 
 
 def model(acceleration, speed_noise, turn_acceleration, velocity_memory_s, turn_memory_s, speed, turn_rate):
-    """A motion model; `speed` and `turn_rate` are the deviations of those of a new track."""
+    """A motion model; `speed` and `turn_rate` are standard deviations for a new track."""
     noises = acceleration, speed_noise, turn_acceleration
     return MotionModel(*noises, velocity_memory_s, turn_memory_s, speed, turn_rate, PERIOD_S)
 
@@ -102,7 +102,7 @@ def test_after_a_second_the_velocity_is_known(estimator, covariance, limit, spee
 
 
 @pytest.mark.parametrize("moving_as", [MODEL, AGILE], ids=["steady", "agile"])
-def test_its_covariance_is_that_of_its_errors(estimator, moving_as):
+def test_its_covariance_is_the_covariance_of_its_errors(estimator, moving_as):
     runs, frames, rng = 80, 30, np.random.default_rng(5)
     squared = np.empty((runs, frames))
     for run, truth in enumerate(walks(moving_as, runs, frames, rng)):
@@ -343,7 +343,7 @@ def followed(begin, speeds, seed, gross=0.0):
     return np.array(seen), estimator
 
 
-def test_the_probabilities_of_switching_are_those_of_the_mean_durations():
+def test_the_probabilities_of_switching_follow_from_the_mean_durations():
     (stays, leaves), (settles, goes_on) = REGIMES.switching
     assert stays + leaves == pytest.approx(1.0)
     assert stays ** (6.0 / PERIOD_S) == pytest.approx(np.exp(-1))
@@ -395,7 +395,7 @@ def test_an_improbable_regime_is_re_initialised_from_the_other(begin):
 
 
 @ESTIMATORS
-def test_its_covariance_is_nearly_that_of_its_errors_on_objects_that_switch(begin):
+def test_its_covariance_is_nearly_right_on_objects_that_switch(begin):
     """Estimators without mixing are slightly overconfident: at most a sixth above the expected value of 6."""
     runs, frames, rng = 80, 30, np.random.default_rng(5)
     squared = []
@@ -440,7 +440,7 @@ def test_a_gross_error_makes_the_steady_regime_improbable_for_a_kalman_filter_an
     assert robust < 0.7 * gaussian
 
 
-def test_mean_and_covariance_are_those_of_the_mixture():
+def test_mean_and_covariance_are_the_mixtures():
     _, estimator = followed(KalmanEstimator, np.full(5, 2.0), 0)
     random = np.random.default_rng(1)
     parts = [
@@ -491,9 +491,7 @@ def test_an_estimator_that_diverges_begins_anew_from_the_measurement():
 
 @ESTIMATORS
 @pytest.mark.parametrize(("index", "value"), [(0, 1e18), (1, -60.0), (3, 1e6), (5, 30.0)])
-def test_a_state_that_the_window_does_not_allow_is_that_of_the_measurement_with_an_unknown_velocity(
-    begin, index, value
-):
+def test_a_state_outside_the_limits_is_replaced_by_the_measurement_with_an_unknown_velocity(begin, index, value):
     _, estimator = followed(begin, np.full(40, 1.3), seed=0)
     diverged = estimator.mean.copy()
     diverged[index] += value

@@ -38,7 +38,7 @@ def test_without_weights_the_error_names_the_training_command():
         ("residence", 1.5, "'residence' does not hold probabilities"),
     ],
 )
-def test_weights_whose_maps_are_not_probabilities_are_refused(tmp_path, name, spoilt, message):
+def test_weights_with_maps_that_are_not_probabilities_are_refused(tmp_path, name, spoilt, message):
     arrays = OPEN | {"residence": GLIDING}
     save_weights(tmp_path / "hall.toml", card(), arrays | {name: np.full_like(arrays[name], spoilt)})
     with pytest.raises(WeightsError, match=message):
@@ -101,8 +101,8 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
     assert tracker._settings == ModelFreeSettings(**one.settings | {"acceleration": 0.2})
 
 
-def fit_hall(tmp_path, score, told, validation=None):
-    fit(tmp_path / "hall.toml", score, validation=validation, report=told.append)
+def fit_hall(tmp_path, score, reported, validation=None):
+    fit(tmp_path / "hall.toml", score, validation=validation, report=reported.append)
 
 
 def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, monkeypatch):
@@ -116,12 +116,12 @@ def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, mo
         (compared if source is validation else searched).append(value)
         return of_every_stratum(value if source is not validation else 1.0 - value, 0.0, steps)
 
-    told = []
-    fit_hall(tmp_path, score, told, validation)
+    reported = []
+    fit_hall(tmp_path, score, reported, validation)
     best = sorted(searched[:8], reverse=True)[:FINALISTS]
     assert compared[:FINALISTS] == best
     assert read_card(tmp_path / "hall.toml").settings["acceleration"] == best[-1]
-    assert any(line.startswith(f"number {FINALISTS} of the {FINALISTS} best is chosen") for line in told)
+    assert any(line.startswith(f"number {FINALISTS} of the {FINALISTS} best is chosen") for line in reported)
 
 
 def test_a_stretch_without_scores_is_refused_in_one_line(tmp_path):
@@ -146,7 +146,7 @@ class Scores:
         return of_every_stratum(1.0 / (1.0 + tracker._settings.acceleration), 0.0, steps)
 
 
-def test_an_interrupted_search_keeps_its_best_and_continues_as_if_it_had_not_been(tmp_path, caplog, monkeypatch):
+def test_an_interrupted_search_keeps_its_best_and_continues_with_the_same_result(tmp_path, caplog, monkeypatch):
     monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 6)
     fit_hall(tmp_path / "whole", Scores(), [])
     with pytest.raises(KeyboardInterrupt):
@@ -182,9 +182,9 @@ class Driven(Source):
 
 def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monkeypatch):
     monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 1)
-    told = []
-    out = fit(tmp_path / "hall.toml", Scores(), train=[Driven()], validation=Driven(), report=told.append)
-    assert any("the sensor moves: no map of the place is learned" in line for line in told)
+    reported = []
+    out = fit(tmp_path / "hall.toml", Scores(), train=[Driven()], validation=Driven(), report=reported.append)
+    assert any("the sensor moves: no map of the place is learned" in line for line in reported)
     stream = StreamSpec(GRID, PERIOD_S, "hall", weights=out)
     arrays = load_weights(stream, "kalman").arrays
     assert np.ptp(arrays["occupancy_rate"]) == 0.0
@@ -228,7 +228,7 @@ def test_a_general_training_learns_no_map_and_runs_on_any_grid_and_period(tmp_pa
 
 
 def general_weights(folder):
-    """General weights of which a training at a site takes the settings."""
+    """General weights with the settings for a training at a site."""
     path = folder / "general.toml"
     settings = PipelineSettings(acceleration=0.31, link_m=0.6)
     task = FitTask([Source()], [], None, path, settings, folder / "log", general=True)
@@ -236,8 +236,8 @@ def general_weights(folder):
     return path
 
 
-def test_at_a_site_settings_are_searched_near_the_general_ones_and_those_of_its_map_everywhere(tmp_path, monkeypatch):
-    """The map of the place is what general weights do not know; classes are added to weights of the site."""
+def test_a_site_searches_near_general_settings_and_its_map_settings_in_the_whole_range(tmp_path, monkeypatch):
+    """General weights have no map of the place; classes are added to weights of the site."""
     monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 9)
     general = general_weights(tmp_path)
     asked = []
@@ -261,23 +261,23 @@ def test_at_a_site_settings_are_searched_near_the_general_ones_and_those_of_its_
     ("source", "with_map", "chosen"),
     [(Source, 0.485, "none"), (Source, 0.495, "fitted"), (Source, 0.7, "fitted"), (Driven, 0.3, "fitted")],
 )
-def test_the_validation_recordings_decide_whether_the_map_of_the_place_serves(
+def test_the_validation_recordings_decide_whether_the_map_of_the_place_is_used(
     tmp_path, monkeypatch, source, with_map, chosen
 ):
-    """What stands for the whole of a short training is a wall on its map; what is hidden only a map knows."""
+    """Objects that stand during a whole short training are walls on its map; only a map knows hidden cells."""
     monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 3)
-    general, validation, told = general_weights(tmp_path), source(), []
+    general, validation, reported = general_weights(tmp_path), source(), []
     validation.name = "hall@3s-6s"
 
     def score(tracker, scored, steps):
         without = tracker._settings.background == "none"
-        assert not (without and scored is not validation and not told), "the search itself counts with the map"
+        assert not (without and scored is not validation and not reported), "the search itself counts with the map"
         return of_every_stratum(0.5 if without else with_map, 0.0, steps)
 
-    more = {"report": told.append, "start": general}
+    more = {"report": reported.append, "start": general}
     at_site = fit(tmp_path / "hall.toml", score, train=[source()], validation=validation, **more)
     assert read_card(at_site).settings["background"] == chosen
-    assert any("the map is not used" in line for line in told) == (chosen == "none")
+    assert any("the map is not used" in line for line in reported) == (chosen == "none")
 
 
 def test_a_background_that_is_given_is_not_chosen(tmp_path, monkeypatch):

@@ -129,7 +129,7 @@ def test_a_track_is_combined_with_the_background_by_noisy_or():
     assert occupancy[0, 0, 0] == pytest.approx(0.2)
 
 
-def test_tracks_drawn_together_are_those_drawn_one_by_one():
+def test_tracks_drawn_together_equal_tracks_drawn_one_by_one():
     random = np.random.default_rng(0)
     sizes, seen, steps = [3, 1, 5], [2, 4, 1], 4
     bounds, shown = np.cumsum([0, *sizes]), np.cumsum([0, *seen])
@@ -139,17 +139,17 @@ def test_tracks_drawn_together_are_those_drawn_one_by_one():
     resident = Resident(random.uniform(2, 19, (7, 2)), shown, random.uniform(0, 1, (7, steps)).astype(np.float32), 0.5)
     existence, classes = random.uniform(0, 1, (3, steps)), random.uniform(0, 1, (3, 2)).astype(np.float32)
     together, apart = np.zeros((2, steps, 21, 21), np.float32)
-    said, told = np.zeros((2, steps, 2, 21, 21), np.float32)
-    draw_tracks(together, surfaces, motions, resident, existence, said, classes)
+    of_all, of_one_by_one = np.zeros((2, steps, 2, 21, 21), np.float32)
+    draw_tracks(together, surfaces, motions, resident, existence, of_all, classes)
     for t in range(3):
         own, points = slice(*bounds[t : t + 2]), slice(*shown[t : t + 2])
         body = surfaces.offsets[own], surfaces.weights[own]
         motion = motions.poses[t], motions.covariances[t], motions.weights[t]
         newest = resident.points[points], resident.blur, resident.probability[points]
-        draw_track(apart, *body, *motion, *newest, existence[t], told, classes[t])
+        draw_track(apart, *body, *motion, *newest, existence[t], of_one_by_one, classes[t])
     assert together.max() > 0.3
     assert together.tolist() == apart.tolist()
-    assert said.tolist() == told.tolist()
+    assert of_all.tolist() == of_one_by_one.tolist()
 
 
 GRID, PERIOD_S = GridSpec(64, 0.25, (0.0, -8.0)), 0.125

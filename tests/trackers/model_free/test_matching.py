@@ -137,7 +137,7 @@ def test_the_turn_of_a_long_body_about_its_only_match_is_unknown(heading):
     assert shares.max() < 2.01, "no direction is less known than one without a measurement, but for the rounding"
 
 
-def test_a_car_of_which_more_comes_into_view_has_not_moved():
+def test_a_car_that_comes_further_into_view_has_not_moved():
     """Its centre moves by more than a metre."""
     front = L_SHAPE[30:]
     found = matched(L_SHAPE, front, unsure_m=0.1)
@@ -159,7 +159,7 @@ def test_a_body_without_returns_is_not_measured():
 
 @pytest.mark.parametrize(("unsure_m", "held_at"), [(0.1, 0.15), (0.3, 0.02)])
 def test_a_cut_off_end_does_not_hold_a_sliding_wall(unsure_m, held_at):
-    """A wall has moved by 0.3 m behind a fixed window: the visible ends are those of the occluder."""
+    """A wall has moved by 0.3 m behind a fixed window: the visible ends are the occluder's."""
     window = WALL[25:56]
     ends = np.zeros(len(window), bool)
     ends[[*range(4), *range(-4, 0)]] = True
@@ -216,7 +216,7 @@ def test_a_hidden_side_decays_more_slowly_than_one_in_view_without_returns():
     assert shape.weights[2] > 0.6
     for _ in range(12):
         shape.update(np.array([[0.0, 0.0]]), *2 * [nowhere(1)], np.ones(len(shape.weights), bool), 0.1, gain=0.1)
-    assert len(shape.weights) == 2, "what has not been there for long is dropped"
+    assert len(shape.weights) == 2, "points of a short time are dropped"
 
 
 @pytest.mark.parametrize("gain", [0.4, 0.02])

@@ -46,7 +46,7 @@ def simulate(state, seconds, model, rng, samples, substeps):
     return states
 
 
-def test_mean_and_noise_of_one_period_are_those_of_the_differential_equations():
+def test_mean_and_noise_of_one_period_follow_from_the_differential_equations():
     samples = simulate(TURNING, MODEL.period_s, MODEL, np.random.default_rng(0), 20_000, 100)
     means, covariances = propagate(TURNING[None], NOTHING, 1, MODEL)
     spread = samples.std(axis=0)
@@ -94,7 +94,7 @@ def test_at_rest_the_model_is_linear_and_agrees_with_van_loan():
     assert np.allclose(covariances[0, 1], added, atol=1e-12)
 
 
-def test_the_prediction_of_all_tracks_equals_that_of_each_step_by_step():
+def test_the_prediction_of_all_tracks_equals_predictions_of_each_step_by_step():
     rng = np.random.default_rng(1)
     means = rng.standard_normal((4, 6))
     factors = rng.standard_normal((4, 6, 6))

@@ -38,7 +38,7 @@ def watch(tracker, *paths):
 
 
 @pytest.mark.parametrize("lost", [{"mean": np.nan}, {"mean": 1e18}, {"covariance": np.inf}, {"covariance": np.nan}])
-def test_a_track_whose_estimator_diverges_goes_on_from_what_is_measured(weights, lost):
+def test_a_track_with_a_diverged_estimator_continues_from_the_measurement(weights, lost):
     """Settings within the ranges of the search once had an estimate at 10^18 m, and an image without a size."""
 
     class Diverging(KalmanEstimator):

@@ -146,7 +146,7 @@ def test_slow_frames_are_the_input_of_every_second_step_and_of_fast_ones_every_s
     assert all(torch.equal(each.resolution, resolution_of(0.2, 0.1)) for each in (slow, fast))
 
 
-def test_the_occupied_rate_is_that_of_the_visible_cells():
+def test_the_occupied_rate_is_the_visible_cells():
     assert items(Shuttle(12)).occupied_rate == pytest.approx((12 + 1) / (12 * 11))
 
 

@@ -106,7 +106,7 @@ def test_the_motion_weight_falls_to_zero_until_the_last_update(monkeypatch):
 
 
 @pytest.mark.parametrize("device", ["cpu", "cuda"])
-def test_the_loss_of_a_batch_is_that_of_the_cells_of_all_its_windows(monkeypatch, device):
+def test_the_loss_of_a_batch_is_over_the_cells_of_all_its_windows(monkeypatch, device):
     """By the plain network, a window at a time: windows of different resolutions, of which the first sees little."""
     monkeypatch.setattr(convgru_kernels, "compiled_gates", lambda: convgru_kernels.plain_gates)
     monkeypatch.setattr(TrainingModule, "global_step", 0)

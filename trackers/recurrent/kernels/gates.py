@@ -166,8 +166,7 @@ class _Gates(torch.autograd.Function):
         new = torch.empty_like(h, memory_format=torch.channels_last)
         rounded = torch.empty_like(new, dtype=torch.bfloat16) if half else None
         gates = torch.empty_like(h_conv, dtype=torch.uint16 if half else None, memory_format=torch.channels_last)
-        forward, _ = _kernels(h.shape[1])
-        _in_threads(forward, memory.maps, *map(_rows, (x, h_conv, h, gates, new, rounded)))
+        _in_threads(_forward_kernel(h.shape[1]), memory.maps, *map(_rows, (x, h_conv, h, gates, new, rounded)))
         ctx.save_for_backward(h_conv, h, gates)
         ctx.memory, ctx.with_input = memory, x is not None
         return new, rounded
@@ -178,8 +177,8 @@ class _Gates(torch.autograd.Function):
         grad_h_conv, grad_h = (torch.empty_like(t, memory_format=torch.channels_last) for t in (h_conv, h))
         grad_x = torch.empty_like(grad_h_conv) if ctx.with_input else None
         gradient = ctx.memory.gradient.flatten(0, 1).numpy()
-        _, backward = _kernels(h.shape[1])
-        _in_threads(backward, (gradient,), *map(_rows, (h_conv, h, gates, *grads, grad_x, grad_h_conv, grad_h)))
+        rows = map(_rows, (h_conv, h, gates, *grads, grad_x, grad_h_conv, grad_h))
+        _in_threads(_backward_kernel(h.shape[1]), (gradient,), *rows)
         return h.new_zeros(()), None, grad_x, grad_h_conv, grad_h
 
 
@@ -247,13 +246,13 @@ def _dequantised_overload(gate):  # type: ignore[no-untyped-def]
 
 
 @functools.cache
-def _kernels(channels: int) -> tuple[Callable[..., None], Callable[..., None]]:
-    """The forward and the backward pass over the cells `start` to `stop` - 1 of every item of the batch.
+def _forward_kernel(channels: int) -> Callable[..., None]:
+    """The forward pass over the cells `start` to `stop` - 1 of every item of the batch.
 
-    The number of channels is a constant of the compiled code, and the functions that it calls are inlined: otherwise
-    the loops are not vectorised. The candidate is stored as (1 + c) / 2.
+    The number of channels is a constant of the compiled code, and its functions are inlined: otherwise the loops are
+    not vectorised. The candidate is stored as (1 + c) / 2.
     """
-    one, two, half = np.float32(1.0), np.float32(2.0), np.float32(0.5)
+    one, half = np.float32(1.0), np.float32(0.5)
 
     @_compiled
     def forward(start, stop, b_keep, b_reset, b_candidate, x, h_conv, h, gates, new, rounded):  # type: ignore[no-untyped-def]
@@ -276,6 +275,14 @@ def _kernels(channels: int) -> tuple[Callable[..., None], Callable[..., None]]:
                         new[i, c] = a + f * (h[i, c] - a)
                         if rounded is not None:
                             rounded[i, c] = _rounded(rounded, new[i, c])
+
+    return forward
+
+
+@functools.cache
+def _backward_kernel(channels: int) -> Callable[..., None]:
+    """The backward pass over the same cells; `gradient`: of the memory, `grad...`: of the results and arguments."""
+    one, two = np.float32(1.0), np.float32(2.0)
 
     @_compiled
     def backward(  # type: ignore[no-untyped-def]
@@ -306,4 +313,4 @@ def _kernels(channels: int) -> tuple[Callable[..., None], Callable[..., None]]:
                         grad_h_conv[i, channels + c] = _rounded(grad_h_conv, reset)
                         grad_h_conv[i, 2 * channels + c] = _rounded(grad_h_conv, candidate * r)
 
-    return forward, backward
+    return backward
