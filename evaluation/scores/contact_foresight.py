@@ -315,7 +315,7 @@ def _area(x: Floats, y: Floats) -> Floats:
 CONTACT_FORESIGHT = ScoreDefinition(
     name="contact_foresight",
     title="Contact foresight",
-    position=5,
+    position=25,
     outputs=(
         Output("foreseen", "Contacts foreseen", better="higher", scale="odds", tested=True, margin=0.02),
         Output("average_precision", "Contacts: average precision", better="higher", scale="odds"),

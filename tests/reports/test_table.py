@@ -32,11 +32,11 @@ def test_columns_are_the_marked_horizons(table):
         ("PR-AUC, in-motion", 3),
         *((f"F1, {stratum}", 3) for stratum in ("in-motion", "dynamic", "visible")),
         ("F1, standing", 1),
-        ("in-motion, 1 s", 4),
+        ("in-motion, 1 s", 5),
     )
     assert [c.heading for c in table.columns[:3]] == ["0.5 s", "1 s", "2.5 s"]
-    others = ["Precision", "Recall", "Log loss, nats", "FSS, 5 cells"]
-    assert [c.heading for c in table.columns[-4:]] == others
+    others = ["Precision", "Recall", "Contacts foreseen", "Log loss, nats", "FSS, 5 cells"]
+    assert [c.heading for c in table.columns[-5:]] == others
 
 
 def test_partial_trials_are_not_ranked_and_are_never_best(table):
