@@ -1,7 +1,11 @@
-"""Recordings that ship with gridtrack, each surveyed and read once: their files stay as they are."""
+"""Recordings that ship with gridtrack, each surveyed and read once: their files stay as they are.
+
+Recordings that many tests write with the same content are surveyed once, too: `write_shared`.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +20,17 @@ from gridtrack.common.scan import Scan
 from gridtrack.recordings.recording import Recording, scans_between
 
 DATA = Path(__file__).resolve().parents[2] / "data"
-Key = tuple[type[Recording], Path, str]
+Key = tuple[type[Recording], Path | str, str]
+_shared: set[str] = set()
+"""SHA-256 of contents that many tests write."""
+MAX_SHARED_BYTES = 1 << 22
+
+
+def write_shared(path: Path, content: bytes) -> Path:
+    """Write a recording that other tests write as well; returns `path`."""
+    path.write_bytes(content)
+    _shared.add(hashlib.sha256(content).hexdigest())
+    return path
 
 
 class Scans:
@@ -37,7 +51,10 @@ class Scans:
 
 @contextmanager
 def shipped_recordings_read_once() -> Iterator[None]:
-    """In the block, recordings below DATA that are opened with the same options share their survey and their scans."""
+    """In the block, recordings below DATA that are opened with the same options share their survey and their scans.
+
+    Those of `write_shared` share their survey.
+    """
     surveyed: Any = Recording.survey
     scans_of = Recording.scans
     surveys: dict[Key, tuple[Any, list[str], str]] = {}
@@ -49,8 +66,15 @@ def shipped_recordings_read_once() -> Iterator[None]:
             return None
         return type(recording), path, recording.options.model_dump_json()
 
+    def content_of(recording: Recording) -> Key | None:
+        path = recording.path
+        if recording.growth is not None or not path.is_file() or path.stat().st_size > MAX_SHARED_BYTES:
+            return None
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        return (type(recording), digest, recording.options.model_dump_json()) if digest in _shared else None
+
     def survey(recording: Recording) -> Any:
-        if (key := key_of(recording)) is None:
+        if (key := key_of(recording) or content_of(recording)) is None:
             return surveyed.func(recording)
         if key not in surveys:
             surveys[key] = surveyed.func(recording), recording.warning_texts(), recording.damage
