@@ -138,8 +138,8 @@ def test_a_crash_of_a_tracker_ends_no_child_of_the_notebook_and_its_command_line
 @pytest.fixture
 def notebook(tmp_path):
     """A process in a group of its own that compares as a notebook does, once one trial is scored in part."""
-    given = f"out={str(tmp_path / 'run')!r}, validation='{DEMO}@75s-80s', every_s=0.1, jobs=1, allow_leak=True"
-    given += ", no_floors=True"
+    given = f"out={str(tmp_path / 'run')!r}, validation='{DEMO}@75s-79s', every_s=0.1, jobs=1, allow_leak=True"
+    given += ", horizon_s=1.5, no_floors=True"
     code = f"import gridtrack; gridtrack.compare('{DEMO}@0s-16s', trackers=['blank', 'persistence'], {given})"
     with subprocess.Popen(
         [sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, start_new_session=True

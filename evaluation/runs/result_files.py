@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from math import isfinite, isnan
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -33,8 +34,10 @@ def _defined(value: Any) -> Any:
 def _each_defined(values: Any) -> Any:
     if not isinstance(values, list | tuple):
         return values
-    # without a call for each: a summary has a million values
-    return tuple([None if isinstance(value, float) and not isfinite(value) else value for value in values])
+    with suppress(TypeError, ValueError, OverflowError):  # a value that is no number is refused after this
+        if isfinite(sum(filter(None, values))):
+            return values  # without a look at each: a summary has a million
+    return tuple(map(_defined, values))
 
 
 Line = Annotated[str, AfterValidator(bounded_line)]
