@@ -19,7 +19,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "example_tracker" / "example_
 TEST = """
 def test_fading(tracker_regression):
     tracker_regression("mine=fading{options}", "demo.mcap@90s-97s", baseline="fading.json",
-                       horizon_s=1.0, every_s=0.5{more})
+                       validation="{demo}@75s-79s", horizon_s=1.0, every_s=0.5{more})
 """
 
 
@@ -51,7 +51,9 @@ def suite(tmp_path: Path, install: Callable[..., Path], trackers_here: None) -> 
 
     def suite(*arguments: str, half_life_s: float = 1.0, options: str = "", more: str = "") -> Session:
         (site / "example_tracker.py").write_text(code.replace(field.format(1.0), field.format(half_life_s)))
-        return run_pytest(tmp_path, TEST.format(options=options, more=more), *arguments)
+        return run_pytest(
+            tmp_path, TEST.format(demo=packaged_recording("leg_tracker"), options=options, more=more), *arguments
+        )
 
     return suite
 
@@ -81,10 +83,10 @@ def test_a_regression_test_in_the_repository_of_a_tracker_fails_when_it_is_worse
 def test_two_tests_that_write_one_baseline_are_refused(tmp_path):
     code = """
 def test_one(tracker_regression):
-    tracker_regression("{0}", "demo.mcap@90s-97s", baseline="one.json", horizon_s=1.0)
+    tracker_regression("{0}", "demo.mcap@90s-97s", baseline="one.json", horizon_s=1.0, every_s=0.5)
 
 def test_two(tracker_regression):
-    tracker_regression("{1}", "demo.mcap@90s-97s", baseline="./one.json", horizon_s=1.0)
+    tracker_regression("{1}", "demo.mcap@90s-97s", baseline="./one.json", horizon_s=1.0, every_s=0.5)
 """
     (tmp_path / "demo.mcap").symlink_to(packaged_recording("leg_tracker"))
     done = run_pytest(tmp_path, code.format("persistence", "blank"), "--gridtrack-update-baseline")
