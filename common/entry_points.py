@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import Distribution, EntryPoint, distributions
+from pathlib import Path
 
 VALID_NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 
@@ -26,8 +29,25 @@ class Registration:
         return self.distribution.split(" ", maxsplit=1)[0]
 
 
+PathState = tuple[tuple[str, int], ...]
+"""The folders of the import path, each with the time of its last change, ns; 0 for one that does not exist."""
+
+
 def registrations(group: str) -> dict[str, Registration]:
     """All entry points of `group` by name, sorted. An unusable one has a `problem`."""
+    return dict(_found(group, tuple((folder, _changed_ns(folder)) for folder in sys.path)))
+
+
+def _changed_ns(folder: str) -> int:
+    try:
+        return Path(folder).stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+@lru_cache(maxsize=32)
+def _found(group: str, path: PathState) -> dict[str, Registration]:
+    """The registrations while `path` is the state of the import path: a run asks often, and each file is read."""
     found: dict[str, Registration] = {}
     for entry in _registered(group):
         known = found.get(entry.name)

@@ -35,6 +35,8 @@ _TOML_STRING = re.compile(
 _LONG_KEY = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{MAX_KEY_PARTS}}}")
 _NESTING = {ord(char): step for chars, step in (("[{", 1), ("]}", -1)) for char in chars}
 _NO_BRACKETS = bytes(set(range(256)) - set(_NESTING))
+_MAYBE_INFINITE = re.compile(rb"[eE]\+?\d|\d{300}")
+"""In a text without strings: a number with a positive exponent, or a long one."""
 _ESCAPED_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 
 
@@ -44,9 +46,12 @@ def parse_json(text: bytes | bytearray, *, undefined: bool = False) -> Any:
     Also refused are nesting beyond MAX_NESTING, integers from MAX_INTEGER on, strings with a lone surrogate (UTF-8
     cannot encode it), and numbers that are not finite; with `undefined` these are None instead.
     """
-    _refuse_deep(_JSON_STRING.sub(b"", text))
+    bare = _JSON_STRING.sub(b"", text)
+    _refuse_deep(bare)
     finite, constant = (_finite_or_none, _none) if undefined else (_finite, _not_json)
-    value = json.loads(text.decode(), parse_int=_integer, parse_float=finite, parse_constant=constant)
+    # a call for each of a million numbers takes longer than the rest
+    checked = finite if _MAYBE_INFINITE.search(bare) else None
+    value = json.loads(text.decode(), parse_int=_integer, parse_float=checked, parse_constant=constant)
     if _ESCAPED_SURROGATE.search(text):
         _refuse_surrogates(value)
     return value

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from gridtrack.trackers.contract import StreamSpec
 
 UPDATE = "--gridtrack-update-baseline"
+PATHS = ("validation", "weights", "trackers_toml")
+"""Options of a comparison that are files or folders."""
 WRITTEN = pytest.StashKey[dict[Path, str]]()
 """In the configuration of a session: the written baselines, and the comparison in each."""
 
@@ -114,6 +116,12 @@ class TrackerRegression:
             pytest.fail(f"{text_of(verdict)}\nIf the change is intended: pytest {self._test} {UPDATE}", pytrace=False)
         return verdict
 
+    def located(self, path: str) -> str:
+        """A path relative to the test's folder as an absolute one; a URL as it is."""
+        from gridtrack.common.remote_files import is_url
+
+        return path if is_url(path) else str(self._beside / path)
+
     def _refuse_second(self, baseline: Path, content: str) -> None:
         """Fail the test if this session has written another comparison to the same file."""
         assert self._written is not None
@@ -127,11 +135,12 @@ class TrackerRegression:
         from gridtrack.evaluation.runs.settings import CompareSettings
 
         given = {
-            "recordings": (str(self._beside / recording),),
+            "recordings": (self.located(recording),),
             "trackers": (tracker,),
             "no_floors": True,
             "out": Path(tempfile.mkdtemp(dir=self._scratch, prefix="run-")),
             **options,
+            **{name: self.located(str(options[name])) for name in PATHS if options.get(name) is not None},
         }
         return resolve(validated(CompareSettings, given, "tracker_regression"))
 

@@ -22,6 +22,17 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 PLUGINS = Path(__file__).parent / "plugins"
 
 Install = Callable[..., Path]
+LONGEST = (
+    *("test_contract.py", "test_commands_run.py", "test_own_trackers.py", "test_examples.py", "test_package.py"),
+    *("test_modules.py", "test_sandbox.py", "test_ray.py", "test_compare_drive.py"),
+)
+"""They start first, so that no processor waits for them at the end; kernels that others use are compiled in them."""
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Put the longest modules first where all tests run; `make check` has an order of its own."""
+    if config.args == config.getini("testpaths"):
+        items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
 @pytest.fixture(scope="session", autouse=True)

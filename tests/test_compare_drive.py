@@ -31,10 +31,10 @@ def test_a_drive_is_compared_without_an_option_about_poses(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     ros = made.Ros(version)
-    ros.write(tmp_path / "drive.bag", made.two_scanner_drive(ros, 8_000))
+    ros.write(tmp_path / "drive.bag", made.two_scanner_drive(ros, 6_000))
     # A ROS 1 bag with every tracker that there is, with general weights where it needs any.
     trackers = () if version == 1 else ("--no-floors", "--tracker", "persistence", "--tracker", "blank")
-    shown = gridtrack("compare", "drive.bag", *trackers, "--every", "1s", "--horizon", "1s").stderr
+    shown = gridtrack("compare", "drive.bag", *trackers, "--every", "0.5s", "--horizon", "0.5s").stderr
     assert f"drive.bag: {CHAINS}\n" in shown
     (path,) = tmp_path.glob("runs/*/summary.json")
     summary = json.loads(path.read_text())

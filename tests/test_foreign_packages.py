@@ -14,7 +14,8 @@ from gridtrack.recordings import packaged_recording
 
 from scenes.command_line import gridtrack
 
-RECORDING = f"{packaged_recording('leg_tracker')}@114s-120s"
+DEMO = packaged_recording("leg_tracker")
+RECORDING, VALIDATION = f"{DEMO}@114s-120s", ("--validation", f"{DEMO}@75s-79s")
 SCORE = """
 import numpy as np
 
@@ -72,7 +73,8 @@ def walk(install, tmp_path, monkeypatch):
 @pytest.mark.usefixtures("installed")
 def test_a_score_of_another_package_is_in_table_page_exports_and_gate(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    asked = ("--tracker", "persistence", "--tracker", "blank", "--horizon", "1s", "--jobs", "1")
+    asked = ("--tracker", "persistence", "--tracker", "blank", "--horizon", "1s", "--every", "0.5s", "--jobs", "1")
+    asked += VALIDATION
     gridtrack("compare", "--no-floors", RECORDING, *asked, "--out", "without")
     assert "absolute_error" not in sys.modules, "a package that is not named runs no code"
     gridtrack("compare", "--no-floors", RECORDING, *asked, "--score", "absolute_error", "--out", "run")

@@ -25,7 +25,8 @@ from scenes.programs_here import programs_here
 from scenes.report_page import data_of
 
 ROOT = Path(__file__).parents[1]
-RECORDING = "data/leg_tracker/leg_tracker.mcap@114s-124s"
+DEMO = "data/leg_tracker/leg_tracker.mcap"
+RECORDING, VALIDATION = f"{DEMO}@114s-120s", f"{DEMO}@75s-79s"
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +39,7 @@ def compared(tmp_path_factory):
             trackers=rows,
             no_floors=True,
             out=out,
+            validation=VALIDATION,
             every_s=0.5,
             horizon_s="1s",
             jobs=1,
@@ -51,6 +53,8 @@ def test_a_comparison_returns_its_run_with_the_command_that_repeats_it(compared)
     rows = ("--tracker", "persistence", "--tracker", "map=static-map")
     given = (
         "--no-floors",
+        "--validation",
+        VALIDATION,
         "--every",
         "0.5",
         "--horizon",
@@ -66,7 +70,7 @@ def test_a_comparison_returns_its_run_with_the_command_that_repeats_it(compared)
     assert command[:3] == ("gridtrack", "compare", RECORDING)
     assert sorted(command[3:]) == sorted((*rows, *given))
     assert compared.record == read_run_record(compared.path)
-    assert repr(compared).endswith("persistence, map on leg_tracker@114s-124s)")
+    assert repr(compared).endswith("persistence, map on leg_tracker@114s-120s)")
     assert gridtrack.Run.load(str(compared.path)).scores.equals(compared.scores)
 
 
@@ -74,7 +78,7 @@ def test_scores_are_a_row_for_each_tracker_stratum_and_step(compared):
     row = compared.scores.filter(
         pl.col("tracker") == "persistence", pl.col("stratum") == "dynamic", pl.col("horizon_s") == 1.0
     )
-    trial = compared.summary.trackers["persistence"].recordings["leg_tracker@114s-124s"]
+    trial = compared.summary.trackers["persistence"].recordings["leg_tracker@114s-120s"]
     assert row["f1"].to_list() == [trial.at("dynamic", "f1", "f1", 10).value]
     assert row["step"].to_list() == [10]
     assert row["f1 low"].to_list() == [None]
@@ -88,13 +92,11 @@ def test_differences_are_a_row_for_each_headline_test(compared):
 
 @pytest.mark.usefixtures("trackers_here")
 def test_several_recordings_are_pooled_and_their_names_escaped(tmp_path):
-    hostile = shutil.copy(RECORDING.partition("@")[0], tmp_path / "<i>hall.mcap")
-    stretches = [f"{hostile}@100s-110s", RECORDING]
-    run = gridtrack.compare(
-        *stretches, trackers="persistence", no_floors=True, out=tmp_path / "run", horizon_s=1.0, jobs=1
-    )
+    hostile = shutil.copy(DEMO, tmp_path / "<i>hall.mcap")
+    stretches, short = [f"{hostile}@100s-106s", RECORDING], {"horizon_s": 1.0, "every_s": 0.5, "jobs": 1}
+    run = gridtrack.compare(*stretches, trackers="persistence", no_floors=True, out=tmp_path / "run", **short)
     names = run.scores["recording"].unique(maintain_order=True).to_list()
-    assert names == ["all recordings", "<i>hall@100s-110s", "leg_tracker@114s-124s"]
+    assert names == ["all recordings", "<i>hall@100s-106s", "leg_tracker@114s-120s"]
     assert "all recordings" in run._repr_html_()
     assert "<i>" not in run._repr_html_()
     page = run.report(tmp_path / "page").read_text("utf-8")
@@ -119,7 +121,13 @@ def test_a_crash_of_a_tracker_ends_no_child_of_the_notebook_and_its_command_line
     command_line = Path("/proc/self/cmdline").read_bytes()
     with subprocess.Popen(["sleep", "600"], start_new_session=True) as own:
         run = gridtrack.compare(
-            RECORDING, trackers="kills-itself", no_floors=True, out=tmp_path / "run", horizon_s=1.0, jobs=1
+            RECORDING,
+            validation=VALIDATION,
+            trackers="kills-itself",
+            no_floors=True,
+            out=tmp_path / "run",
+            horizon_s=1.0,
+            jobs=1,
         )
         outcomes = [trial.outcome for row in run.summary.trackers.values() for trial in row.recordings.values()]
         assert (outcomes, own.poll()) == (["crashed"], None)
@@ -130,15 +138,14 @@ def test_a_crash_of_a_tracker_ends_no_child_of_the_notebook_and_its_command_line
 @pytest.fixture
 def notebook(tmp_path):
     """A process in a group of its own that compares as a notebook does, once one trial is scored in part."""
-    demo, rows = RECORDING.partition("@")[0], ["blank", "persistence"]
-    given = f"out={str(tmp_path / 'run')!r}, validation='{demo}@75s-81s', every_s=0.1, jobs=1, allow_leak=True"
-    given += ", no_floors=True"
-    code = f"import gridtrack; gridtrack.compare('{demo}@0s-20s', trackers={rows}, {given})"
+    given = f"out={str(tmp_path / 'run')!r}, validation='{DEMO}@75s-79s', every_s=0.1, jobs=1, allow_leak=True"
+    given += ", horizon_s=1.5, no_floors=True"
+    code = f"import gridtrack; gridtrack.compare('{DEMO}@0s-16s', trackers=['blank', 'persistence'], {given})"
     with subprocess.Popen(
         [sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
         assert process.stderr is not None
-        trial = tmp_path / "run" / "persistence@leg_tracker@0s-20s"
+        trial = tmp_path / "run" / "persistence@leg_tracker@0s-16s"
         until_s = math.inf
         while (used_s := psutil.Process(process.pid).cpu_times().user) < until_s:
             assert process.poll() is None, process.stderr.read()
@@ -153,8 +160,8 @@ def test_one_interrupt_of_the_whole_group_loses_no_score(notebook, tmp_path):
     assert "KeyboardInterrupt" in notebook.stderr.read()
     summary = gridtrack.Run.load(tmp_path / "run").summary
     assert summary.interrupted
-    assert summary.trackers["blank"].recordings["leg_tracker@0s-20s"].outcome == "ok"
-    assert summary.trackers["persistence"].recordings["leg_tracker@0s-20s"].frames_scored > 0
+    assert summary.trackers["blank"].recordings["leg_tracker@0s-16s"].outcome == "ok"
+    assert summary.trackers["persistence"].recordings["leg_tracker@0s-16s"].frames_scored > 0
 
 
 def test_the_trackers_end_if_their_notebook_is_killed(notebook):
@@ -167,7 +174,9 @@ def test_the_trackers_end_if_their_notebook_is_killed(notebook):
 def test_the_example_notebook_runs_in_any_folder(tmp_path):
     notebook = nbformat.read(ROOT / "examples" / "notebook" / "first_comparison.ipynb", as_version=4)
     for cell in notebook.cells:
-        cell.source = cell.source.replace("every_s=0.5,", "every_s=0.5, no_floors=True,")
+        cell.source = cell.source.replace(
+            "every_s=0.5,", f"every_s=0.5, no_floors=True, validation={str(ROOT / VALIDATION)!r},"
+        )
     client = NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}})
     with ThreadPoolExecutor() as thread:  # the browser of other tests has the event loop of this one
         thread.submit(client.execute).result()

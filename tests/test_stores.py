@@ -17,7 +17,8 @@ pytestmark = pytest.mark.usefixtures("trackers_here")
 
 SHIPPED = Path(__file__).parents[1] / "data" / "weights" / "static-map"
 RECORDING = f"{packaged_recording('leg_tracker')}@90s-96s"
-SHORT = ("--horizon", "0.5s", "--every", "0.5s")
+VALIDATION = f"{packaged_recording('leg_tracker')}@75s-79s"
+SHORT = ("--horizon", "0.5s", "--every", "0.5s", "--validation", VALIDATION)
 
 
 @pytest.fixture

@@ -174,24 +174,31 @@ def _packages(folders: Iterable[Path]) -> set[Path]:
 @cache
 def copies_of(recordings: tuple[Path, ...], folders: tuple[Path, ...]) -> tuple[Path, ...]:
     """The files in `folders` with the content of a file of the `recordings`; only files of equal size are read."""
-    by_size: dict[int, list[Path]] = {}
-    for path in (file for recording in recordings for file in _files_of(recording)):
-        by_size.setdefault(path.stat().st_size, []).append(path)
+    by_size: dict[int, list[str]] = {}
+    for path, size in (file for recording in recordings for file in _files_of(recording)):
+        by_size.setdefault(size, []).append(path)
     by_size.pop(0, None)
     found = []
-    for path in (file for folder in folders for file in _files_of(folder)):
-        with suppress(OSError):  # another process may remove it
-            if any(filecmp.cmp(path, one, shallow=False) for one in by_size.get(path.stat().st_size, ())):
-                found.append(path)
+    for path, size in (file for folder in folders for file in _files_of(folder)) if by_size else ():
+        if size in by_size:
+            with suppress(OSError):  # another process may remove it
+                found += [Path(path)] if any(filecmp.cmp(path, one, shallow=False) for one in by_size[size]) else []
     return tuple(found)
 
 
-def _files_of(path: Path) -> Iterator[Path]:
-    """The regular files at `path` or below."""
+def _files_of(path: Path) -> Iterator[tuple[str, int]]:
+    """The regular files at `path` or below with their sizes, B; no object for each: there may be 100,000 of them."""
     if path.is_file():
-        yield path
-    for folder, _, names in os.walk(path):
-        yield from (file for name in names if (file := Path(folder, name)).is_file())
+        yield str(path), path.stat().st_size
+    folders = [str(path)]
+    while folders:
+        with suppress(OSError), os.scandir(folders.pop()) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(entry.path)
+                elif entry.is_file():
+                    with suppress(FileNotFoundError):
+                        yield entry.path, entry.stat().st_size
 
 
 def confined(

@@ -7,6 +7,7 @@ import subprocess
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -203,7 +204,7 @@ def _content(result: Verdict | Sequence[str]) -> dict[str, Any]:
         "verdict": "worse" if result.worse else "no worse",
         "floors": result.floors,
         "scores": tuple(_score(row, result) for row in result.rows),
-        "speed": tuple(_time(row, result) for row in (*result.speed, *result.turns)),
+        "speed": tuple(_time(row, result) for row in chain[SpeedRow | TurnsRow](result.speed, result.turns)),
     }
 
 

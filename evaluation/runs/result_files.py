@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Sequence
+from contextlib import suppress
+from math import isfinite, isnan
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -28,11 +28,16 @@ class ResultModel(BaseModel):
 
 
 def _defined(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def _each_defined(values: Any) -> Any:
-    return tuple(map(_defined, values)) if isinstance(values, list | tuple) else values
+    if not isinstance(values, list | tuple):
+        return values
+    with suppress(TypeError, ValueError, OverflowError):  # a value that is no number is refused after this
+        if isfinite(sum(filter(None, values))):
+            return values  # without a look at each: a summary has a million
+    return tuple(map(_defined, values))
 
 
 Line = Annotated[str, AfterValidator(bounded_line)]
@@ -47,17 +52,17 @@ Curves = dict[str, Curve]
 
 def rounded(value: float) -> float | None:
     """A score as the files hold it: DECIMALS digits after the point, None for NaN."""
-    return None if math.isnan(value) else round(value, DECIMALS)
+    return None if isnan(value) else round(value, DECIMALS)
 
 
 def rounded_p(value: float) -> float | None:
     """A p-value as the files hold it: P_VALUE_DIGITS significant digits, None for NaN."""
-    return None if math.isnan(value) else float(f"{value:.{P_VALUE_DIGITS}g}")
+    return None if isnan(value) else float(f"{value:.{P_VALUE_DIGITS}g}")
 
 
 def rounded_curve(values: NDArray[np.float64] | Sequence[float]) -> tuple[float | None, ...]:
     """Scores (S,) of steps 0..S-1 as the files hold them."""
-    return tuple(rounded(float(value)) for value in values)
+    return tuple([None if isnan(value) else round(value, DECIMALS) for value in np.asarray(values, float).tolist()])
 
 
 def rounded_p_curve(values: NDArray[np.float64] | Sequence[float]) -> tuple[float | None, ...]:
@@ -74,7 +79,7 @@ class RunError(GridtrackError):
 
 def json_of(content: ResultModel) -> str:
     """A model as JSON text with the keys of its file, indented by one space."""
-    return json.dumps(content.model_dump(by_alias=True), indent=1, allow_nan=False)
+    return content.model_dump_json(by_alias=True, indent=1)
 
 
 def write_model(path: Path, content: ResultModel) -> None:

@@ -34,3 +34,13 @@ def test_a_damaged_file_an_invalid_name_and_a_conflict_are_problems(install):
 @pytest.mark.parametrize(("name", "valid"), [("ros1-bag", True), ("a.b_c", True), ("../x", False), ("", False)])
 def test_names(name, valid):
     assert bool(VALID_NAME.fullmatch(name)) is valid
+
+
+def test_files_are_read_again_only_after_a_change_of_the_path(install, monkeypatch):
+    install("one", {"first": "a:b"}, group=GROUP)
+    assert list(registrations(GROUP)) == ["first"]
+    with monkeypatch.context() as unread:
+        unread.setattr("importlib.metadata.PathDistribution.read_text", None)
+        assert list(registrations(GROUP)) == ["first"]
+    install("two", {"second": "a:b"}, group=GROUP)
+    assert list(registrations(GROUP)) == ["first", "second"]

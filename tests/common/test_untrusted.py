@@ -44,6 +44,8 @@ def test_toml_is_read_as_by_the_standard_library(tables: dict[str, object]) -> N
         ("9" * 5000, "an integer of 5000 digits"),
         (f"[{MAX_INTEGER}]", "an integer of 20 digits"),
         ("1e999", "1e999 is not a finite number"),
+        ('["1e5", 2E+999]', r"2E\+999 is not a finite number"),
+        (f"{'9' * 400}.5", "9{20} is not a finite number"),
         ("[NaN]", "NaN is not a finite number"),
         ('{"a": ["\\ud800"]}', "half of a surrogate pair"),
         ('{"\\udfff": 1}', "half of a surrogate pair"),

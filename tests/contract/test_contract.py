@@ -32,12 +32,15 @@ from scenes.programs_here import programs_here
 
 LEG_TRACKER = StreamSpec(GridSpec(100, 0.1, (-2.0, -4.5)), 0.1, "leg_tracker")
 JUNCTION = StreamSpec(GridSpec(100, 0.2, (-4.0, -16.0)), 0.125, "junction")
+ANYWHERE = StreamSpec(GridSpec(60, 0.2), 0.125, "anywhere")
 SMALL = StreamSpec(GridSpec(40, 0.2), 0.125, "here")
 
 
 @pytest.mark.parametrize("name", entries())
 def test_a_registered_tracker_satisfies_the_contract(name: str, trackers_here: None) -> None:
-    results = check_tracker(launch(name), stream_for(name))
+    """With general weights where it learns: those of a site are for a larger grid, and are used in its own process."""
+    learned = find_weights(name, "anywhere", None)
+    results = check_tracker(launch(name), replace(ANYWHERE, weights=learned and learned.path))
     if missing := [r.observed for r in results[:3] if "No module named" in r.observed]:
         pytest.skip(missing[0])
     assert [r for r in results if not r.kept] == []

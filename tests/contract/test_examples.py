@@ -26,6 +26,8 @@ from gridtrack.recordings import packaged_recording
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch, launch, read_trackers_toml
 
+from studies.support.plugins import write_distribution
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 DEMO = packaged_recording("leg_tracker")
 QUICK = ("--horizon", "0.5s", "--every", "0.5s", "--validation", f"{DEMO}@75s-78s", "--json")
@@ -98,12 +100,20 @@ def test_a_tracker_is_compared_in_an_environment_with_another_numpy(tmp_path: Pa
     python, other = fresh_environment(tmp_path / "env"), "2.4.3" if np.__version__ != "2.4.3" else "2.4.2"
     require_from_index(f"numpy=={other}", python)
     assert run_python(python, "-c", "import numpy; print(numpy.__version__)", cwd=tmp_path).strip() == other
-    new_tracker("my-own-2", tmp_path / "package")  # in this environment alone: it shows which one ran
-    run_python(python, "-m", "pip", "install", "--quiet", str(tmp_path / "package"), cwd=tmp_path)
+    module = new_tracker("my-own-2", tmp_path / "package")
+    (site,) = python.parents[1].glob("lib/python*/site-packages")  # of this environment alone: it shows which one ran
+    points, files = {"my-own-2": f"my_own_2:{class_in(module)}"}, {module.name: module.read_text()}
+    write_distribution(site, "my-own-2", points, files, group="gridtrack.trackers")
     (tmp_path / "trackers.toml").write_text('[elsewhere]\npython = "env/bin/python"\ntracker = "my-own-2"\n')
     arguments = ("-m", "gridtrack.cli", "compare", f"{DEMO}@114s-118s", "--trackers-toml", "trackers.toml")
     out = run_python(Path(sys.executable), *arguments, "--no-floors", "--tracker", "elsewhere", *QUICK, cwd=tmp_path)
     assert outcomes(out) == {"elsewhere": "ok"}
+
+
+def class_in(module: Path) -> str:
+    """The name of the tracker's class."""
+    (name,) = re.findall(r"^class (\w+)\(Tracker\)", module.read_text(), re.MULTILINE)
+    return str(name)
 
 
 def require_from_index(requirement: str, python: Path) -> None:

@@ -25,8 +25,8 @@ FRONT = Laser("front_laser", SE2(0.4, 0.2, 0.8))
 REAR = Laser("rear_laser", SE2(-0.4, 0.0, 3.1), mirrored=True, offset_ms=40)
 LASER = Laser("laser", SE2(-0.14, 0.0, 0.0))
 JUNCTION = {
-    "test-101.tracks": ("test-101.tracks", 8.0),
-    "validation.tracks": ("test-102.tracks", 8.0),
+    "test-101.tracks": ("test-101.tracks", 7.0),
+    "validation.tracks": ("test-102.tracks", 6.0),
     "train.tracks": ("test-103.tracks", 12.0),
 }
 """Recordings of the junction: the beginnings of these files."""

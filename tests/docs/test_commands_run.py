@@ -90,6 +90,10 @@ SMALLER = (
     ("runs/fleet --recordings 'hall-*,street-7'", "runs/hall --recordings 'my*'"),
     ("regress runs/seed-*", "regress runs/now"),
     ("train my-tracker", "train static-map"),
+    (
+        "data/leg_tracker/leg_tracker.mcap@114s-124s",
+        "data/leg_tracker/leg_tracker.mcap@114s-120s --validation data/leg_tracker/leg_tracker.mcap@75s-79s",
+    ),
     ("test-*.mcap --tracker my-tracker", "test-*.mcap --tracker static-map"),
     ("drive.bag --out drive.mcap --pose-topic", "poses.bag --out drive.mcap --pose-topic"),
     ("compare drive.bag --ego-motion", "compare no-poses.bag --ego-motion"),

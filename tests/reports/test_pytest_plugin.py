@@ -14,12 +14,13 @@ from typing import NamedTuple
 import pytest
 
 from gridtrack.recordings import packaged_recording
+from gridtrack.reports.pytest_plugin import TrackerRegression
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "example_tracker" / "example_tracker.py"
 TEST = """
 def test_fading(tracker_regression):
     tracker_regression("mine=fading{options}", "demo.mcap@90s-97s", baseline="fading.json",
-                       horizon_s=1.0, every_s=0.5{more})
+                       validation="demo.mcap@75s-79s", horizon_s=1.0, every_s=0.5{more})
 """
 
 
@@ -78,13 +79,19 @@ def test_a_regression_test_in_the_repository_of_a_tracker_fails_when_it_is_worse
 
 
 @pytest.mark.usefixtures("trackers_here")
+def test_a_path_of_an_option_is_relative_to_the_test_and_a_url_stays_as_it_is(tmp_path):
+    fixture = TrackerRegression(tmp_path, tmp_path, "a test", None)
+    assert fixture.located("site/weights") == str(tmp_path / "site" / "weights")
+    assert fixture.located("s3://bucket/demo.mcap@0s-9s") == "s3://bucket/demo.mcap@0s-9s"
+
+
 def test_two_tests_that_write_one_baseline_are_refused(tmp_path):
     code = """
 def test_one(tracker_regression):
-    tracker_regression("{0}", "demo.mcap@90s-97s", baseline="one.json", horizon_s=1.0)
+    tracker_regression("{0}", "demo.mcap@90s-97s", baseline="one.json", horizon_s=1.0, every_s=0.5)
 
 def test_two(tracker_regression):
-    tracker_regression("{1}", "demo.mcap@90s-97s", baseline="./one.json", horizon_s=1.0)
+    tracker_regression("{1}", "demo.mcap@90s-97s", baseline="./one.json", horizon_s=1.0, every_s=0.5)
 """
     (tmp_path / "demo.mcap").symlink_to(packaged_recording("leg_tracker"))
     done = run_pytest(tmp_path, code.format("persistence", "blank"), "--gridtrack-update-baseline")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from gridtrack.recordings import RecordingInfo, write_native
 from gridtrack.simulation.laser import sweep
 
 from scenes.drives import box
+from scenes.read_once import write_shared
 
 CLASSES = ("pedestrian", "static")
 GRID, CELL_M, RATE_HZ, BEAMS, RANGE_MAX_M = "60x0.2", 0.2, 10, 720, 20.0
@@ -71,6 +73,6 @@ def write_recording(path: Path, seconds=20, **how):
     """A native recording of a drive; `how` as of `scan`."""
     classes = CLASSES if how.get("with_truth", True) else ()
     info = RecordingInfo(site="rooms", grid=GRID, rate_hz=RATE_HZ, classes=classes)
-    with path.open("wb") as file:
-        write_native(file, info, (scan(index, **how) for index in range(seconds * RATE_HZ)))
-    return path
+    content = io.BytesIO()
+    write_native(content, info, (scan(index, **how) for index in range(seconds * RATE_HZ)))
+    return write_shared(path, content.getvalue())

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import math
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,9 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.runs.summary import RunSummary, ScopeSummary, TrialSummary
 from gridtrack.recordings import RecordingInfo, write_native
+from gridtrack.recordings.formats import native
+
+from scenes.read_once import write_shared
 
 RATE_HZ, SECONDS, BEAMS = 10, 20, 120
 STRETCHES: dict[str, Any] = {"train": (0.0, 4.0), "validation": (4.0, 9.0), "test": (9.0, None)}
@@ -86,9 +91,16 @@ def write_room(
     `rate_hz` is its recorded rate; its scans come at RATE_HZ, from a stamp that `shift_ns` is added to.
     """
     info = RecordingInfo(site=site, grid=grid, rate_hz=rate_hz, stretches=STRETCHES if stretches is None else stretches)
-    with path.open("wb") as file:
-        write_native(file, info, (scan(index, speed, wall_m, shift_ns) for index in range(seconds * RATE_HZ)))
-    return path
+    return write_shared(path, _room(info.model_dump_json(), seconds, speed, wall_m, shift_ns, native.CHUNK_BYTES))
+
+
+@cache
+def _room(info: str, seconds: int, speed: float, wall_m: float, shift_ns: int, chunk_bytes: int) -> bytes:
+    """The content of the recording, with its metadata as JSON; tests change the `chunk_bytes` of the format."""
+    content = io.BytesIO()
+    scans = (scan(index, speed, wall_m, shift_ns) for index in range(seconds * RATE_HZ))
+    write_native(content, RecordingInfo.model_validate_json(info), scans)
+    return content.getvalue()
 
 
 def scan(index: int, speed: float, wall_m: float, shift_ns: int) -> Scan:

@@ -1,5 +1,7 @@
 """A scene with truth: a room, a screen that hides part of it, and boxes that move behind and in front of it."""
 
+import io
+
 import numpy as np
 
 from gridtrack.common.geometry import SE2
@@ -9,6 +11,7 @@ from gridtrack.recordings import RecordingInfo, write_native
 from gridtrack.simulation.laser import sweep
 
 from scenes.drives import box
+from scenes.read_once import write_shared
 
 CLASSES = ("pedestrian", "cyclist", "static")
 GRID = "40x0.25@-5,-1"
@@ -74,6 +77,6 @@ def write_recording(path, seconds=20, noise_m=0.0, with_truth=True, stretches=No
         classes=CLASSES if with_truth else (),
         stretches={"validation": (0.0, 7.0), "test": (7.0, None)} if stretches is None else stretches,
     )
-    with path.open("wb") as file:
-        write_native(file, info, (scan(index, noise_m, with_truth) for index in range(seconds * RATE_HZ)))
-    return path
+    content = io.BytesIO()
+    write_native(content, info, (scan(index, noise_m, with_truth) for index in range(seconds * RATE_HZ)))
+    return write_shared(path, content.getvalue())

@@ -73,8 +73,10 @@ SMALLER: dict[str, dict[str, Any]] = {
     "benchmarks.scale": {"SECONDS": 14, "_timed": timed_here},
     "benchmarks.scoring": {"STEPS": 5},
     "studies.coverage": {"MEMORIES": {"2 s": {2.0: 1.0}}, "LENGTHS_S": (600,), "SPREADS": (0.0,), "LEVELS": (0.0,)},
+    "studies.gate_power": {"REGIONS": {"dynamic": (4_000.0, 0.5)}, "BANDS": {"middle": 0.0}},
     "studies.known_present": {"worlds_called": lambda _: ["data/worlds/test/indoors-corridor-1003.tracks@0s-8s"]},
     "studies.motion_rule": {"PLACES": {"worlds": ("data/worlds/test", "indoors-corridor-1003.tracks")}},
+    "studies.size": {"KINDS": ("common/*.py", "reports/*.js", "docs/glossary.md")},
     "studies.two_sensors": {"VALIDATION_FRAMES": 64, "STRATA": ("dynamic", "visible", "occluded", "occluded dynamic")},
     "studies.velocity_errors": {"RECORDINGS": [f"{JUNCTION / 'test-101.tracks'}@0s-12s"]},
 }

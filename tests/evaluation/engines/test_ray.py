@@ -38,6 +38,7 @@ def cluster(tmp_path_factory):
     files = {"staged_tracker.py": STAGED}
     write_distribution(site, "staged", points, files, group="gridtrack.trackers")
     head = {"num_cpus": 0, "object_store_memory": OBJECTS, "include_dashboard": False}
+    head |= {"include_log_monitor": False, "no_monitor": True}  # programs that nothing here uses
     with pytest.MonkeyPatch.context() as patched:
         patched.setenv("RAY_USAGE_STATS_ENABLED", "0")
         patched.setenv("RAY_worker_niceness", "0")  # at Ray's 15 other work on the machine would starve them

@@ -40,7 +40,8 @@ def test_no_argument_environment_or_descriptor_names_the_recording(command, trac
     )
     path, found = record("hidden-name"), tmp_path / "found.json"
     selection = f"{tracker}:found={found},secret=eman-neddih"
-    options = [selection, str(path)] if command == ("train",) else ["--no-floors", str(path), "--tracker", selection]
+    compared = ["--no-floors", str(path), "--tracker", selection, "--horizon", "0.5s", "--every", "0.5s"]
+    options = [selection, str(path)] if command == ("train",) else compared
     argv = [sys.executable, "-m", "gridtrack.cli", *command, *options, "--out", str(tmp_path / "out")]
     subprocess.run(
         argv, check=True, stdout=subprocess.DEVNULL, env=os.environ | {"RECORDING": str(path)}, preexec_fn=drop_tracing
@@ -64,6 +65,7 @@ def left_behind(seconds: str) -> list[psutil.Process]:
 @pytest.mark.usefixtures("burglar")
 def test_the_host_ends_the_processes_of_a_tracker_that_killed_its_supervisor_and_continues(record, tmp_path):
     rows = ["--no-floors", "--tracker", f'burglar:attacks=[["outlives","{ENDED}"]]', "--tracker", "persistence"]
+    rows += ["--horizon", "0.5s", "--every", "0.5s"]
     command = [sys.executable, "-m", "gridtrack.cli", "compare", str(record()), *rows, "--out", str(tmp_path / "run")]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 3, ended.stderr

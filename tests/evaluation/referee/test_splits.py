@@ -16,6 +16,8 @@ from gridtrack.recordings import import_recording, packaged_recording
 from gridtrack.trackers.training.card import Card, TrainingData
 from gridtrack.trackers.training.weights import save_weights
 
+pytestmark = pytest.mark.usefixtures("trackers_here")
+
 SECOND = Sampling(horizon_s=1.0, every_s=0.5)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from xml.etree import ElementTree
 
@@ -16,6 +17,11 @@ from gridtrack.evaluation.regression.verdict import compare_with_baseline
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
+from tests.evaluation.conftest import RecordedProgress
+
+from scenes.programs_here import programs_here
+from scenes.room import write_room
+from studies.support.plugins import write_distribution
 
 MOODY = '''
 from pathlib import Path
@@ -50,43 +56,59 @@ class Moody(Tracker):
 '''
 
 
-@pytest.fixture
-def folder(install, tmp_path, trackers_here):
+MOODY_FILES = {"moody": "moody_tracker:Moody"}, {"moody_tracker.py": MOODY}
+
+
+@pytest.fixture(scope="module")
+def mood(tmp_path_factory):
     """The folder with the files that control the tracker `moody`."""
-    install("moody", {"moody": "moody_tracker:Moody"}, {"moody_tracker.py": MOODY})
-    made = tmp_path / "mood"
-    made.mkdir()
+    return tmp_path_factory.mktemp("mood")
+
+
+@pytest.fixture
+def folder(install, mood, trackers_here):
+    """The folder `mood` without files, and the tracker."""
+    install("moody", *MOODY_FILES)
+    for file in mood.iterdir():
+        file.unlink()
+    return mood
+
+
+@pytest.fixture(scope="module")
+def compared(mood, tmp_path_factory):
+    """The runs `then`, of a good `moody`, and `now`, of a bad one beside a steady tracker."""
+    made = tmp_path_factory.mktemp("runs")
+    walls = {"one": 3.0, "two": 3.4}
+    recordings = tuple(str(write_room(made / f"{name}.mcap", 8, {}, wall_m=wall)) for name, wall in walls.items())
+    trackers, site = (f"moody:folder={mood}", "blank"), made / "site"
+    site.mkdir()
+    write_distribution(site, "moody", *MOODY_FILES, group="gridtrack.trackers")
+    with pytest.MonkeyPatch.context() as patched, programs_here():
+        patched.syspath_prepend(str(site))
+        for name in ("then", "now"):
+            settings = CompareSettings(
+                recordings=recordings, trackers=trackers, out=made / name, horizon_s=1.0, jobs=1, no_floors=True
+            )
+            run(resolve(settings), ("gridtrack", "compare"), RecordedProgress())
+            (mood / "bad").touch()
     return made
 
 
 @pytest.fixture
-def runs(folder, record, progress, regress, tmp_path):
-    """A run of a good `moody`, as the baseline, and one of a bad one beside a steady tracker."""
-    recordings = tuple(
-        str(record(name, seconds=8, stretches={}, wall_m=wall)) for name, wall in (("one", 3.0), ("two", 3.4))
-    )
-    trackers = (f"moody:folder={folder}", "blank")
-
-    def compare(name):
-        out = tmp_path / name
-        settings = CompareSettings(
-            recordings=recordings, trackers=trackers, out=out, horizon_s=1.0, jobs=1, no_floors=True
-        )
-        run(resolve(settings), ("gridtrack", "compare"), progress)
-        return out
-
+def runs(folder, compared, regress, tmp_path):
+    """Copies of both runs, the first with a baseline; `moody` is bad."""
+    for name in ("then", "now"):
+        shutil.copytree(compared / name, tmp_path / name)
     baseline = tmp_path / "baseline.json"
-    assert regress(compare("then"), "--baseline", baseline, "--update").code == 0
+    assert regress(tmp_path / "then", "--baseline", baseline, "--update").code == 0
     (folder / "bad").touch()
-    now = compare("now")
-    (folder / "starts").write_text("")
-    return now, baseline
+    return tmp_path / "now", baseline
 
 
 def test_a_fall_in_the_first_run_only_is_not_worse_and_both_results_are_printed(runs, folder, regress, tmp_path):
     now, baseline = runs
     assert regress(now, "--baseline", baseline).code == 1
-    assert (folder / "starts").read_text() == ""
+    assert not (folder / "starts").exists()
     (folder / "bad").unlink()
     junit, page = tmp_path / "junit.xml", tmp_path / "page.md"
     done = regress(now, "--baseline", baseline, "--confirm", "--junit", junit, "--markdown", page)
@@ -152,7 +174,7 @@ def test_the_same_counts_again_confirm_every_row(write_run, trainings):
 def test_without_a_worse_row_nothing_runs_again(runs, folder, regress, tmp_path):
     baseline = runs[1]
     done = regress(tmp_path / "then", "--baseline", baseline, "--confirm")
-    assert (done.code, (folder / "starts").read_text()) == (0, "")
+    assert (done.code, (folder / "starts").exists()) == (0, False)
     done = regress(tmp_path / "then", "--baseline", baseline, "--confirm", "--update")
     assert (done.code, "--confirm: --update judges nothing" in done.err) == (2, True)
 

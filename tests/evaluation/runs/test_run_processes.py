@@ -63,7 +63,7 @@ def alive(processes):
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_a_run_that_is_ended_keeps_its_scores_and_leaves_no_process(start, begun, tmp_path, end):
-    host = start("persistence", "staged:crash_at=60,how=hangs", "blank")
+    host = start("persistence", "staged:crash_at=60,how=hangs")
     wait_until((tmp_path / "run" / "persistence@room" / "outcome.json").exists)
     begun("staged@room")
     family = children(host)

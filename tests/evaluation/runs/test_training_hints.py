@@ -13,6 +13,7 @@ from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.evaluation.runs.jobs import SharedInputs, TrialJob
 from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.trial import unstarted
 from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.trackers.training.weights import read_card
@@ -48,50 +49,50 @@ def run_command_in(text):
     assert gridtrack(*shlex.split(command)).exit_code == 0
 
 
-@pytest.mark.parametrize(
-    ("stretches", "compared"),
-    [
-        (None, ""),  # stretches of its own
-        (None, "@0s-12s"),  # which has frames of the stretch `train`
-        ({}, "@0s-8s"),
-        ({}, "@9s-20s"),
-        ({"validation": (0.0, 5.0)}, "@12s-20s"),
-    ],
-)
-def test_the_hint_of_an_untrained_tracker_trains_it_for_the_same_comparison(record, tmp_path, stretches, compared):
-    path = record("my room", stretches=stretches)
-    reason = compare(f"{path}{compared}", tmp_path / "run")
+def planned(folder, *recordings, segment_s=None):
+    """What static-map lacks for its trials on `recordings`, "" for weights that learned from none of their frames."""
+    settings = CompareSettings(
+        recordings=tuple(map(str, recordings)),
+        trackers=("static-map:card=site",),
+        horizon_s=0.5,
+        no_floors=True,
+        out=folder / "planned",
+        segment_s=segment_s,
+    )
+    trials = resolve(settings).trials
+    assert len(trials) >= len(recordings)
+    (lacking,) = {"" if trial.weights else trial.how_to_train for trial in trials}
+    return lacking
+
+
+def test_the_hint_of_an_untrained_tracker_trains_it_for_the_same_comparison(record, tmp_path):
+    path = record("my room")
+    reason = compare(path, tmp_path / "run")
     assert reason.endswith("`, then compare again with --resume")
     run_command_in(reason)
-    assert compare(f"{path}{compared}", tmp_path / "run", "--resume") == ""
+    assert compare(path, tmp_path / "run", "--resume") == ""
 
 
 @pytest.mark.parametrize(
-    ("stretches", "compared", "options"),
+    ("stretches", "compared", "segment_s"),
     [
-        (None, ("@0s-4s", "@4s-8s", "@17s-20s"), ()),  # the first is the stretch `train`
-        (None, ("@4s-7s", "@9s-12s"), ()),  # the first has frames of the stretch `validation`
-        ({}, ("@0s-4s", "@4s-8s", "@17s-20s"), ()),
-        ({}, ("@0s-30s",), ("--segment", "10s")),
+        (None, ("@0s-12s",), None),  # which has frames of the stretch `train`
+        ({}, ("@0s-8s",), None),
+        ({}, ("@9s-20s",), None),
+        ({"validation": (0.0, 5.0)}, ("@12s-20s",), None),
+        (None, ("@0s-4s", "@4s-8s", "@17s-20s"), None),  # the first is the stretch `train`
+        (None, ("@4s-7s", "@9s-12s"), None),  # the first has frames of the stretch `validation`
+        ({}, ("@0s-4s", "@4s-8s", "@17s-20s"), None),
+        ({}, ("@0s-30s",), 10.0),
     ],
 )
-def test_the_hint_of_one_trial_keeps_out_of_the_stretches_of_the_others(record, tmp_path, stretches, compared, options):
-    path = record(seconds=45 if options else 20, stretches=stretches)
-    command = (
-        "compare",
-        "--no-floors",
-        *(f"{path}{part}" for part in compared),
-        "--tracker",
-        "static-map:card=site",
-        *options,
-    )
-    command += ("--horizon", "0.5s", "--jobs", "1", "--out", str(tmp_path / "run"))
-    gridtrack(*command)
-    reasons = [read_trial_record(trial).reason for trial in (tmp_path / "run").glob("static-map@*")]
-    assert len(reasons) >= 2
-    (reason,) = set(reasons)
-    run_command_in(reason)
-    assert gridtrack(*command, "--resume").exit_code == 0
+def test_the_hint_of_one_trial_keeps_out_of_the_stretches_of_the_others(
+    record, tmp_path, stretches, compared, segment_s
+):
+    path = record(seconds=45 if segment_s else 20, stretches=stretches)
+    recordings = [f"{path}{part}" for part in compared]
+    run_command_in(planned(tmp_path, *recordings, segment_s=segment_s))
+    assert planned(tmp_path, *recordings, segment_s=segment_s) == ""
 
 
 def test_the_hint_of_a_trial_on_another_machine_is_the_whole_runs(record, settings, tmp_path):
@@ -113,35 +114,22 @@ def test_the_hint_of_a_trial_on_another_machine_is_the_whole_runs(record, settin
 def test_stretches_of_its_own_that_another_trial_tests_are_not_named(record, tmp_path):
     """All of the recording is compared: the rest after a training is the end of it."""
     path = record(stretches={"train": (0.0, 4.0), "validation": (4.0, 9.0)})
-    gridtrack(
-        *(
-            "compare",
-            "--no-floors",
-            f"{path}@0s-10s",
-            f"{path}@10s-20s",
-            "--tracker",
-            "static-map:card=site",
-            "--horizon",
-            "0.5s",
-        ),
-        *("--jobs", "1", "--out", str(tmp_path / "run")),
-    )
-    (reason,) = {read_trial_record(trial).reason for trial in (tmp_path / "run").glob("static-map@*")}
+    reason = planned(tmp_path, f"{path}@0s-10s", f"{path}@10s-20s")
     assert f"train static-map {path}@0s-11.9s --validation {path}@11.9s-15.9s`" in reason
     assert f"then compare the rest, {path}@15.9s-, into another folder" in reason
 
 
 def test_where_all_of_a_recording_is_compared_the_hint_leaves_a_rest_to_compare_on(record, tmp_path):
     path = record(stretches={})
-    reason = compare(path, tmp_path / "run")
+    reason = planned(tmp_path, path)
     run_command_in(reason)
     (rest,) = re.findall(r"then compare the rest, (\S+), into another folder", reason)
-    assert compare(rest, tmp_path / "other") == ""
+    assert planned(tmp_path, rest) == ""
 
 
 def test_a_recording_without_frames_to_spare_has_no_command(record, tmp_path):
     path = record(seconds=9, stretches={})
-    assert "train it on a longer recording of this site" in compare(path, tmp_path / "run")
+    assert "train it on a longer recording of this site" in planned(tmp_path, path)
 
 
 def test_a_training_without_validation_prints_a_command_with_one(record, tmp_path):
@@ -167,9 +155,9 @@ def test_the_command_for_a_folder_trains_on_all_recordings_in_it(record, tmp_pat
 def test_a_range_in_a_message_is_one_of_the_recording(record, tmp_path, stretch):
     path = record(stretches={})
     with pytest.raises(RecordingError) as error:
-        compare(f"{path}{stretch}", tmp_path / "run")
+        planned(tmp_path, f"{path}{stretch}")
     (suggested,) = re.findall(r"(?:\(|seconds: )(/\S+@\S+)\)", str(error.value))
-    compare(suggested, tmp_path / "run")
+    planned(tmp_path, suggested)
 
 
 def test_no_stretch_is_suggested_where_the_sensor_always_moves(record, tmp_path, staged):
