@@ -80,7 +80,7 @@ def replacing(path: Path, *, keep_on_error: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def naming_full_disk(path: Path) -> Iterator[None]:
-    """For a block that writes `path`: the OSError of a full disk names it and the remedy; that of a write does not."""
+    """In the block, which writes `path`, the OSError of a full disk names `path` and the remedy."""
     try:
         yield
     except OSError as error:

@@ -141,7 +141,7 @@ def _read_to_the_end(file: BinaryIO | GrowingFile) -> None:
 
 
 def _chunk_in(content: bytes) -> tuple[Chunk, bool]:
-    """The chunk in a record, and whether it is cut off: then its data end at the cut."""
+    """The chunk in a record, and whether it is cut off; the data of such a chunk end at the cut."""
     start_ns, end_ns, size, checksum, name_bytes = CHUNK_HEADER.unpack_from(content)
     compression = content[CHUNK_HEADER.size :][:name_bytes].decode()
     at = CHUNK_HEADER.size + name_bytes

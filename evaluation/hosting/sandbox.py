@@ -1,8 +1,8 @@
 """The sandbox of an untrusted tracker: bubblewrap shows its program only its own code and its weights.
 
 Linux namespaces without privileges, set up by `bwrap`: no network, no other processes, and no writable files outside
-`/tmp` and `/dev/shm`, which are its own memory. A filter of system calls refuses those that could leave data in the
-kernel, which outlive a process. docs/wire.md describes its guarantees and its limits.
+`/tmp` and `/dev/shm`, which are its own memory. A filter refuses system calls that could leave data in the kernel
+after the end of the process. docs/wire.md describes its guarantees and its limits.
 """
 
 from __future__ import annotations
@@ -178,11 +178,13 @@ def copies_of(recordings: tuple[Path, ...], folders: tuple[Path, ...]) -> tuple[
     for path, size in (file for recording in recordings for file in _files_of(recording)):
         by_size.setdefault(size, []).append(path)
     by_size.pop(0, None)
+    if not by_size:
+        return ()
     found = []
-    for path, size in (file for folder in folders for file in _files_of(folder)) if by_size else ():
-        if size in by_size:
-            with suppress(OSError):  # another process may remove it
-                found += [Path(path)] if any(filecmp.cmp(path, one, shallow=False) for one in by_size[size]) else []
+    for path, size in (file for folder in folders for file in _files_of(folder)):
+        with suppress(OSError):  # another process may remove it
+            if any(filecmp.cmp(path, one, shallow=False) for one in by_size.get(size, ())):
+                found.append(Path(path))
     return tuple(found)
 
 
@@ -192,13 +194,16 @@ def _files_of(path: Path) -> Iterator[tuple[str, int]]:
         yield str(path), path.stat().st_size
     folders = [str(path)]
     while folders:
-        with suppress(OSError), os.scandir(folders.pop()) as entries:
-            for entry in entries:
+        try:
+            entries = list(os.scandir(folders.pop()))
+        except OSError:
+            continue
+        for entry in entries:
+            with suppress(OSError):  # a link in a circle, or a file that is gone: the others count
                 if entry.is_dir(follow_symlinks=False):
                     folders.append(entry.path)
                 elif entry.is_file():
-                    with suppress(FileNotFoundError):
-                        yield entry.path, entry.stat().st_size
+                    yield entry.path, entry.stat().st_size
 
 
 def confined(

@@ -50,7 +50,7 @@ class RoundTrips(ResultModel):
 
     @classmethod
     def of(cls, timings: Timings) -> Self:
-        """Those of the calls so far."""
+        """Of the calls so far."""
         medians = (timings.update_round_trip.percentile(50), timings.predict_round_trip.percentile(50))
         update_ms, predict_ms = (0.0 if math.isnan(ms) else float(f"{ms:.4g}") for ms in medians)
         return cls(update_ms=update_ms, predict_ms=predict_ms)

@@ -1,6 +1,6 @@
 """Passes that time a tracker alone on the machine: latencies, and scores on a simulated clock with measured times.
 
-The calls are those of the trial: the same frames, and forecasts at the same frames. A tracker cannot recognise by its
+The calls are as in the trial: the same frames, and forecasts at the same frames. A tracker cannot recognise by its
 requests that it is timed.
 """
 
@@ -54,7 +54,7 @@ def measure_deadline(trial: Trial, regions: SplitRegions, record: TrialRecord, f
     """
     log, steps, scored = folder / DEADLINE_LOG, trial.split.steps, trial.split.schedule.scored
     reach = steps + spare_steps(record.round_trips.total_ms, trial.test.period_s * 1e3, steps)
-    # on the simulated clock the newest forecast at a frame is at best that of the frame before
+    # on the simulated clock the newest forecast at a frame is at best of the frame before
     requested = range(scored.start - 1, scored.stop - 1, scored.step)
     with trial.tracker_process(log) as process:
         calls = _timed_calls(process, trial, requested, reach)
@@ -92,12 +92,12 @@ class _TimedCalls:
     @property
     def updates_ms(self) -> list[float]:
         """Durations of the updates by the clock that counts, ms."""
-        return [_duration(call, self.timings.clock) for call in self.updates]
+        return _durations(self.updates, self.timings.clock)
 
     @property
     def forecasts_ms(self) -> list[float]:
         """Durations of the forecasts by the clock that counts, ms."""
-        return [_duration(call, self.timings.clock) for call in self.forecasts]
+        return _durations(self.forecasts, self.timings.clock)
 
     def costs(self) -> Costs:
         """The durations of each update and of the newest forecast, as if every frame had a forecast."""
@@ -129,8 +129,8 @@ def _last_call(process: TrackerProcess) -> Call:
     return process.last_call
 
 
-def _duration(call: Call, clock: Clock) -> float:
-    return call.own_ms if clock == "tracker" else call.round_trip_ms
+def _durations(calls: Sequence[Call], clock: Clock) -> list[float]:
+    return [call.own_ms if clock == "tracker" else call.round_trip_ms for call in calls]
 
 
 def _at_every_rate(

@@ -38,7 +38,7 @@ SMALL = StreamSpec(GridSpec(40, 0.2), 0.125, "here")
 
 @pytest.mark.parametrize("name", entries())
 def test_a_registered_tracker_satisfies_the_contract(name: str, trackers_here: None) -> None:
-    """With general weights where it learns: those of a site are for a larger grid, and are used in its own process."""
+    """A learned tracker has general weights here: weights of a site are for a larger grid; the next test uses them."""
     learned = find_weights(name, "anywhere", None)
     results = check_tracker(launch(name), replace(ANYWHERE, weights=learned and learned.path))
     if missing := [r.observed for r in results[:3] if "No module named" in r.observed]:

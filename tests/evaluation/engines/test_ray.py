@@ -53,7 +53,7 @@ def cluster(tmp_path_factory):
 
 
 def trackers_of(node):
-    """The names of the trackers whose processes a node has started."""
+    """The names of the trackers with a process that the node has started."""
     (raylet,) = node.all_processes["raylet"]
     names = []
     for process in psutil.Process(raylet.process.pid).children(recursive=True):

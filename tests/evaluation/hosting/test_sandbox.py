@@ -20,7 +20,7 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting import sandbox
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
-from gridtrack.evaluation.hosting.sandbox import check_sandbox, code_folders, confine
+from gridtrack.evaluation.hosting.sandbox import check_sandbox, code_folders, confine, copies_of
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.trackers.contract import StreamSpec
@@ -128,6 +128,17 @@ def test_a_copy_of_the_recording_in_its_own_folder_is_hidden(attack, tmp_path):
         path.write_bytes(content)
     found = attack(("reads", copy), ("reads", other), recordings=(scans,))
     assert found == ["", b"of equal".hex()]
+
+
+def test_links_in_a_circle_hide_no_copy_of_the_recording(tmp_path):
+    recording, folder = tmp_path / "scans.mcap", tmp_path / "site"
+    folder.mkdir()
+    recording.write_bytes(b"recorded")
+    copies = [folder / f"copy-{n}" for n in range(20)]  # a folder is listed in any order
+    for n, copy in enumerate(copies):
+        copy.write_bytes(b"recorded")
+        (folder / f"circle-{n}").symlink_to(folder / f"circle-{n}")
+    assert sorted(copies_of((recording,), (folder,))) == sorted(copies)
 
 
 def test_recordings_that_come_with_gridtrack_are_hidden_in_an_ordinary_installation(tmp_path):
