@@ -10,7 +10,7 @@ from gridtrack.common.errors import ConfigurationError, did_you_mean
 from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.runs.finished import DETAIL_HORIZON_S
 from gridtrack.evaluation.runs.summary import OutputDescription, ScoreDescription
-from gridtrack.reports.answer import lead_of
+from gridtrack.reports.decision import lead_of
 from gridtrack.reports.differences import DifferenceTable, difference_table
 from gridtrack.reports.run import ReportedRun, names_matching
 from gridtrack.reports.table import (

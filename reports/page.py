@@ -22,7 +22,7 @@ from gridtrack.reports.differences import (
 from gridtrack.reports.notices import Notice, notices_of
 from gridtrack.reports.page_data import page_data
 from gridtrack.reports.pictures import scale_png
-from gridtrack.reports.player import players_of
+from gridtrack.reports.player import opening_of, players_of
 from gridtrack.reports.priors import priors_of
 from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, chosen_runs, read_runs
 from gridtrack.reports.run_description import changes_of, provenance_of, run_facts, title_of
@@ -94,7 +94,13 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
             scale=scale_png(),
             css=Markup(page_css()),  # a file of this package, no text of a run
             script=script,
-            data=data_in_page({**scores, "players": [player.data["recording"] for player in players]}),
+            data=data_in_page(
+                {
+                    **scores,
+                    "players": [player.data["recording"] for player in players],
+                    "opening": opening_of(players, tables[0]),
+                }
+            ),
             moments=[json_in_page(player.data) for player in players],
             policy=Markup(policy_of([script], [page_css()])),
         )

@@ -22,7 +22,7 @@ def page_data(
     styles: Mapping[str, str],
     figures: Mapping[tuple[str, str], Figures],
 ) -> dict[str, Any]:
-    """The data of the page, without `players` and `priors`.
+    """The data of the page, without `players`, `opening` and `priors`.
 
     `trackers`: the key of every row as `label`, its name in its first table and its style (CSS classes), in the order
     of `styles`. `scores`: descriptions of all scores with a value, as in summary.json. `headline`: score, cells and

@@ -14,6 +14,7 @@ from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.evaluation.referee.samples import SAMPLES, Sample, SamplesError, read_samples
 from gridtrack.evaluation.runs.run_record import RUN_FILE, RecordingIdentity
 from gridtrack.reports.moments import (
+    FEW_CELLS,
     ChosenMoment,
     FrameScore,
     TrackerPlanes,
@@ -132,6 +133,25 @@ def player_of(
     kept_then = {label: kept.get(still_at) for label, kept in samples.items()}
     still = still_of(trackers, kept_then, decisive, time_of(still_at), described.horizons_s[steps[decisive]])
     return Player(data, still), notices
+
+
+def opening_of(players: Sequence[Player], table: HeadlineTable) -> dict[str, Any] | None:
+    """The moment of the first screen: the one in which the best two trackers differ most, or a single one and the floor.
+
+    Of all recordings, by F1 at the decisive step, with at least FEW_CELLS occupied cells. None without such a moment.
+    """
+    labels = [row.label for group in ("ranked", "floor") for row in table.rows_in(group)][:2]
+    best, found = 0.0, None
+    for data in (player.data for player in players if set(labels) <= set(player.data["trackers"])):
+        places = [data["trackers"].index(label) for label in labels]
+        for at, moment in enumerate(data["moments"]):
+            counts = [moment["counts"][data["decisive"]][place] for place in places]
+            scores = [FrameScore(*one) for one in counts if one]
+            if len(scores) == 2 and scores[0].occupied >= FEW_CELLS:
+                difference = abs(scores[0].f1 - scores[1].f1)
+                if difference > best:
+                    best, found = difference, {"recording": data["recording"], "moment": at, "trackers": labels}
+    return found
 
 
 def _clock(described: RecordingIdentity, first_ns: int) -> Callable[[int], float]:

@@ -20,7 +20,7 @@ from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, output_name, scores_of
 
 MAIN_STRATUM = HEADLINE_STRATA[0]
-"""The stratum of the other scores and of the order of rows."""
+"""The stratum of the scores beside the headline score."""
 STANDING = "standing"
 """A stratum without headline tests; its only column is the headline score at the detail horizon."""
 
@@ -245,7 +245,7 @@ def _headline_table(runs: Sequence[ReportedRun], recording: str) -> HeadlineTabl
         if recording in entry.recordings
     ]
     columns = tuple(_columns(shown, [trial for *_, trial in entries], horizons_s))
-    decisive = next(column for column in columns if column.step == columns[-1].step)
+    decisive = min(columns, key=lambda column: abs(column.step - detail_step(horizons_s)))
     rows = [
         TableRow(run, label, entry, trial, _group_of(entry, trial), tuple(column.cell(trial) for column in columns))
         for run, label, entry, trial in entries
@@ -302,30 +302,24 @@ def _same_frames(runs: Sequence[ReportedRun], recording: str) -> bool:
 def _columns(
     runs: Sequence[ReportedRun], trials: Sequence[TrialSummary], horizons_s: Sequence[float]
 ) -> Iterator[TableColumn]:
-    """The headline score at the headline horizons, or else at the last horizon, and the leading output of every other
-    tested score at one horizon.
-
-    Without intervals a score without a threshold is first, because few frames determine a threshold poorly.
-    """
+    """The headline score in the strata that it has, at the horizons where it leads, or else at the last horizon, and
+    the leading output of every other tested score in the main stratum at one horizon."""
     scores = scores_of(runs)
     name, output_of = _headline_of(runs)
     headline = scores.get(name, _unscored(name, output_of))
     output = next(one for one in headline.outputs if one.name == output_of)
-    steps = sorted(step for _, step in headline_steps(horizons_s)) or [len(horizons_s) - 1]
+    steps = sorted(step for _, step in headline_steps(horizons_s, headline.horizons_s)) or [len(horizons_s) - 1]
     detail = detail_step(horizons_s)
-    others = [one for one in scores.values() if one.name != name and one.lead.tested and _is_given(trials, one)]
-    intervals = any(_has_interval(trial, name, output_of) for trial in trials)
-    first = next((one for one in others if not one.thresholded), None)
-    if first is not None and headline.thresholded and not intervals:
-        yield from _over_horizons(MAIN_STRATUM, first, first.lead, steps, horizons_s)
-    for stratum in HEADLINE_STRATA:
-        yield from _over_horizons(stratum, headline, output, steps, horizons_s)
+    for stratum in dict.fromkeys((headline.stratum, *HEADLINE_STRATA)):
+        if stratum == headline.stratum or _is_given(trials, headline, output, stratum):
+            yield from _over_horizons(stratum, headline, output, steps, horizons_s)
     yield from _over_horizons(STANDING, headline, output, [detail], horizons_s)
     group = f"{MAIN_STRATUM}, {horizon_text(horizons_s[detail])}"
-    explaining = [(headline, one) for one in headline.outputs if not one.better and _is_given(trials, headline, one)]
-    leads = [(one, one.lead) for one in others if one is not first or intervals or not headline.thresholded]
-    for score, one in (*explaining, *leads):
-        yield TableColumn(group, one.heading, MAIN_STRATUM, score, one, detail)
+    explaining = [(headline, one) for one in headline.outputs if not one.better and not one.of_trial]
+    others = [(one, one.lead) for one in scores.values() if one.name != name and one.lead.tested]
+    for score, one in (*explaining, *others):
+        if _is_given(trials, score, one):
+            yield TableColumn(group, one.heading, MAIN_STRATUM, score, one, detail)
 
 
 def _over_horizons(
@@ -342,15 +336,11 @@ def _unscored(name: str, output: str) -> ScoreDescription:
     return ScoreDescription(name=name, title=title, thresholded=False, outputs=(lead,))
 
 
-def _is_given(trials: Sequence[TrialSummary], score: ScoreDescription, output: OutputDescription | None = None) -> bool:
-    """Whether any trial has the output (None: the lead) in the main stratum."""
-    name = (output or score.lead).name
-    return any(trial.estimate(MAIN_STRATUM, score.name, name) is not None for trial in trials)
-
-
-def _has_interval(trial: TrialSummary, score: str, output: str) -> bool:
-    found = (trial.estimate(stratum, score, output) for stratum in trial.strata)
-    return any(one is not None and one.low is not None for one in found)
+def _is_given(
+    trials: Sequence[TrialSummary], score: ScoreDescription, output: OutputDescription, stratum: str = MAIN_STRATUM
+) -> bool:
+    """Whether any trial has the output in the stratum."""
+    return any(trial.estimate(stratum, score.name, output.name) is not None for trial in trials)
 
 
 def horizon_text(horizon_s: float) -> str:

@@ -28,6 +28,7 @@ from gridtrack.evaluation.runs.summary import (
     TrackerTrainings,
     TrainingsScore,
 )
+from gridtrack.evaluation.runs.sums import Layout
 from gridtrack.evaluation.scores.definition import Floats, Output, ScoreDefinition
 from gridtrack.evaluation.statistics.jackknife import (
     LEAST_UNITS,
@@ -120,7 +121,7 @@ class Comparisons:
             return _Comparison(tuple(names), label, reference, why=OTHER_FRAMES)
         short = self._run.unit_rule(names).too_short(mine.number) if mine.number < LEAST_UNITS else ""
         found = _differences(self._all(mine), self._all(theirs), scores)
-        places = self._places(names, [*own, *others]) if headline else ()
+        places = self._places(names, [*own, *others], self._headline[0]) if headline else ()
         return _Comparison(tuple(names), label, reference, mine.number, frames, short, found, places, self._headline)
 
     def _paired(self, rows: Sequence[Sequence[FinishedTrial]], names: Sequence[str]) -> list[Selected]:
@@ -151,14 +152,18 @@ class Comparisons:
             self.keep(chosen, {name: one for name, one in found.items() if one is not None})
         return self._estimated[chosen.key]
 
-    def _places(self, names: Sequence[str], trials: Sequence[FinishedTrial]) -> tuple[Place, ...]:
-        """Strata and steps of the headline tests that all `trials` have."""
-        strata = [name for name in HEADLINE_STRATA if all(name in trial.strata for trial in trials)]
-        steps = headline_steps(self._run.horizons_of(names))
+    def _places(
+        self, names: Sequence[str], trials: Sequence[FinishedTrial], score: ScoreDefinition
+    ) -> tuple[Place, ...]:
+        """Strata and steps of the tests of a score that all `trials` have."""
+        layouts = [self._run.sums(trial).layouts.get(score.name, Layout((), ())) for trial in trials]
+        order = dict.fromkeys((score.stratum, *HEADLINE_STRATA))
+        strata = [name for name in order if all(name in one.strata for one in layouts)]
+        steps = headline_steps(self._run.horizons_of(names), score.horizons_s)
         return tuple(Place(stratum, horizon_s, step) for stratum in strata for horizon_s, step in steps)
 
     def families(self) -> list[PairFamily]:
-        """All pairs of comparable rows: a family for each tested score, stratum and horizon of the headline.
+        """All pairs of comparable rows: a family for each tested score, and each stratum and horizon where it leads.
 
         Rows of raw returns are compared among themselves. Nothing with fewer than LEAST_UNITS units. Raises
         ScoresError.
@@ -195,10 +200,10 @@ class Comparisons:
         if number < LEAST_UNITS:
             return
         found = {label: self._all(one) for label, one in chosen.items()}
-        places = self._places(names, [trial for trials in rows.values() for trial in trials])
+        trials = [trial for own in rows.values() for trial in own]
         recordings = ALL_RECORDINGS if len(names) > 1 else names[0]
         for score in self._scores:
-            for place in places:
+            for place in self._places(names, trials, score):
                 replicates = {label: _at(one, score, score.lead, place) for label, one in found.items()}
                 known = {label: one for label, one in replicates.items() if one is not None}
                 if tested := tuple(_pair_tests(known, score.lead)):
@@ -231,7 +236,7 @@ class Comparisons:
 
     def _trained(self, rows: TrainingRows) -> _Trained:
         """The headline score of the trainings, and their difference from the reference's."""
-        places = self._places(rows.names, [*rows.own[0], *rows.reference[0]])
+        places = self._places(rows.names, [*rows.own[0], *rows.reference[0]], self._headline[0])
         own, why = self._each(rows.own, places, rows.names), rows.why_partial or self._why_unpaired(rows)
         if why or rows.own is rows.reference:
             nothing = np.full(len(places), np.nan)

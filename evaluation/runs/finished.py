@@ -18,7 +18,7 @@ from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.run_record import RecordingDescription
 from gridtrack.evaluation.runs.sums import KeptRows, ScoredFrames, TrialSums
 from gridtrack.evaluation.runs.trial_record import TrialRecord
-from gridtrack.evaluation.scores.definition import Ratio
+from gridtrack.evaluation.scores.definition import HORIZONS_S, Ratio
 from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.statistics.units import (
     UnitRule,
@@ -29,9 +29,9 @@ from gridtrack.evaluation.statistics.units import (
 )
 from gridtrack.trackers.contract import ComparedPart
 
-HEADLINE_STRATA, HEADLINE_HORIZONS_S = ("in-motion", "dynamic", "visible"), (0.5, 1.0, 2.5)
-"""Strata and horizons of the headline tests: the family of Holm's correction is the headline score in these, for each
-tracker."""
+HEADLINE_STRATA = ("in-motion", "dynamic", "visible")
+"""Strata of the headline tests: the family of Holm's correction is the headline score in these, at its horizons, for
+each tracker."""
 DETAIL_HORIZON_S = 1.0
 """The horizon of the scores beside the headline, and of the order of rows."""
 POOLED_EVERY_S = 0.5
@@ -78,13 +78,13 @@ def common_strata(trials: Sequence[FinishedTrial]) -> tuple[str, ...]:
     return tuple(name for name in trials[0].strata if all(name in other.strata for other in trials))
 
 
-def headline_steps(horizons_s: Sequence[float]) -> list[tuple[float, int]]:
-    """Horizon of the step, and step, of the headline tests, as far as the run forecasts.
+def headline_steps(horizons_s: Sequence[float], at_s: Sequence[float] = HORIZONS_S) -> list[tuple[float, int]]:
+    """Horizon of the step, and step, of the tests of a score that leads at `at_s`, as far as the run forecasts.
 
-    The steps are those nearest to HEADLINE_HORIZONS_S, each of them once.
+    Each nearest step once.
     """
     period_s = horizons_s[1] - horizons_s[0]
-    steps = dict.fromkeys(nearest_step(h, period_s) for h in HEADLINE_HORIZONS_S)
+    steps = dict.fromkeys(nearest_step(h, period_s) for h in at_s)
     return [(float(horizons_s[step]), step) for step in steps if 0 < step < len(horizons_s)]
 
 

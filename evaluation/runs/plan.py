@@ -39,6 +39,7 @@ from gridtrack.evaluation.runs.run_record import RunConfiguration, TrialIdentity
 from gridtrack.evaluation.runs.settings import CompareSettings, check_together
 from gridtrack.evaluation.runs.summary import ALL_RECORDINGS
 from gridtrack.evaluation.runs.training_hints import stretches_to_train_on
+from gridtrack.evaluation.scores.definition import ScoreDefinition
 from gridtrack.evaluation.scores.registry import scores
 from gridtrack.evaluation.scores.robot import SMALL_ROBOT, Robot
 from gridtrack.recordings.importing import posed_copy
@@ -228,7 +229,8 @@ def resolve(
     """
     check_path(settings.out, ConfigurationError)
     check_together(settings)
-    scores(settings.scores)  # an unknown one is an error before anything runs
+    known = scores(settings.scores)  # an unknown one is an error before anything runs
+    _refuse_unknown_headline(settings.headline, known)
     if settings.limits.sandbox:
         check_sandbox()
     external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
@@ -356,6 +358,15 @@ def _check_options(selection: Selection, start: Launch, limits: Limits) -> None:
     # a tracker that cannot be loaded ends as `unavailable` in its own trial, and stops no other
     with suppress(PluginError):
         describe(start, selection.options, limits)
+
+
+def _refuse_unknown_headline(headline: str, known: Sequence[ScoreDefinition]) -> None:
+    """Raise ConfigurationError for a score that does not exist, or by which trackers are not compared."""
+    names = [score.name for score in known if score.lead.tested]
+    if headline and headline not in names:
+        raise ConfigurationError(
+            f"--headline: trackers are not compared by '{headline}': {did_you_mean(headline, names)}"
+        )
 
 
 def _refuse_oracle_label(selections: Sequence[Selection]) -> None:

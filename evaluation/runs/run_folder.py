@@ -164,9 +164,9 @@ class RunFolder:
         trials += [FinishedTrial(records[name], self.path / name, ORACLE, {}, "centres") for name in oracles]
         recordings = {split.name: description_of(split) for split in plan.splits}
         all_notices = [*plan.notices, *self._notices_of_versions(records), *notices]
-        summary = summarise(
-            recordings, trials, all_notices, interrupted, plan.settings.reference, scores(plan.settings.scores)
-        )
+        settings = plan.settings
+        by = scores(settings.scores)
+        summary = summarise(recordings, trials, all_notices, interrupted, settings.reference, by, settings.headline)
         summary.write(self.path)
         status = "interrupted" if interrupted else "complete"
         self.record.model_copy(update={"status": status, "finished": _now()}).write(self.path)

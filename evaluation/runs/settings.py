@@ -71,6 +71,9 @@ class CompareSettings(Settings):
     """File that names trackers of other environments, and programs"""
     scores: Annotated[tuple[str, ...], Option("score", "NAME")] = ()
     """Score of another package, which is loaded only by this name; repeat for several"""
+    headline: Annotated[str, Option(metavar="NAME")] = ""
+    """Score that leads table, page and sentence, such as f1; default: contact_foresight where there are enough
+    contacts, else f1"""
     robot: Annotated[Robot, Option(metavar="car|KEY=VALUE,..."), from_text(parse_robot)] = SMALL_ROBOT
     """Virtual robot of contact foresight: car, or its radius (metres) and highest speed (m/s); default: radius=0.3,
     speed=1"""

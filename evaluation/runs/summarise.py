@@ -27,6 +27,7 @@ from gridtrack.evaluation.runs.finished import (
     headline_steps,
     unlike_recordings,
 )
+from gridtrack.evaluation.runs.headline import leading_scores
 from gridtrack.evaluation.runs.later_passes import with_memories
 from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.result_files import rounded_curve
@@ -50,8 +51,6 @@ from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 from gridtrack.evaluation.statistics.units import UnitRule
 from gridtrack.trackers.contract import Role
 
-HEADLINE = "f1"
-"""The score that decides the headline tests."""
 STARTED_BEFORE = "the tracker was started before, in a trial that did not end"
 LEAST_LEAD = 0.001
 """A row is ahead of another by at least this much in either order: less is not shown in a table."""
@@ -64,13 +63,15 @@ def summarise(
     interrupted: bool,
     reference: str | None = None,
     scores: Sequence[ScoreDefinition] | None = None,
+    headline: str = "",
 ) -> RunSummary:
     """The summary of `trials` on `recordings`; `notices` precede the trials' own.
 
     `reference` is the label of the row that the others are compared with; None: the default one. `scores`: None are the
-    built-in ones. Raises ScoresError.
+    built-in ones. `headline`: the score that leads; empty: the first one with enough events. Raises ScoresError.
     """
-    return _Summary(RunTrials(recordings, list(trials), reference), scores or built_in()).made(notices, interrupted)
+    run = RunTrials(recordings, list(trials), reference)
+    return _Summary(run, scores or built_in(), headline).made(notices, interrupted)
 
 
 _Scope = TypeVar("_Scope", bound=ScopeSummary)
@@ -79,21 +80,22 @@ _Scope = TypeVar("_Scope", bound=ScopeSummary)
 class _Summary:
     """Makes the summary of a run."""
 
-    def __init__(self, run: RunTrials, scores: Sequence[ScoreDefinition]) -> None:
+    def __init__(self, run: RunTrials, scores: Sequence[ScoreDefinition], headline: str) -> None:
         self._run, self._scores = run, scores
-        self._headline = find_output(HEADLINE, scores)
+        self._may_lead, self._too_few = leading_scores(run, scores)
+        self._headline = find_output(headline or self._may_lead[0].name, scores)
         self._comparisons = Comparisons(run, scores, self._headline)
 
     def made(self, notices: Sequence[str], interrupted: bool) -> RunSummary:
         run, comparisons = self._run, self._comparisons
         rows = {label: self._row(label) for label in run.labels}
-        found = [*_notices(run), *_incomplete_floors(rows)]
+        found = [*self._too_few, *_notices(run), *_incomplete_floors(rows)]
         if not run.pools and len(run.recordings) > 1:
             found.append("the recordings have no horizons in common: no scores are pooled over them")
         found += unlike_recordings(run.recordings) if run.pools else []
         horizons_s = {name: run.horizons_of([name]) for name in run.recordings} | {ALL_RECORDINGS: run.horizons_s}
         trackers = related(rows, self._scores, self._headline, horizons_s)
-        found += _reversed_rankings(run, trackers, self._scores)
+        found += _reversed_rankings(run, trackers, self._may_lead)
         families = comparisons.families()
         may_remember = {trial.record.label for trial in run.all if trial.record.may_remember}
         trackers, memories = with_memories(trackers, families, may_remember)
@@ -272,7 +274,7 @@ def _headline_values(
 ) -> dict[str, float]:
     """The headline score at `step` of each scope, in the first headline stratum in which any has one."""
     score, output = headline
-    for stratum in HEADLINE_STRATA:
+    for stratum in (score.stratum, *HEADLINE_STRATA):
         values = {label: scope.at(stratum, score.name, output.name, step).value for label, scope in scopes.items()}
         if known := {label: value for label, value in values.items() if value is not None}:
             return known
@@ -389,27 +391,24 @@ def _mismatched_degradations(records: Iterable[tuple[str, TrialRecord]]) -> list
 
 @dataclass(frozen=True)
 class _Order:
-    """A score that orders rows, a higher value first, and the words for "by this score"."""
+    """A score that orders rows, a higher value first, its stratum, and the words for "by this score"."""
 
     score: str
     output: str
+    stratum: str
     words: str
 
 
 def _reversed_rankings(
-    run: RunTrials, trackers: Mapping[str, TrackerSummary], scores: Sequence[ScoreDefinition]
+    run: RunTrials, trackers: Mapping[str, TrackerSummary], may_lead: Sequence[ScoreDefinition]
 ) -> Iterator[str]:
     """A line for each headline stratum in which the ranking by F1 reverses between the chosen thresholds and 0.5, and
-    one where it is not that of the score without a threshold that stands beside it.
+    one where the ranking by F1 is not that of the first score without a threshold that may lead.
 
     Over all recordings at the horizons of their pooled scores, on each if there are none. Ranked rows count, and the
     floors; not the ceiling.
     """
-    chosen, half = (
-        _Order("f1", "f1", "in F1 at the chosen thresholds"),
-        _Order("f1", "at_half", "in F1 at a threshold of 0.5"),
-    )
-    beside = next((one for one in scores if one.lead.tested and one.lead.direction > 0 and not one.thresholded), None)
+    beside = next((one for one in may_lead if not one.thresholded), None)
     names = [ALL_RECORDINGS] if run.pools else list(run.recordings)
     for name in names:
         horizons_s = run.horizons_s if run.pools else run.recordings[name].horizons_s
@@ -419,23 +418,24 @@ def _reversed_rankings(
             if not row.ceiling and (scope := row.pooled if run.pools else row.recordings.get(name)) and scope.ranked
         }
         if beside is not None:
-            by_f1, by_other = (_Order(one.name, one.lead.name, f"in {one.title}") for one in (F1, beside))
+            by_f1, by_other = (_Order(one.name, one.lead.name, one.stratum, f"in {one.title}") for one in (F1, beside))
             about = f"the order of trackers depends on the score, {beside.title} or F1"
-            yield from _reversal(f"{name}: {about}", scopes, HEADLINE_STRATA[0], horizons_s, (by_other, by_f1))
+            yield from _reversal(f"{name}: {about}", scopes, horizons_s, (by_other, by_f1))
         for stratum in HEADLINE_STRATA:
+            chosen = _Order("f1", "f1", stratum, "in F1 at the chosen thresholds")
+            half = _Order("f1", "at_half", stratum, "in F1 at a threshold of 0.5")
             about = f"{name}: the order of trackers depends on the threshold"
-            yield from _reversal(about, scopes, stratum, horizons_s, (chosen, half))
+            yield from _reversal(about, scopes, horizons_s, (chosen, half))
 
 
 def _reversal(
     about: str,
     scopes: Mapping[str, ScopeSummary],
-    stratum: str,
     horizons_s: Sequence[float],
     orders: tuple[_Order, _Order],
 ) -> Iterator[str]:
-    """A line with the largest reversal of a stratum and the number of the others; none without any."""
-    pairs = sorted(_reversed_pairs(scopes, stratum, horizons_s, orders), key=lambda pair: -pair[0])
+    """A line with the largest reversal and the number of the others; none without any."""
+    pairs = sorted(_reversed_pairs(scopes, horizons_s, orders), key=lambda pair: -pair[0])
     if pairs:
         pairs_of = "pair of rows and horizon" if len(pairs) == 2 else "pairs of rows and horizons"
         more = f"; {len(pairs) - 1} more such {pairs_of}" if len(pairs) > 1 else ""
@@ -443,13 +443,17 @@ def _reversal(
 
 
 def _reversed_pairs(
-    scopes: Mapping[str, ScopeSummary], stratum: str, horizons_s: Sequence[float], orders: tuple[_Order, _Order]
+    scopes: Mapping[str, ScopeSummary], horizons_s: Sequence[float], orders: tuple[_Order, _Order]
 ) -> Iterator[tuple[float, str]]:
     """Every pair of rows that reverses: the smaller of its two leads, and the pair in words."""
     one, other = orders
+    cells, other_cells = (
+        f"on {one.stratum} cells ",
+        f" on {other.stratum} cells" if other.stratum != one.stratum else "",
+    )
     for horizon_s, step in headline_steps(horizons_s):
         values = {
-            label: tuple(scope.at(stratum, by.score, by.output, step).value for by in orders)
+            label: tuple(scope.at(by.stratum, by.score, by.output, step).value for by in orders)
             for label, scope in scopes.items()
         }
         for ahead, behind in permutations(values, 2):
@@ -460,6 +464,6 @@ def _reversed_pairs(
             if lead >= LEAST_LEAD:
                 yield (
                     lead,
-                    f"on {stratum} cells {horizon_s:g} s ahead {ahead} is above {behind} {one.words} ({first:.3f} and"
-                    f" {its_first:.3f}) and below it {other.words} ({second:.3f} and {its_second:.3f})",
+                    f"{cells}{horizon_s:g} s ahead {ahead} is above {behind} {one.words} ({first:.3f} and"
+                    f" {its_first:.3f}) and below it {other.words}{other_cells} ({second:.3f} and {its_second:.3f})",
                 )

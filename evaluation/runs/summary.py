@@ -13,7 +13,7 @@ from gridtrack.evaluation.runs.passes import Deadline, Latency, Robustness
 from gridtrack.evaluation.runs.result_files import Curve, Line, Number, ResultModel, read_model, write_model
 from gridtrack.evaluation.runs.run_record import LONGEST_S, RecordingSummary, refuse_unordered
 from gridtrack.evaluation.runs.trial_record import Times
-from gridtrack.evaluation.scores.definition import Output, ScoreDefinition
+from gridtrack.evaluation.scores.definition import HORIZONS_S, Output, ScoreDefinition
 from gridtrack.evaluation.scores.registry import output_named
 from gridtrack.trackers.contract import ComparedPart, Role
 
@@ -33,6 +33,8 @@ class OutputDescription(ResultModel):
     better: Literal["", "higher", "lower"] = ""
     tested: bool = False
     decimals: int = Field(3, ge=0, le=6)
+    saying: Line = ""
+    of_trial: bool = False
 
     @property
     def direction(self) -> int:
@@ -60,6 +62,10 @@ class ScoreDescription(ResultModel):
     """Whether the row that others are compared with is the reference for occupancy or for classes."""
     thresholded: bool
     """Whether its values depend on the threshold that was chosen."""
+    stratum: str = "in-motion"
+    """The stratum in which it leads."""
+    horizons_s: Annotated[tuple[Annotated[float, Field(gt=0.0, le=LONGEST_S)], ...], Field(max_length=10)] = HORIZONS_S
+    """The horizons at which it leads, seconds."""
     outputs: Annotated[tuple[OutputDescription, ...], Field(min_length=1, max_length=100)]
     """The first one leads."""
 
@@ -77,6 +83,8 @@ class ScoreDescription(ResultModel):
             about=score.about,
             compared_with=score.compared_with,
             thresholded=score.thresholded,
+            stratum=score.stratum,
+            horizons_s=score.horizons_s,
             outputs=tuple(map(OutputDescription.of, score.outputs)),
         )
 

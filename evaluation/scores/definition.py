@@ -29,6 +29,8 @@ Relation = Callable[
 ]
 CurvesByStratum = Mapping[str, Floats]
 """Values (S,) by stratum."""
+HORIZONS_S = (0.5, 1.0, 2.5)
+"""Horizons at which a score leads, seconds; the last is the longest of the paper."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +39,8 @@ class Output:
 
     `better`: whether higher or lower values are better; empty for a value that ranks nothing. `tested`: trackers are
     compared by it. `margin`: the gate allows a value that is worse by as much, as a share of the value where
-    `relative_margin`; None: the gate does not judge it. `decimals` of a value in a table.
+    `relative_margin`; None: the gate does not judge it. `decimals` of a value in a table. `saying`: the predicate of a
+    tracker with a share, `foresees {} of 100 contacts`. `of_trial`: it is the same for every tracker.
     """
 
     name: str
@@ -49,6 +52,8 @@ class Output:
     margin: float | None = None
     relative_margin: bool = False
     decimals: int = 3
+    saying: str = ""
+    of_trial: bool = False
 
     @property
     def direction(self) -> int:
@@ -131,6 +136,14 @@ class TrialFacts:
     robot: Robot = SMALL_ROBOT
 
 
+@dataclass(frozen=True, slots=True)
+class RareEvents:
+    """The events of a score: their `name`, in the plural, and their numbers (...) from sums (..., P)."""
+
+    name: str
+    count: Callable[[Sums], Floats]
+
+
 Count = Callable[[ScoredForecast, TrialFacts, Any], "Floats | None"]
 
 
@@ -148,7 +161,8 @@ class ScoreDefinition:
     `needed` names files of the recording or parts of the forecast that not every trial has. `compared_with`: the row
     that others are compared with is the reference for occupancy, or for classes. `thresholded`: its values depend on
     the threshold that was chosen for the trial. `about`: what the score says, what it
-    does not say, and its source. `position`: scores are listed in this order.
+    does not say, and its source. `position`: scores are listed in this order, and the first one leads a run.
+    With too few of its `events` in a run the next score leads. It leads in `stratum`, at `horizons_s`.
     """
 
     name: str
@@ -163,6 +177,9 @@ class ScoreDefinition:
     new_memory: Callable[[TrialFacts], Any] = lambda facts: None
     relate: Relation | None = None
     figure: Callable[[Sums], dict[str, Floats | Ratio]] | None = None
+    events: RareEvents | None = None
+    stratum: str = "in-motion"
+    horizons_s: tuple[float, ...] = HORIZONS_S
     needed: str = ""
     compared_with: ComparedPart = "occupancy"
     thresholded: bool = False

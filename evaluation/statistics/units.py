@@ -52,13 +52,19 @@ class UnitRule:
         return units
 
     def too_short(self, units: int) -> str:
-        """The reason why there is no interval, for fewer than LEAST_UNITS units."""
+        """The reason why there is no interval, for fewer than LEAST_UNITS units, and the missing data."""
         sources = len(set(self.sources))
         of_them = f", of {sources} recording{'s' * (sources != 1)}" if len(self.sources) > sources else ""
+        missing = LEAST_UNITS - sources
+        recordings = f"{missing} more recording{'s' * (missing != 1)}"
         if units == sources > 1:
-            return f"{TOO_SHORT}: {units} recordings, and {LEAST_UNITS} units are needed"
+            return f"{TOO_SHORT}: {units} recordings, and {LEAST_UNITS} units are needed: {recordings}"
+        more = f", or about {(LEAST_UNITS - units) * self.block_s / 60:.0f} more minutes" if self.block_s else ""
         blocks = f", blocks of at least {self.block_s:.3g} s" if self.block_s else ""
-        return f"{TOO_SHORT}: {units} unit{'s' * (units != 1)}{of_them}{blocks}, and {LEAST_UNITS} are needed"
+        return (
+            f"{TOO_SHORT}: {units} unit{'s' * (units != 1)}{of_them}{blocks}, and {LEAST_UNITS} are needed:"
+            f" {recordings}{more}"
+        )
 
 
 def enough_sources(sources: Sequence[str]) -> bool:

@@ -7,11 +7,12 @@ import { whenShownChange } from "./shown_trackers.js";
 const LEAST_WIDTH = 300, EMPTY_HEIGHT = 120;
 const NO_VALUE = "No shown tracker has a value here";
 const COLUMNS = { ahead_s: "horizon, s" };
-let firstWidth = 0; // of the figure drawn first: all are as wide, and to measure each would lay the page out each time
+let firstWidth = 0; // of the first full figure: all are as wide, and to measure each would lay the page out each time
 
 // `figure`: { id, title, chosen, choices(chosen), line(chosen) } and either chart(chosen), the data for `lineChart`, or
 // drawing(chosen, width), an element, and numbers(chosen), its table. Its title is a heading of docs/figures.md.
-// `fixed(chosen)`: { name: value } for its file, besides the choices, such as a constant score.
+// `fixed(chosen)`: { name: value } for its file, besides the choices, such as a constant score. `aside`: it has a part
+// of the page's width.
 export function startFigure(figure) {
   const { id, title, chosen } = figure;
   const section = document.getElementById(id) ?? newSection(id, title);
@@ -34,8 +35,8 @@ export function startFigure(figure) {
   const controls = make("div", { class: "controls" }, choiceBar(figure.choices, chosen, redraw));
   section.append(controls, printed, holder, note);
   section.hidden = false;
-  firstWidth ||= holder.clientWidth;
-  width = firstWidth;
+  if (!figure.aside) firstWidth ||= holder.clientWidth;
+  width = figure.aside ? holder.clientWidth : firstWidth;
   redraw();
   const head = () => ({
     title: section.querySelector("h2").textContent,

@@ -1,6 +1,7 @@
 import { startConfusion } from "./confusion.js";
 import { lineFigures } from "./curves.js";
 import { startLatency } from "./latency.js";
+import { startOpening } from "./opening.js";
 import { startPlayers } from "./players.js";
 import { startPriors } from "./priors.js";
 import { startProbabilities } from "./probabilities.js";
@@ -10,6 +11,7 @@ import { startShownTrackers } from "./shown_trackers.js";
 
 startShownTrackers();
 startRanking();
+startOpening();
 lineFigures.startHorizon();
 startPlayers();
 lineFigures.startScale();

@@ -63,7 +63,7 @@ function playerOf(recording, section, onward) {
 const readMoments = new Map();
 
 // Each recording has its own element of moments, which is read on demand: the page opens without them.
-function momentsOf(recording) {
+export function momentsOf(recording) {
   if (!readMoments.has(recording)) {
     const element = document.getElementById(`moments-${pageData.players.indexOf(recording)}`);
     readMoments.set(recording, JSON.parse(element.textContent));

@@ -92,6 +92,7 @@ export function startRanking() {
   if (!pageData.recordings.some(hasScores)) return;
   startFigure({
     id: "ranking",
+    aside: true,
     chosen: { recording: pageData.recordings[0].name, ...pageData.headline },
     choices: (now) => {
       const recording = recordingNamed(now.recording);

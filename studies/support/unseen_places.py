@@ -12,7 +12,7 @@ from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.comparisons import Comparisons
 from gridtrack.evaluation.runs.finished import FinishedTrial, RunTrials
 from gridtrack.evaluation.runs.run_record import RecordingDescription
-from gridtrack.evaluation.runs.summarise import HEADLINE, summarise
+from gridtrack.evaluation.runs.summarise import summarise
 from gridtrack.evaluation.runs.summary import (
     NO_ESTIMATE,
     PairFamily,
@@ -24,6 +24,7 @@ from gridtrack.evaluation.runs.summary import (
     TrackerTrainings,
     read_summary,
 )
+from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.scores.registry import built_in, find_output
 from gridtrack.reports.differences import SIGNIFICANT_VERDICTS as TOLD_APART
 from gridtrack.trackers.training.card import GENERAL
@@ -130,7 +131,7 @@ class PlaceScores:
     @cached_property
     def summary(self) -> RunSummary:
         """All results of these recordings."""
-        return summarise(self.described, self._trials, (), False, REFERENCE)
+        return summarise(self.described, self._trials, (), False, REFERENCE, headline=F1.name)
 
     @property
     def labels(self) -> list[str]:
@@ -219,7 +220,7 @@ class PlaceScores:
         """
         rows = [trial for trial in self._trials if trial.record.label in self.labels]
         run = RunTrials(self.described, rows, REFERENCE)
-        return Comparisons(run, built_in(), find_output(HEADLINE, built_in())).families()
+        return Comparisons(run, built_in(), find_output(F1.name, built_in())).families()
 
     @cached_property
     def may_be_chance(self) -> frozenset[tuple[str, str, int]]:

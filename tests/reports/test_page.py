@@ -271,7 +271,7 @@ def with_pr_auc_in_motion(run, target, **pr_auc):
     return target
 
 
-CHANCE = " The order may be chance: there are fewer than the 20 units that a test needs."
+UNDECIDED = " cannot be decided here: these rows were not tested against each other."
 
 
 @pytest.mark.parametrize(
@@ -279,17 +279,17 @@ CHANCE = " The order may be chance: there are fewer than the 20 units that a tes
     [
         (
             {"good": 0.61234, "fair": 0.5, "persistence": 0.2},
-            "good has the highest PR-AUC on in-motion cells 1 s ahead, 0.612; the floor, persistence, has 0.200."
-            f"{CHANCE}",
+            "good has the highest PR-AUC on in-motion cells 1 s ahead, 0.612. Whether it is better than the floor,"
+            f" persistence (0.200) and than the next tracker, fair (0.500){UNDECIDED}",
         ),
         (
             {"good": 0.6},
-            "good has a PR-AUC of 0.600 on in-motion cells 1 s ahead; no tracker of the floor was run.",
+            "good has a PR-AUC of 0.600 on in-motion cells 1 s ahead.",
         ),
         (
             {"good": 0.60001, "fair": 0.6, "blank": 0.0, "persistence": 0.0},
-            "good and fair have the highest PR-AUC on in-motion cells 1 s ahead, 0.600 each; the floor, blank and"
-            f" persistence, has 0.000.{CHANCE}",
+            "good and fair have the highest PR-AUC on in-motion cells 1 s ahead, 0.600 each. Whether each is better"
+            f" than the best floor, blank and persistence (0.000){UNDECIDED}",
         ),
         (
             {"good": 0.0, "fair": 0.0002, "blank": 0.0},
@@ -298,13 +298,14 @@ CHANCE = " The order may be chance: there are fewer than the 20 units that a tes
         ({"good": 0.0}, "Every tracker has a PR-AUC of 0.000 on in-motion cells 1 s ahead."),
         (
             {"good": 0.2001, "fair": 0.1, "persistence": 0.2},
-            "No tracker beats the floor on in-motion cells 1 s ahead: persistence has a PR-AUC of 0.200, the highest"
-            f" of the trackers, good, 0.200.{CHANCE}",
+            "No tracker beats the floors: persistence has a PR-AUC of 0.200 on in-motion cells 1 s ahead; the best"
+            " tracker, good, has 0.200. Whether it is better than the floor, persistence (0.200) and than the next"
+            f" tracker, fair (0.100){UNDECIDED}",
         ),
         (
             {"good": 0.0, "persistence": 0.2},
-            "No tracker beats the floor on in-motion cells 1 s ahead: persistence has a PR-AUC of 0.200, good 0.000."
-            f"{CHANCE}",
+            "No tracker beats the floors: persistence has a PR-AUC of 0.200 on in-motion cells 1 s ahead; good has"
+            f" 0.000. Whether it is better than the floor, persistence (0.200){UNDECIDED}",
         ),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import re
 import shutil
@@ -171,30 +172,30 @@ def test_markdown_has_the_interval_beside_the_number(pooled):
 
 
 ALIKE, UNTESTED = "no difference shown", ""
+MISSING = "(about [0-9]+ more recordings?|more than ten times as much data) of this kind"
 
 
 @pytest.mark.parametrize(
     ("verdicts", "words"),
     [
-        ({}, "it differs significantly from FLOOR, and from every other tracker."),
-        ({"persistence": ALIKE}, "it does not differ significantly from FLOOR, but from every other tracker."),
-        ({"<b>even": ALIKE}, "it differs significantly from FLOOR, but not from <b>even."),
+        ({}, "It is better than FLOOR, and than NEXT. CAN_SHOW"),
         (
-            {"persistence": ALIKE, "<b>even": ALIKE},
-            "it does not differ significantly from FLOOR, nor from <b>even.",
+            {"persistence": ALIKE},
+            "It is better than NEXT. There is no evidence between it and FLOOR: MISSING. CAN_SHOW",
         ),
-        ({"<b>even": UNTESTED}, "it differs significantly from FLOOR; not tested: <b>even."),
         (
-            {"persistence": UNTESTED},
-            "the floor, persistence, has F1; it differs significantly from every other tracker.",
+            {"<b>even": ALIKE},
+            "It is better than FLOOR. There is no evidence between it and NEXT: MISSING. CAN_SHOW",
         ),
+        ({"<b>even": UNTESTED}, "It is better than FLOOR. NEXT was not tested against it. CAN_SHOW"),
         (
             {"persistence": UNTESTED, "<b>even": UNTESTED},
-            "the floor, persistence, has F1. The order may be chance: these rows were not tested against each other.",
+            "Whether it is better than FLOOR and than NEXT cannot be decided here: these rows were not tested against"
+            " each other.",
         ),
     ],
 )
-def test_the_lead_says_from_which_rows_the_best_one_differs_significantly(changed, pooled, verdicts, words):
+def test_the_lead_decides_between_the_best_tracker_the_floor_and_the_next_one(changed, pooled, verdicts, words):
     """`verdicts` between these rows and `good`; in the run itself all differ."""
 
     def judge(summary):
@@ -205,22 +206,50 @@ def test_the_lead_says_from_which_rows_the_best_one_differs_significantly(change
             family["pairs"] = [test for test in family["pairs"] if test["verdict"]]
 
     at = pooled.columns.index(pooled.decisive)
-    best, floor = (pooled.rows_in(group)[0].cells[at].text for group in ("ranked", "floor"))
-    words = words.replace("FLOOR", f"the floor, persistence at {floor}").replace("F1", floor)
-    expected = f"good has the highest F1 on in-motion cells 1 s ahead, {best}; {words}"
+    (best, following, *_), (floor, *_) = (
+        [row.cells[at].text for row in pooled.rows_in(group)] for group in ("ranked", "floor")
+    )
+    named = {
+        ". NEXT": f". The next tracker, <b>even ({following}),",
+        "FLOOR": f"the floor, persistence ({floor})",
+        "NEXT": f"the next tracker, <b>even ({following})",
+    }
+    for name, words_of in named.items():
+        words = words.replace(name, words_of)
+    pattern = re.escape(f"good has the highest F1 on in-motion cells 1 s ahead, {best}. {words}")
+    pattern = pattern.replace("MISSING", f"{MISSING} would decide a difference as large as the one seen")
+    pattern = pattern.replace("CAN_SHOW", r"The smallest difference that this run can show is 0\.\d{3}\.")
     runs = changed(judge)
-    assert answer_of(runs[0]).leads == (expected,)
-    assert escaped(expected) in pull_request_markdown(runs, exported_tables(runs)[:1])
+    (lead,) = answer_of(runs[0]).leads
+    assert re.fullmatch(pattern, lead), lead
+    assert escaped(lead) in pull_request_markdown(runs, exported_tables(runs)[:1])
 
 
-def test_the_floor_that_no_tracker_beats_differs_significantly_or_not(changed):
+def test_no_evidence_says_how_much_data_a_difference_as_large_as_the_one_seen_needs(changed):
+    """At 80 % power: four times the error needs sixteen times the units."""
+
+    def recordings(reach):
+        def judge(summary):
+            for test in (one for family in summary["pairs"] for one in family["pairs"]):
+                if {"good", "<b>even"} == {test["tracker"], test["other"]}:
+                    test |= {"verdict": ALIKE, "difference": {"value": 0.1, "low": 0.1 - reach, "high": 0.1 + reach}}
+
+        (found,) = re.findall("about ([0-9]+) more recordings", answer_of(changed(judge)[0]).leads[0])
+        return int(found)
+
+    # t(0.975, 19) = 2.093 and z(0.8) = 0.842: the detectable difference is 1.402 reaches
+    assert recordings(0.1) == math.ceil(20 * (1.402**2 - 1))
+    assert recordings(0.2) == math.ceil(20 * (2.804**2 - 1))
+
+
+def test_the_floor_that_no_tracker_beats_is_better_or_not(changed):
     def of_two(summary):
         summary["trackers"] = {label: summary["trackers"][label] for label in ("persistence", "<b>even")}
         put(summary["trackers"]["persistence"]["pooled"], "in-motion", "f1.f1", 0.9, steps=5)
 
     (lead,) = answer_of(changed(of_two)[0]).leads
-    assert lead.startswith("No tracker beats the floor on in-motion cells")
-    assert lead.endswith("; they do not differ significantly.")
+    assert lead.startswith("No tracker beats the floors: persistence has an F1 of 0.900 on in-motion cells 1 s ahead; ")
+    assert "There is no evidence between it and the floor, persistence (0.900): " in lead
 
 
 def test_failures_stand_first_and_texts_of_several_recordings_are_one_notice(changed):

@@ -21,7 +21,8 @@ from gridtrack.evaluation.scores.brier import BRIER
 from gridtrack.evaluation.scores.calibration import CALIBRATION
 from gridtrack.evaluation.scores.cells import PROBABILITY_BINS, Tally, cells_of, for_calibration
 from gridtrack.evaluation.scores.class_log_loss import CLASS_LOG_LOSS
-from gridtrack.evaluation.scores.definition import ScoreDefinition, TrialFacts
+from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT
+from gridtrack.evaluation.scores.definition import ScoreDefinition, Sums, TrialFacts
 from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.scores.fss import FSS
 from gridtrack.evaluation.scores.log_loss import LOG_LOSS
@@ -48,7 +49,7 @@ DESCRIBED = {
 }
 """The descriptions of these trackers, by their names."""
 SCORES = (F1, PR_AUC, LOG_LOSS, BRIER, CALIBRATION, FSS, SOFT_IOU, BEAM_ERROR)
-"""The scores of a trial: beam errors are drawn, the others counted."""
+"""The scores of a trial: beam errors and contacts, where they are asked for, are drawn, the others counted."""
 
 
 def description(
@@ -122,6 +123,17 @@ def beam_sums(rng: np.random.Generator, skill: float, steps: int = STEPS) -> np.
     return sums
 
 
+def contact_sums(rng: np.random.Generator, skill: float, layout: Layout, steps: int = STEPS) -> np.ndarray:
+    """Sums of one frame over virtual robots (S, K, P): `skill` is the share of contacts with a higher risk than any
+    clear path."""
+    sums = Sums(np.zeros((steps + 1, len(layout.strata), len(layout.parts))), layout.parts)
+    contacts, clears = sums.block("contacts"), sums.block("clears")
+    met = rng.poisson(20.0, contacts.shape[:-1])
+    contacts[..., -5] = rng.binomial(met, skill)
+    contacts[..., 5], clears[..., 5] = met - contacts[..., -5], 200.0
+    return sums.values
+
+
 def counted_forecast(stamp_ns: int, last_ns: int, tally: Tally, neighbourhoods: NeighbourhoodSums) -> ScoredForecast:
     """A forecast made at `stamp_ns`, with a last frame at `last_ns`, with counted cells."""
     targets = tuple(Target.of_frame(frame([[1]], [[0]], stamp)) for stamp in (stamp_ns, last_ns))
@@ -179,15 +191,18 @@ def write_trial(
     done = frames if scored is None else scored
     thresholds = half(steps, strata)
     facts = TrialFacts(0.2, steps, strata, thresholds)
-    cells = Counter([score for score in scores if score is not BEAM_ERROR], facts)
-    with SumsWriter(folder, Counter(scores, facts).layouts, steps) as writer:
+    cells = Counter([score for score in scores if score not in (BEAM_ERROR, CONTACT_FORESIGHT)], facts)
+    layouts = Counter(scores, facts).layouts
+    with SumsWriter(folder, layouts, steps) as writer:
         for number in range(done):
             stamp_ns = (number * every_s + start_s) * 1_000_000_000
             digest, last_ns = (delivered + f"{number:x}").rjust(32, "0"), stamp_ns + round(steps * PERIOD_S * 1e9)
             counts = tally(rng, skill, strata, steps), neighbourhood_sums(drawn, skill, strata, steps)
             sums = cells.count(counted_forecast(stamp_ns, last_ns, *counts))
             beams = {BEAM_ERROR.name: beam_sums(drawn, skill, steps)} if BEAM_ERROR in scores else {}
-            for score, own in (sums | beams).items():
+            of_contacts = layouts.get(CONTACT_FORESIGHT.name)
+            contacts = {CONTACT_FORESIGHT.name: contact_sums(drawn, skill, of_contacts, steps)} if of_contacts else {}
+            for score, own in (sums | beams | contacts).items():
                 writer.add(stamp_ns, digest, score, own)
     record = TrialRecord(
         schema=TRIAL_SCHEMA,
