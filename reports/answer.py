@@ -18,8 +18,6 @@ MOST_NAMES = 8
 MOST_CHARS = 300
 """A longer reason is cut."""
 WEIGHTS_WORDS = {"site": "of the site", "general": "general", "general, site": "general or of the site", "": "none"}
-SUMMARISED = ("Compared on", "Weights")
-"""The facts that are shown before the details."""
 UNTIMED = "not measured: gridtrack compare --latency measures it"
 KEEPING_UP = ("no", "updates only", "yes")
 """The worst first: a tracker has the worst verdict of its recordings."""
@@ -35,8 +33,8 @@ class Answer:
 
     @property
     def summary(self) -> str:
-        """What was compared on what, with which weights, in a line."""
-        return "; ".join(f"{fact.name.lower()} {fact.value}" for fact in self.facts if fact.name in SUMMARISED)
+        """A line on what was compared."""
+        return f"{self.facts[0].name} {self.facts[0].value}"
 
 
 def answer_of(run: ReportedRun) -> Answer:

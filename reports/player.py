@@ -136,7 +136,7 @@ def player_of(
 
 
 def opening_of(players: Sequence[Player], table: HeadlineTable) -> dict[str, Any] | None:
-    """The moment of the first screen: the one in which the best two trackers differ most, or a single one and the floor.
+    """The moment of the first screen: where the best two trackers differ most, or the only one and a floor.
 
     Of all recordings, by F1 at the decisive step, with at least FEW_CELLS occupied cells. None without such a moment.
     """

@@ -339,8 +339,9 @@ def _unscored(name: str, output: str) -> ScoreDescription:
 def _is_given(
     trials: Sequence[TrialSummary], score: ScoreDescription, output: OutputDescription, stratum: str = MAIN_STRATUM
 ) -> bool:
-    """Whether any trial has the output in the stratum."""
-    return any(trial.estimate(stratum, score.name, output.name) is not None for trial in trials)
+    """Whether any trial has a value of the output in the stratum."""
+    found = (trial.estimate(stratum, score.name, output.name) for trial in trials)
+    return any(value is not None for one in found if one is not None for value in one.value)
 
 
 def horizon_text(horizon_s: float) -> str:

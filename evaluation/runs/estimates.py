@@ -117,7 +117,8 @@ def _bytes(chosen: Selected, strata: Sequence[str], parts: Sequence[str]) -> int
 
 def estimates_of(found: Mapping[str, Estimated], scores: Sequence[ScoreDefinition]) -> dict[str, Estimates]:
     """The estimates of a scope as the summary holds them: by stratum, score and output."""
-    strata: dict[str, Estimates] = {}
+    by_strata = sorted(found.values(), key=lambda one: -len(one.strata))  # a score of all strata has their order
+    strata: dict[str, Estimates] = {name: {} for one in by_strata for name in one.strata}
     for score in scores:
         if (one := found.get(score.name)) is not None:
             for output in score.outputs:
@@ -135,7 +136,7 @@ def _add(strata: dict[str, Estimates], score: str, output: str, one: Estimated, 
             low=None if ends is None else rounded_curve(ends.low[:, k]),
             high=None if ends is None else rounded_curve(ends.high[:, k]),
         )
-        strata.setdefault(stratum, {}).setdefault(score, {})[output] = estimate
+        strata[stratum].setdefault(score, {})[output] = estimate
 
 
 def estimate_of(found: jackknife.IntervalEstimate) -> Estimate:

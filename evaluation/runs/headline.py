@@ -21,13 +21,14 @@ def leading_scores(run: RunTrials, scores: Sequence[ScoreDefinition]) -> tuple[l
     A score may lead if trackers are compared by it and higher values are better. In a run without intervals scores with
     a threshold come last, because few frames determine a threshold poorly. Raises ScoresError.
     """
+    counted = {name for trial in run.all if trial.complete for name in run.sums(trial).scores}
     may_lead, too_few = [], []
     for score in (one for one in scores if one.lead.tested and one.lead.direction > 0):
+        if counted and score.name not in counted:
+            continue
         missing = _too_few(run, score, score.events) if score.events else ""
-        if missing:
-            too_few.append(missing)
-        else:
-            may_lead.append(score)
+        too_few += [missing] if missing else []
+        may_lead += [] if missing else [score]
     tested = any(_number(run, names) >= LEAST_UNITS for names in run.groups)
     return sorted(may_lead, key=lambda score: score.thresholded and not tested), too_few
 

@@ -190,8 +190,8 @@ def crowded(run_folder, tmp_path):
         summary["differences"] = summary["pairs"] = []
         for n in range(8):
             shutil.copytree(run_folder / "good@crossing", tmp_path / "run" / f"tracker {n}@crossing")
-            f1 = 0.2 + 0.1 * n
-            put(trial_of(summary, f"tracker {n}"), "in-motion", "f1.f1", f1, f1 - 0.1, f1 + 0.1)
+            area = 0.2 + 0.1 * n
+            put(trial_of(summary, f"tracker {n}"), "in-motion", "pr_auc.area", area, area - 0.1, area + 0.1)
 
     return render_report([edited(run_folder, tmp_path / "run", into_eight)])
 

@@ -131,7 +131,9 @@ def test_a_score_of_another_package_is_shown_by_its_description(run_folder, tmp_
     (run / "summary.json").write_text(json.dumps(summary))
     page = render_page(read_runs([run]))
     data = data_of(page)
-    assert data["scores"][-2]["outputs"] == [{"name": "depth", "title": "Surprise", **output}]
+    assert data["scores"][-2]["outputs"] == [
+        {"name": "depth", "title": "Surprise", "saying": "", "of_trial": False, **output}
+    ]
     assert "about" not in data["scores"][-2]
     (row,) = [row for row in data["recordings"][0]["rows"] if row["label"] == "good"]
     assert row["strata"]["in-motion"]["surprise"]["depth"]["low"] == [11.5] * (STEPS + 1)

@@ -251,7 +251,7 @@ def test_without_motion_the_lead_does_not_say_that_no_tracker_completed(make_run
     for entry in summary["trackers"].values():
         put(entry["recordings"]["crossing"], "in-motion", "pr_auc.area", None)
     (run / "summary.json").write_text(json.dumps(summary))
-    assert lead_of_run(run, tmp_path).startswith("No tracker has a score on in-motion cells 1 s ahead on crossing")
+    assert lead_of_run(run, tmp_path).startswith("No tracker has a PR-AUC on in-motion cells 1 s ahead on crossing")
 
 
 def test_the_lead_says_if_only_the_floor_ran(make_run, tmp_path):
@@ -271,7 +271,10 @@ def with_pr_auc_in_motion(run, target, **pr_auc):
     return target
 
 
-UNDECIDED = " cannot be decided here: these rows were not tested against each other."
+UNDECIDED = (
+    " cannot be decided here: too short for an interval: 1 unit, blocks of at least 100 s, and 20 are needed: 19 more"
+    " recordings, or about 32 more minutes."
+)
 
 
 @pytest.mark.parametrize(

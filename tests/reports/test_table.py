@@ -29,14 +29,12 @@ def test_every_number_is_the_one_of_the_summary_at_its_horizon(table, run_folder
 
 def test_columns_are_the_marked_horizons(table):
     assert table.groups == (
-        ("PR-AUC, in-motion", 3),
-        *((f"F1, {stratum}", 3) for stratum in ("in-motion", "dynamic", "visible")),
-        ("F1, standing", 1),
-        ("in-motion, 1 s", 5),
+        *((f"PR-AUC, {stratum}", 3) for stratum in ("in-motion", "dynamic", "visible")),
+        ("PR-AUC, standing", 1),
+        ("in-motion, 1 s", 4),
     )
     assert [c.heading for c in table.columns[:3]] == ["0.5 s", "1 s", "2.5 s"]
-    others = ["Precision", "Recall", "Contacts foreseen", "Log loss, nats", "FSS, 5 cells"]
-    assert [c.heading for c in table.columns[-5:]] == others
+    assert [c.heading for c in table.columns[-4:]] == ["Contacts foreseen", "F1", "Log loss, nats", "FSS, 5 cells"]
 
 
 def test_partial_trials_are_not_ranked_and_are_never_best(table):
@@ -49,15 +47,17 @@ def test_partial_trials_are_not_ranked_and_are_never_best(table):
 
 def test_a_partial_trial_cannot_take_the_best_mark_by_scoring_higher(run_folder, tmp_path):
     def raise_partial(summary):
-        put(trial_of(summary, "unlucky"), "in-motion", "f1.f1", 1.0)
-        put(trial_of(summary, "good"), "in-motion", "f1.f1", 0.9)
+        put(trial_of(summary, "unlucky"), "in-motion", "pr_auc.area", 1.0)
+        put(trial_of(summary, "good"), "in-motion", "pr_auc.area", 0.9)
 
     (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", raise_partial)]))
     best = [row.label for row in table.rows if row.cells[2].best]
     assert best == ["good"]
 
 
-def test_less_is_better_for_log_loss_and_precision_alone_is_not_ranked(table):
+def test_less_is_better_for_log_loss_and_precision_alone_is_not_ranked(run_folder, tmp_path):
+    lead_by_f1 = edited(run_folder, tmp_path / "run", lambda summary: summary.update(headline="f1.f1"))
+    (table,) = headline_tables(read_runs([lead_by_f1]))
     values = {column.heading: i for i, column in enumerate(table.columns)}
     complete = [row for row in table.rows if row.group != "unranked"]
     least = min(row.cells[values["Log loss, nats"]].value for row in complete)
@@ -76,13 +76,13 @@ def test_a_row_with_a_sign_of_a_memory_is_marked(run_folder, tmp_path):
 
 def test_an_undefined_score_is_a_dash(run_folder, tmp_path):
     def undefine(summary):
-        put(trial_of(summary, "fair"), "in-motion", "f1.f1", None)
+        put(trial_of(summary, "fair"), "in-motion", "pr_auc.area", None)
 
     (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", undefine)]))
     (fair,) = [row for row in table.rows if row.label == "fair"]
-    f1 = [cell for column, cell in zip(table.columns, fair.cells, strict=True) if column.group == "F1, in-motion"]
-    assert [cell.text for cell in f1] == ["–"] * 3
-    assert not any(cell.best for cell in f1)
+    own = [cell for column, cell in zip(table.columns, fair.cells, strict=True) if column.group == "PR-AUC, in-motion"]
+    assert [cell.text for cell in own] == ["–"] * 3
+    assert not any(cell.best for cell in own)
 
 
 def test_nothing_is_best_if_trackers_received_other_frames(run_folder, tmp_path):
@@ -107,7 +107,7 @@ def test_a_run_of_a_short_horizon_is_shown_at_its_last_step(run_folder, tmp_path
         summary["differences"] = []
 
     (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", cut)]))
-    assert [c.heading for c in table.columns if c.key == ("f1", "f1")] == ["0.25 s"] * 4
+    assert [c.heading for c in table.columns if c.key == ("pr_auc", "area")] == ["0.25 s"] * 4
     assert table.decisive.step == 2
 
 

@@ -115,7 +115,7 @@ def test_of_nineteen_recordings_nothing_is_tested(tmp_path):
     trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, RECORDINGS[:19], frames=2, scores=(F1,))
     summary = summary_of(trials, RECORDINGS[:19])
     found = difference(summary, "good")
-    assert found.interval == "too short for an interval: 19 recordings, and 20 units are needed"
+    assert found.interval == "too short for an interval: 19 recordings, and 20 units are needed: 1 more recording"
     assert {test.verdict for test in found.tests} == {"not tested"}
     assert found.at("dynamic", "f1", "f1", 8).value > 0, "the difference itself is known"
     assert summary.pairs == ()
@@ -133,7 +133,8 @@ def test_one_recording_cut_into_twenty_stretches_is_one_recording_and_gives_no_v
     trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, frames=30, apart_s=30, scores=(F1,))
     found = difference(summary_of(trials, source_sha256="one"), "good")
     assert re.fullmatch(
-        r"too short for an interval: [1-6] units?, of 1 recording, blocks of at least \d+ s, and 20 are needed",
+        r"too short for an interval: [1-6] units?, of 1 recording, blocks of at least \d+ s, and 20 are needed: 19 more"
+        r" recordings, or about \d+ more minutes",
         found.interval,
     )
     assert {test.verdict for test in found.tests} == {"not tested"}

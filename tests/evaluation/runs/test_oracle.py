@@ -12,6 +12,7 @@ from gridtrack.evaluation.runs.oracle import expected_grid, range_errors, run_or
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
 from gridtrack.evaluation.scores.cells import CLIP
 from gridtrack.evaluation.scores.registry import built_in
+from gridtrack.evaluation.scores.robot import SMALL_ROBOT
 from gridtrack.recordings.stream import open_stream
 from gridtrack.simulation.expected_scan import true_ranges
 
@@ -119,7 +120,7 @@ def test_its_thresholds_are_chosen_once_for_all_recordings_with_one_validation_s
     split = plan_split(str(path), None, Sampling(horizon_s=1.0, every_s=1.0))
     regions, shared, delivered = split.regions(), SharedThresholds(tmp_path), []
     records = [
-        run_oracle(split, regions, tmp_path / name, lambda: delivered.append(1), shared, built_in())
+        run_oracle(split, regions, tmp_path / name, lambda: delivered.append(1), shared, built_in(), SMALL_ROBOT)
         for name in ("one", "two")
     ]
     assert len(delivered) == 2 * len(split.test) + len(split.validation)

@@ -123,7 +123,10 @@ def test_a_score_that_rests_on_one_recording_has_no_interval_and_the_others_have
 def test_a_single_forecast_has_scores_and_is_too_short_for_an_interval(tmp_path):
     trial = summary_of(write_rows(tmp_path, {"good": 0.8}, ["a"], frames=1), ["a"]).trackers["good"].recordings["a"]
     assert trial.at("dynamic", "f1", "f1", 8).value > 0
-    assert trial.interval == "too short for an interval: 1 unit, blocks of at least 100 s, and 20 are needed"
+    assert trial.interval == (
+        "too short for an interval: 1 unit, blocks of at least 100 s, and 20 are needed: 19 more recordings, or about"
+        " 32 more minutes"
+    )
 
 
 def test_a_row_that_lacks_the_recording_with_the_longest_blocks_gets_no_units_of_its_own(tmp_path):
