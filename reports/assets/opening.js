@@ -48,7 +48,7 @@ export async function startOpening() {
   button.addEventListener("click", () => play(!timer));
   section.append(
     make("div", { class: "moment-panels" }, ...drawn.map(([panel]) => panel.element)),
-    make("p", { class: "note" }, button, " ", words, ` ${data.recording}. `, link, ". ", meaning("moments")));
+    make("p", { class: "note" }, button, " ", words, ` ${data.recording}. `, link, ". ", meaning("a-moment")));
   new ResizeObserver(show).observe(section);
   go(state.h);
   play(!matchMedia("(prefers-reduced-motion: reduce)").matches);

@@ -67,7 +67,7 @@ function drawRow(row, { value, low, high }, x, place, end, decimals) {
 function caption(chosen) {
   const tests = testsOf(chosen);
   const lower = scoreWords(outputNamed(chosen.score));
-  if (!tests) return `${lower}. The order may be chance: ${recordingNamed(chosen.recording).untested}.`;
+  if (!tests) return `${lower}. The order is not tested: ${recordingNamed(chosen.recording).untested}.`;
   return `${lower}. A bar joins rows that do not differ significantly: ${tests.pairs} pairs, ${tests.units} units, Holm, p < 0.05. ${manyRankings(chosen)}`;
 }
 
