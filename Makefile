@@ -5,9 +5,12 @@ VENV ?= .venv
 TORCH_CPU ?=
 BIN := $(VENV)/bin
 EXAMPLE := examples/example_tracker
-DEMO := data/leg_tracker/leg_tracker.mcap
+HALL := data/leg_tracker/leg_tracker.mcap
+# the first twenty seconds after the warm-up of each place that no tracker has seen
+WORLDS := $(addsuffix @0s-24.5s,$(wildcard data/worlds/test/*.tracks))
 JUNCTION := $(wildcard data/junction/test-*.tracks) --validation data/junction/validation.tracks
-DEMO_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tracking-rnn dilated-convgru
+DEMO_TRACKERS := kalman factor-graph dilated-convgru
+HALL_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
 INSTALL := $(BIN)/pip install --constraint constraints.txt $(if $(TORCH_CPU),--extra-index-url https://download.pytorch.org/whl/cpu )--editable
@@ -28,10 +31,10 @@ trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
 
-demo: $(VENV)/.installed-demo ## compare trackers on a real laser recording: new to the place, and trained there (some minutes)
-	rm -rf runs/demo runs/demo-new
-	$(COMPARE) $(DEMO)@0s- $(call chosen,persistence blank $(addsuffix :card=general,$(GENERAL))) --every 0.5s --out runs/demo-new
-	$(COMPARE) $(DEMO) $(call chosen,$(DEMO_TRACKERS)) $(call new,$(filter-out static-map,$(GENERAL))) --every 0.5s --latency --out runs/demo
+demo: $(VENV)/.installed-demo ## compare trackers on twenty places that none has seen, and in a real hall (some minutes)
+	rm -rf runs/demo runs/demo-hall
+	$(COMPARE) $(HALL)@100s-124s $(call chosen,$(DEMO_TRACKERS)) --every 0.5s --latency --out runs/demo-hall
+	$(COMPARE) $(WORLDS) $(call chosen,$(DEMO_TRACKERS)) --warm-up 2s --every 0.5s --out runs/demo
 
 demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minutes at a simulated junction
 	rm -rf runs/junction
@@ -65,8 +68,10 @@ fuzz: $(VENV)/.installed-dev ## fuzz every reader of untrusted input for ten min
 bench: $(VENV)/.installed-dev ## measure the speed of everything that `make test` installs (half an hour)
 	$(BIN)/python -m benchmarks
 
-results: $(VENV)/.installed-dev ## compare every tracker at the junction: the numbers of docs/results/junction
-	rm -rf runs/results
+results: $(VENV)/.installed-dev ## compare every tracker at the junction and in the hall: the numbers of docs/results/junction and leg_tracker
+	rm -rf runs/results runs/hall
+	$(COMPARE) $(HALL) $(call chosen,$(HALL_TRACKERS)) $(call new,$(filter-out static-map,$(GENERAL))) --every 0.5s --latency --out runs/hall
+	$(BIN)/python -m studies.kept_summary runs/hall leg_tracker
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS) deep-tracking-rnn) $(trainings) --reference dilated-convgru --out runs/results
 	$(BIN)/python -m studies.kept_summary runs/results junction
 	$(BIN)/python -m studies.static_memory
@@ -115,7 +120,7 @@ weights: $(VENV)/.installed-dev runs/worlds ## train everything in data/weights 
 
 baseline: $(VENV)/.installed-dev ## update the baseline of tests/test_own_trackers.py, after an intended change of a tracker
 	rm -rf runs/baseline
-	$(COMPARE) $(DEMO)@114s-124s $(call chosen,$(DEMO_TRACKERS)) --validation $(DEMO)@75s-81s \
+	$(COMPARE) $(HALL)@114s-124s $(call chosen,$(HALL_TRACKERS)) --validation $(HALL)@75s-81s \
 	    --weights data/weights --horizon 1s --every 0.5s --out runs/baseline
 	$(BIN)/gridtrack regress runs/baseline --baseline tests/baselines/own_trackers.json --update
 	$(BIN)/pip install --quiet --no-deps --no-build-isolation --target runs/baseline/example $(EXAMPLE)

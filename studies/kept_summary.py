@@ -1,7 +1,7 @@
 """Scores of a comparison for the pages: the summary that is kept in docs/results/PLACE, and its numbers as text.
 
-`python -m studies.kept_summary RUN PLACE` (a second; `runs/results junction` after `make results`, `runs/demo
-leg_tracker` after `make demo`) keeps from RUN/summary.json the pooled scores, or the only recording's scores, and one
+`python -m studies.kept_summary RUN PLACE` (a second; `runs/results junction` and `runs/hall leg_tracker`
+after `make results`) keeps from RUN/summary.json the pooled scores, or the only recording's scores, and one
 training of each tracker; the spread between trainings is in `trainings`. Pairs are left out.
 
 A number has an address, a row and a column. The row is a tracker, `TRACKER less REFERENCE` (a paired difference) or

@@ -28,22 +28,22 @@ function drawRanking(chosen, width) {
     .map((labels) => rows.flatMap((row, i) => (row.group !== "unranked" && labels.includes(row.label) ? [i] : [])))
     .filter((at) => at.length > 1);
   const narrow = width < 560;
-  const left = narrow ? 124 : 210, right = 64 + 12 * groups.length;
-  const at = pointsIn(chosen), { heading, decimals } = outputNamed(chosen.score);
+  const left = narrow ? 124 : 210, right = 72 + 12 * groups.length;
+  const at = pointsIn(chosen), output = outputNamed(chosen.score);
   const range = axisRange(rows.flatMap((row) => Object.values(at(row))), false);
   const x = scaleOf(...range, left, width - right);
   const places = namedRows(rows.map((row) => row.name), left - 12, LINE);
   const height = heightOf(places) + 46, bottom = height - 42;
   const svg = draw("svg", { class: "figure-drawing ranking", viewBox: `0 0 ${width} ${height}`, width, height, role: "img" });
-  svg.setAttribute("aria-label", rows.map((row) => `${row.name} ${inDigits(at(row).value, decimals)}`).join(", "));
+  svg.setAttribute("aria-label", rows.map((row) => `${row.name} ${inWords(at(row).value, output)}`).join(", "));
   for (const tick of roundTicks(...range, narrow ? 3 : 6)) {
     svg.append(draw("line", { class: "grid", x1: x(tick), x2: x(tick), y1: 0, y2: bottom }),
       svgText(x(tick), bottom + 16, String(tick), { class: "tick", "text-anchor": "middle" }));
   }
-  svg.append(svgText(width - right, height - 5, axisName(heading, range), { class: "axis-name", "text-anchor": "end" }));
-  rows.forEach((row, i) => svg.append(drawRow(row, at(row), x, places[i], width - right, decimals)));
+  svg.append(svgText(width - right, height - 5, axisName(output.heading, range), { class: "axis-name", "text-anchor": "end" }));
+  rows.forEach((row, i) => svg.append(drawRow(row, at(row), x, places[i], width - right, output)));
   groups.forEach((members, g) => {
-    const bar = width - right + 64 + 12 * g;
+    const bar = width - right + 72 + 12 * g;
     const [first, last] = [places[members[0]], places[members.at(-1)]];
     svg.append(draw("line", { class: "tier", x1: bar, x2: bar, y1: first.y - 6, y2: last.y + 6 }),
       ...members.map((i) => draw("circle", { class: "tier", cx: bar, cy: places[i].y, r: 3 })));
@@ -51,12 +51,17 @@ function drawRanking(chosen, width) {
   return svg;
 }
 
-function drawRow(row, { value, low, high }, x, place, end, decimals) {
+// A value; of 100, if the score has a saying.
+function inWords(value, { saying, decimals }) {
+  return saying ? `${Math.round(100 * value)} of 100` : inDigits(value, decimals);
+}
+
+function drawRow(row, { value, low, high }, x, place, end, output) {
   const { y } = place;
   const faint = row.group === "unranked" ? " partial" : "";
   const parts = [rowName(place, { class: row.group === "ranked" ? "" : "tick" }),
     draw("circle", { class: "dot", cx: x(value), cy: y, r: 4.5 }),
-    svgText(end + 52, y + 4, inDigits(value, decimals), { "text-anchor": "end" })];
+    svgText(end + 60, y + 4, inWords(value, output), { "text-anchor": "end" })];
   if (low !== null && high !== null) {
     parts.push(draw("line", { class: "whisker", x1: x(low), x2: x(high), y1: y, y2: y }));
   }
