@@ -138,19 +138,21 @@ def player_of(
 def opening_of(players: Sequence[Player], table: HeadlineTable) -> dict[str, Any] | None:
     """The moment of the first screen: where the best two trackers differ most, or the only one and a floor.
 
-    Of all recordings, by F1 at the decisive step, with at least FEW_CELLS occupied cells. None without such a moment.
+    Of all recordings, by F1 at the decisive step; moments with fewer than FEW_CELLS occupied cells come last. None
+    without a moment of both.
     """
     labels = [row.label for group in ("ranked", "floor") for row in table.rows_in(group)][:2]
-    best, found = 0.0, None
+    best, found = (False, -1.0, 0), None
     for data in (player.data for player in players if set(labels) <= set(player.data["trackers"])):
         places = [data["trackers"].index(label) for label in labels]
         for at, moment in enumerate(data["moments"]):
             counts = [moment["counts"][data["decisive"]][place] for place in places]
             scores = [FrameScore(*one) for one in counts if one]
-            if len(scores) == 2 and scores[0].occupied >= FEW_CELLS:
-                difference = abs(scores[0].f1 - scores[1].f1)
-                if difference > best:
-                    best, found = difference, {"recording": data["recording"], "moment": at, "trackers": labels}
+            if len(scores) == 2:
+                occupied = scores[0].occupied
+                telling = occupied >= FEW_CELLS, abs(scores[0].f1 - scores[1].f1), occupied
+                if telling > best:
+                    best, found = telling, {"recording": data["recording"], "moment": at, "trackers": labels}
     return found
 
 
