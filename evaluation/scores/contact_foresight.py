@@ -332,7 +332,7 @@ CONTACT_FORESIGHT = ScoreDefinition(
         Output("roc_auc", "Contacts: ROC AUC", better="higher", scale="odds"),
         Output("false_alarms", "False alarms, 95 % foreseen", better="lower", scale="odds"),
         Output("needless_stops", "Needless stops, 80 % foreseen", unit="1/min", better="lower", scale="log"),
-        Output("lead_time", "Lead time", unit="s", better="higher", scale="log"),
+        Output("lead_time", "Lead time", unit="s", better="higher", scale="linear"),
         Output("independent", "Contacts foreseen, cells independent", better="higher", scale="odds"),
         Output("sampled_log_loss", "Log loss of contacts, from futures", better="lower", scale="log"),
         Output("unknown", "Share of paths left out", scale="odds", of_trial=True),

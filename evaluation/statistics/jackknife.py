@@ -152,11 +152,13 @@ def _interval_of_ratio(found: Replicates, scale: Scale, level: float) -> tuple[F
 
 
 def _interval_of_measure(found: Replicates, scale: Scale, level: float) -> tuple[Floats, Floats]:
+    """NaN for a value on a logarithmic scale that is 0, also without one of the units."""
     forth, back = (scipy.special.logit, scipy.special.expit) if scale == "odds" else (np.log, np.exp)
     bounds = (_NEAREST_TO_0_OR_1, 1 - _NEAREST_TO_0_OR_1) if scale == "odds" else (0.0, np.inf)
-    reach = _quantile(degrees_of_freedom(found.size), level) * _standard_error(forth(np.clip(found.without, *bounds)))
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = _standard_error(forth(np.clip(found.without, *bounds)))
         centre = forth(found.value)
+    reach = _quantile(degrees_of_freedom(found.size), level) * error
     low, high = (np.where(np.isnan(found.value), np.nan, back(centre + side * reach)) for side in (-1, 1))
     return low, high
 

@@ -11,7 +11,14 @@ from gridtrack.evaluation.scores.cells import PROBABILITY_BINS, PROBABILITY_EDGE
 from gridtrack.evaluation.scores.definition import Ratio, Sums, block
 from gridtrack.evaluation.scores.pr_auc import PR_AUC
 from gridtrack.evaluation.statistics import jackknife
-from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, difference, holm, ratio_replicates, replicates
+from gridtrack.evaluation.statistics.jackknife import (
+    LEAST_UNITS,
+    Replicates,
+    difference,
+    holm,
+    ratio_replicates,
+    replicates,
+)
 
 COUNTS = ("tp", "fp", "fn", "tn", "squared_error", "log_loss")
 SCALES = {"f1": "odds", "precision": "odds", "recall": "odds", "brier": "odds", "log_loss": "log"}
@@ -330,3 +337,12 @@ def test_units_in_groups_have_the_replicates_of_all_together():
     found, expected = replicates(PR_AUC.value, lambda: iter(groups), total)["area"], pr_auc_of(cells, positives)
     assert np.array_equal(found.without, expected.without)
     assert np.array_equal(found.size, expected.size)
+
+
+def test_a_measure_that_is_zero_without_some_unit_has_no_interval_on_a_logarithmic_scale():
+    without = np.stack([np.full(20, 0.5), np.where(np.arange(20) == 3, 0.0, 0.5), np.zeros(20)], axis=1)
+    found = Replicates(np.array([0.5, 0.5, 0.0]), without, np.ones((20, 3)))
+    with np.errstate(all="raise"):
+        low, high = ends_of(found, "log")
+    assert (low[0], high[0]) == (0.5, 0.5)
+    assert np.isnan([*low[1:], *high[1:]]).all()
