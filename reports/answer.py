@@ -62,8 +62,8 @@ def _of_trial(run: ReportedRun, tables: Sequence[HeadlineTable]) -> Iterator[Fac
         outputs = [output for output in column.score.outputs if output.of_trial]
         trial = next((row.trial for row in table.rows if row.trial.complete), None)
         if outputs and trial is not None:
-            values = (replace(column, output=output).cell(trial).text for output in outputs)
-            numbers = ", ".join(f"{one.heading}: {value}" for one, value in zip(outputs, values, strict=True))
+            shown = [replace(column, output=output) for output in outputs]
+            numbers = ", ".join(f"{one.title} {one.cell(trial).text}" for one in shown)
             where = f"{table.recording}: " if len(tables) > 1 else ""
             yield Fact("Robot", f"{where}{run.record.configuration.robot}; {column.heading} ahead, {numbers}")
 

@@ -125,8 +125,8 @@ class _Decision:
         """The score of equal rows as a clause."""
         column, several = self._column, len(rows) > 1
         if column.output.saying:
-            predicate = column.output.saying.replace("{}", self._text(rows), 1)
-            return f"{_names(rows)} {'each ' if several else ''}{predicate}, {column.heading} ahead"
+            predicate = column.output.saying.replace("{share}", self._text(rows)).replace("{ahead}", column.heading)
+            return f"{_names(rows)} {'each ' if several else ''}{predicate}"
         if len(self.table.rows_in("ranked")) == 1 or rows is self._floor:
             return f"{_names(rows)} has {column.title_with_article} of {self._text(rows)} {self._place}"
         verb, each = ("have", " each") if several else ("has", "")
@@ -152,7 +152,8 @@ class _Decision:
                 yield f"{words[:1].upper()}{words[1:]}, was not tested against it."
         detectable = [test.detectable for _, test in tested if test is not None and test.detectable is not None]
         if detectable:
-            yield f"The smallest difference that this run can show is {self._amount(max(detectable))}."
+            of = " of 100" if self._column.output.saying else ""
+            yield f"The smallest difference that this run can show is {self._amount(max(detectable))}{of}."
 
     def _decided(self, tested: Sequence[tuple[str, _Test]]) -> Iterator[str]:
         better, worse = (

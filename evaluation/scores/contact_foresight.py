@@ -325,7 +325,7 @@ CONTACT_FORESIGHT = ScoreDefinition(
             scale="odds",
             tested=True,
             margin=0.02,
-            saying="foresees {} of 100 contacts of a robot, at 5 % false alarms",
+            saying="foresees {share} of 100 contacts of a robot within {ahead}, at 5 % false alarms",
         ),
         Output("average_precision", "Contacts: average precision", better="higher", scale="odds"),
         Output("contact_share", "Share of paths with a contact", scale="odds", of_trial=True),

@@ -40,7 +40,7 @@ class Output:
     `better`: whether higher or lower values are better; empty for a value that ranks nothing. `tested`: trackers are
     compared by it. `margin`: the gate allows a value that is worse by as much, as a share of the value where
     `relative_margin`; None: the gate does not judge it. `decimals` of a value in a table. `saying`: the predicate of a
-    tracker with a share, `foresees {} of 100 contacts`. `of_trial`: it is the same for every tracker.
+    tracker, `foresees {share} of 100 contacts within {ahead}`. `of_trial`: it is the same for every tracker.
     """
 
     name: str
