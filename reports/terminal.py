@@ -57,8 +57,7 @@ def _print_line(console: Console, text: str) -> None:
 
 
 def _columns(table: HeadlineTable, differences: DifferenceTable | None) -> Iterator[tuple[str, list[str]]]:
-    """A heading, and a text for each row: the decisive score, the headline score of other strata at its horizon, and
-    the next score."""
+    """A heading, and a text for each row: the decisive score, and the headline score of other strata at its horizon."""
     decisive = table.decisive
     names = (f"{row.name} ({row.remark})" if row.remark else row.name for row in table.rows)
     yield "tracker", list(names)
@@ -75,10 +74,6 @@ def _columns(table: HeadlineTable, differences: DifferenceTable | None) -> Itera
         beside = column.key == table.headline and column.stratum in HEADLINE_STRATA and column.step == decisive.step
         if beside and column is not decisive:
             yield column.group, [row.cells[at].text for row in table.rows]
-    other = next((at for at, column in enumerate(table.columns) if column.key[0] != table.headline[0]), None)
-    if other is not None:
-        column = table.columns[other]
-        yield f"{column.heading}, {column.stratum}", [row.cells[other].text for row in table.rows]
     frames = [row.frames for row in table.rows]
     if len(set(frames)) > 1:  # else the answer has their number
         yield "frames", frames
