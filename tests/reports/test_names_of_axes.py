@@ -15,6 +15,7 @@ from scenes.report_page import opened as page_opened
 
 AXES = {
     "curves": ("horizon, s", "PR-AUC"),
+    "score-and-time": ("99th percentile of update and forecast, ms", "PR-AUC"),
     "scale": ("side in cells", "Fractions skill score"),
     "precision-recall": ("recall", "precision"),
     "threshold": ("threshold", "F1"),
@@ -36,7 +37,7 @@ def test_a_chart_names_both_axes_within_the_drawing(opened, width):
         drawing = page.locator(f"#{figure} svg.figure-drawing")
         assert drawing.locator("text.axis-name").all_text_contents() == list(names)
         assert drawing.evaluate(INSIDE) == []
-    for figure, name in (("ranking", "PR-AUC"), ("latency", "update, ms")):
+    for figure, name in (("ranking", "PR-AUC"), ("slices", "PR-AUC"), ("latency", "update, ms")):
         assert page.locator(f"#{figure} text.axis-name").all_text_contents() == [name]
 
 
