@@ -115,9 +115,8 @@ function withRecordingReading(svg, { scored, trackers, joined, dots, decimals, w
 // The table: a row for each recording, below the pooled scores, and a column for each tracker; sorted as chosen.
 function scoreMatrix(scored, trackers, chosen) {
   const lineOfRecording = matrixLine(scored, trackers, chosen);
-  const lines = new Map(scored.map((one) => [one, lineOfRecording(one, recordingButton(one.name))]));
-  const body = make("tbody"), together = make("tbody", { class: "together" });
-  together.append(...pointsOn(pooledOnes, chosen).filter(({ points }) => points.size).map((one) => lineOfRecording(one, one.name)));
+  const lines = new Map(scored.map((one) => [one, lineOfRecording(one)]));
+  const together = pointsOn(pooledOnes, chosen).filter(({ points }) => points.size).map(lineOfRecording), body = make("tbody");
   const heads = [null, ...trackers].map((tracker) => make("th", { scope: "col", class: tracker ? null : "name" },
     make("button", { type: "button" }, ...(tracker ? [swatch(tracker.style), make("span", { class: "label" }, tracker.name)] : ["recording"]))));
   const sort = () => {
@@ -134,7 +133,7 @@ function scoreMatrix(scored, trackers, chosen) {
   }));
   sort();
   return make("div", { class: "scroll matrix", tabindex: 0, role: "region", "aria-label": "Recordings and trackers" },
-    make("table", {}, make("thead", {}, make("tr", {}, ...heads)), together, body));
+    make("table", {}, make("thead", {}, make("tr", {}, ...heads)), make("tbody", { class: "together" }, ...together), body));
 }
 
 function recordingButton(name) {
@@ -150,10 +149,10 @@ function matrixLine(scored, trackers, chosen) {
   const known = scored.flatMap(({ points }) => [...points.values()].filter(isShaded).map(({ value }) => value));
   const [low, high] = [Math.min(...known), Math.max(...known)];
   const share = (value) => Math.min(Math.max((sign > 0 ? value - low : high - value) / (high - low || 1), 0), 1);
-  return (one, name) => {
+  return (one) => {
     const ranked = [...one.points.values()].filter(isShaded);
     const best = inDigits(sign * Math.max(...ranked.map(({ value }) => sign * value)), decimals);
-    return make("tr", {}, make("th", { scope: "row", class: "name" }, name), ...trackers.map(({ label }) => {
+    return make("tr", {}, make("th", { scope: "row", class: "name" }, recordingButton(one.name)), ...trackers.map(({ label }) => {
       const point = one.points.get(label) ?? { row: {}, value: null }, text = inDigits(point.value, decimals);
       if (!isShaded(point)) return make("td", {}, point.row.group === "unranked" ? `(${text})` : text);
       const cell = make("td", {}, text === best ? make("b", {}, text) : text);
@@ -169,6 +168,12 @@ function recordingNumbers(chosen) {
   return [["recording", "tracker", "group", chosen.score, "low", "high"], ...lines];
 }
 
+// The number of recordings, and of all if some do not fit on the page.
+function countWords() {
+  const { left_out: others } = pageData;
+  return others ? `${single.length} of ${single.length + others} recordings, those that differ most` : `${single.length} recordings`;
+}
+
 // Fills the section of recordings.
 export function startRecordings() {
   if (single.length < 2) return;
@@ -181,6 +186,6 @@ export function startRecordings() {
       ["score", "Score", scoresOf(allRows, now.stratum)], aheadChoice(now)],
     drawing: drawRecordings,
     numbers: recordingNumbers,
-    line: (now) => `${scoreWords(outputNamed(now.score))}: ${single.length} of ${single.length + pageData.left_out} recordings.`,
+    line: (now) => `${scoreWords(outputNamed(now.score))} on ${countWords()}.`,
   });
 }

@@ -2,13 +2,14 @@
 
 import csv
 import json
+import re
 import statistics
 
 import pytest
 
 from gridtrack.reports.page import render_report
 
-from scenes.edited_run import value_of, with_again
+from scenes.edited_run import edited, value_of, with_again
 from scenes.report_page import HOSTILE, opened
 
 ONE_S = 2
@@ -92,6 +93,8 @@ def test_the_arrows_read_a_recording_and_enter_leads_to_it(page, f1):
     page.keyboard.press("Enter")
     assert page.locator("#ranking select").first.input_value() == "seed-01"
     assert page.evaluate("document.activeElement.closest('section').id") == "ranking", "the run has no moments"
+    page.locator("#recordings").get_by_role("button", name="all recordings").click()
+    assert page.locator("#ranking select").first.input_value() == "all recordings"
 
 
 def test_a_hidden_tracker_leaves_table_and_distribution_and_their_file(page):
@@ -174,3 +177,17 @@ def test_a_score_stands_over_the_time_with_every_name_beside_the_plot(opened):
     assert good["p99, ms"] == "44", "4 ms of an update and 40 ms of a forecast"
     period = float(figure.locator("line.period").get_attribute("x1"))
     assert all(float(dot.get_attribute("cx")) < period for dot in figure.locator("circle.dot").all())
+
+
+def test_the_time_beside_a_pooled_score_is_that_on_the_slowest_recording(browser, twenty, tmp_path):
+    def with_times(summary):
+        for i, trial in enumerate(summary["trackers"]["good"]["recordings"].values()):
+            update, predict = ({"p50": 1.0, "p95": 1.0, "p99": ms, "twentieths": []} for ms in (1.0 + i, 600.0))
+            trial["latency_ms"] = {"update": update, "predict": predict, "predict_step": {"p50": 1, "p95": 1, "p99": 1}}
+
+    with opened(browser, render_report([edited(twenty, tmp_path / "run", with_times)])) as page:
+        figure = page.locator("#score-and-time")
+        assert figure.get_by_label("Recording").input_value() == "all recordings"
+        assert re.search(r"^good 0\.\d+, 620 ms$", figure.locator("svg.figure-drawing").get_attribute("aria-label"))
+        (dot,) = figure.locator("circle.dot").all()
+        assert float(dot.get_attribute("cx")) > float(figure.locator("line.period").get_attribute("x1"))
