@@ -50,7 +50,7 @@ export function startFigure(figure) {
   controls.append(downloadButtons(id, () => holder.querySelector("svg.figure-drawing"), head, () => numbers(chosen)));
   whenShownChange(redraw);
   new ResizeObserver(() => {
-    if (holder.clientWidth === width) return;
+    if (!holder.clientWidth || holder.clientWidth === width) return; // 0: in a part that is closed
     width = holder.clientWidth;
     redraw();
   }).observe(section);
@@ -77,10 +77,24 @@ function labelled([heading, ...rows], choices) {
   return [[...heading, ...Object.keys(choices)], ...rows.map((row) => [...row, ...Object.values(choices)])];
 }
 
+// The part of the page for figures that are not in its HTML, and the names of those that open on demand.
+let partOfPage = document.getElementById("figures");
+const namesOfDetails = make("span");
+
 function newSection(id, title) {
   const section = make("section", { id, class: "figure" }, make("h2", {}, title));
-  document.getElementById("figures").append(section);
+  partOfPage.append(section);
+  if (partOfPage.contains(namesOfDetails)) namesOfDetails.append(`${namesOfDetails.hasChildNodes() ? ", " : ""}${title.toLowerCase()}`);
+  partOfPage.hidden = false;
   return section;
+}
+
+// Figures that start after this are in a part that opens on demand, and on paper.
+export function startDetails() {
+  const details = make("details", { id: "details", hidden: "" }, make("summary", {}, make("b", {}, "Details: "), namesOfDetails));
+  partOfPage.append(details);
+  partOfPage = details;
+  window.addEventListener("beforeprint", () => { details.open = true; });
 }
 
 // A labelled select; `options`: [value, text] pairs. `changed` is called with the chosen value.

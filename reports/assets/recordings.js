@@ -3,8 +3,7 @@ import { axisName, axisRange, draw, inDigits, make, rowName, svgText, swatch } f
 import { chooseRecording, startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import { rowPlot } from "./row_plot.js";
-import { aheadChoice, hasScores, isDefined, outputNamed, pointsIn, scoresOf, scoreWords, strataOf } from "./scores.js";
-import { isShown } from "./shown_trackers.js";
+import { aheadChoice, hasScores, outputNamed, pointsIn, rowsWith, scoresOf, scoreWords, strataOf } from "./scores.js";
 
 const DOT_ROW = 34, MEDIAN_ROOM = 64, MANY_DOTS = 100;
 const single = pageData.recordings.filter((one) => !one.pooled && hasScores(one));
@@ -13,10 +12,10 @@ const allRows = { rows: single.flatMap((recording) => recording.rows) };
 
 // For each recording its name, and by tracker the row with its point.
 function pointsOn(recordings, chosen) {
-  return recordings.map(({ name, rows }) => {
-    const at = pointsIn({ ...chosen, recording: name });
-    const scored = rows.filter((row) => isShown(row.label) && isDefined(row, chosen.stratum, chosen.score));
-    return { name, points: new Map(scored.map((row) => [row.label, { row, ...at(row) }])) };
+  return recordings.map((recording) => {
+    const at = pointsIn({ ...chosen, recording: recording.name });
+    const scored = rowsWith(recording, chosen.stratum, chosen.score);
+    return { name: recording.name, points: new Map(scored.map((row) => [row.label, { row, ...at(row) }])) };
   });
 }
 

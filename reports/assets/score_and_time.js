@@ -2,8 +2,7 @@
 import { axisName, axisRange, draw, heightOf, inDigits, namedRows, roundTicks, rowName, scaleOf, svgText } from "./drawing.js";
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { aheadChoice, isDefined, outputNamed, pointsIn, recordingNamed, recordingOptions, scoresOf, scoreWords, strataOf } from "./scores.js";
-import { isShown } from "./shown_trackers.js";
+import { aheadChoice, outputNamed, pointsIn, recordingNamed, recordingOptions, rowsWith, scoresOf, scoreWords, strataOf } from "./scores.js";
 
 const LEAST_HIGH = 360, LEFT_ROOM = 44, TOP_ROOM = 24, BOTTOM_ROOM = 46, LABEL_ROW = 18, LEAST_TIME_MS = 0.01;
 const TIME = "99th percentile of update and forecast, ms";
@@ -23,8 +22,7 @@ const timedRows = (recording) => ({ rows: recording.rows.filter((row) => timeOf(
 
 function timedPoints(chosen) {
   const at = pointsIn(chosen), recording = recordingNamed(chosen.recording);
-  return timedRows(recording).rows
-    .filter((row) => isShown(row.label) && isDefined(row, chosen.stratum, chosen.score))
+  return rowsWith(timedRows(recording), chosen.stratum, chosen.score)
     .map((row) => ({ row, ms: timeOf(row, recording), point: at(row) })).filter(({ point }) => point.value !== null);
 }
 
