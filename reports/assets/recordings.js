@@ -5,7 +5,7 @@ import { pageData } from "./page_data.js";
 import { rowPlot } from "./row_plot.js";
 import { aheadChoice, hasScores, outputNamed, pointsIn, rowsWith, scoresOf, scoreWords, strataOf } from "./scores.js";
 
-const DOT_ROW = 34, MEDIAN_ROOM = 64, MANY_DOTS = 100;
+const DOT_ROW = 34, MEDIAN_ROOM = 64, MANY_DOTS = 100, NEAR_DOT = 16;
 const single = pageData.recordings.filter((one) => !one.pooled && hasScores(one));
 const pooledOnes = pageData.recordings.filter((one) => one.pooled);
 const allRows = { rows: single.flatMap((recording) => recording.rows) };
@@ -76,31 +76,29 @@ function drawnTracker({ label, name, style, median }, scored, { x, place, end, d
     svgText(end + MEDIAN_ROOM, place.y + 4, inDigits(median, decimals), { "text-anchor": "end" }));
 }
 
-// Pointer and arrow keys read the values on one recording; a click or the Enter key chooses it.
+// Pointer and arrow keys read the values on one recording, which stay; a click on a dot or the Enter key chooses it.
 function withRecordingReading(svg, { scored, trackers, joined, dots, decimals, width }) {
   const readout = make("output", { class: "readout" });
   let at = null;
   const show = (recording) => {
     if (at !== null) joined[at].classList.remove("read");
     at = recording;
-    readout.replaceChildren();
-    if (at === null) return;
     joined[at].classList.add("read");
     const values = trackers.filter(({ label }) => valueIn(scored[at], label) !== null)
       .map(({ label, name, style }) => make("span", {}, swatch(style), `${name} ${inDigits(valueIn(scored[at], label), decimals)}`));
-    readout.append(make("b", {}, scored[at].name), ...values);
+    readout.replaceChildren(make("b", {}, scored[at].name), ...values);
   };
   const choose = () => at !== null && chooseRecording(scored[at].name);
-  svg.addEventListener("pointermove", (event) => {
+  const readAt = (event) => {
     const box = svg.getBoundingClientRect(), scale = width / box.width;
     const away = dots.map((dot) => Math.hypot(dot.x - scale * (event.clientX - box.left), dot.y - scale * (event.clientY - box.top)));
     const nearestDot = away.reduce((best, one, i) => (one < away[best] ? i : best), 0);
     show(dots[nearestDot].recording);
-  });
-  svg.addEventListener("pointerleave", () => show(null));
-  svg.addEventListener("click", choose);
+    return away[nearestDot];
+  };
+  svg.addEventListener("pointermove", readAt);
+  svg.addEventListener("click", (event) => readAt(event) < NEAR_DOT && choose());
   const holder = make("div", { class: "spread-of-recordings", tabindex: 0, role: "group", "aria-label": "Recordings: arrow keys move, Enter chooses" }, svg, readout);
-  holder.addEventListener("blur", () => show(null));
   holder.addEventListener("keydown", (event) => {
     if (event.key === "Enter") return choose();
     const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
@@ -136,7 +134,7 @@ function scoreMatrix(scored, trackers, chosen) {
 }
 
 function recordingButton(name) {
-  const button = make("button", { type: "button", class: "recording" }, name);
+  const button = make("button", { type: "button", class: "recording" }, make("span", { class: "label" }, name));
   button.addEventListener("click", () => chooseRecording(name));
   return button;
 }

@@ -97,6 +97,16 @@ def test_the_arrows_read_a_recording_and_enter_leads_to_it(page, f1):
     assert page.locator("#ranking select").first.input_value() == "all recordings"
 
 
+def test_a_click_on_a_dot_leads_to_its_recording_and_one_beside_it_to_none(page):
+    drawing = page.locator("#recordings svg.figure-drawing")
+    drawing.locator("circle.dot").last.click(force=True)
+    read = page.locator("#recordings .readout b").inner_text()
+    assert page.locator("#ranking select").first.input_value() == read
+    page.locator("#ranking select").first.select_option("all recordings")
+    drawing.click(position={"x": 5, "y": 5})
+    assert page.locator("#ranking select").first.input_value() == "all recordings"
+
+
 def test_a_hidden_tracker_leaves_table_and_distribution_and_their_file(page):
     button = page.locator("#trackers").get_by_role("button", name="good", exact=True)
     button.click()
