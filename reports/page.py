@@ -73,7 +73,7 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
     styles = styles_of(runs)
     figures, unreadable = score_figures(runs, tables)
     priors, unread = priors_of(runs, tables, styles)
-    scores = {**page_data(runs, tables, styles, figures), "priors": priors}
+    scores = {**page_data(runs, tables, styles, figures), "priors": priors, "left_out": left_out}
     players, damaged = players_of(runs, tables, PAGE_BYTES - len(data_in_page(scores)))
     script = joined_script()
     return (

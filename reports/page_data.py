@@ -22,13 +22,15 @@ def page_data(
     styles: Mapping[str, str],
     figures: Mapping[tuple[str, str], Figures],
 ) -> dict[str, Any]:
-    """The data of the page, without `players`, `opening` and `priors`.
+    """The data of the page, without `players`, `opening`, `priors` and `left_out`, the number of recordings that do not
+    fit.
 
     `trackers`: the key of every row as `label`, its name in its first table and its style (CSS classes), in the order
     of `styles`. `scores`: descriptions of all scores with a value, as in summary.json. `headline`: score, cells and
-    horizon at the start. `recordings`: horizons, classes, and the rows in the order of the table, with estimates by
-    stratum, score and output as in summary.json, `figures`, times, scores under other conditions, and `label_budget`;
-    also the groups of rows that do not differ significantly, by "score.output/stratum/step", or why there are none.
+    horizon at the start. `recordings`: whether `pooled`, horizons, classes, and the rows in the order of the table,
+    with estimates by stratum, score and output as in summary.json, `figures`, times, scores under other conditions,
+    and `label_budget`; also the groups of rows that do not differ significantly, by "score.output/stratum/step", or why
+    there are none.
     `conditions`: their names. `level_colours`: the colours of the cells of moments.
     """
     first = tables[0].decisive
@@ -66,6 +68,7 @@ def _recording(
     step = next(column.step for column in table.columns if column.key == table.headline)
     return {
         "name": table.recording,
+        "pooled": table.pooled,
         "horizons_s": list(table.horizons_s),
         "period_ms": period_ms,
         "cell_m": GridSpec.parse(grid).cell_m if grid else None,

@@ -2,6 +2,7 @@
 import { downloadButtons } from "./downloads.js";
 import { draw, make, meaning, svgText, swatch } from "./drawing.js";
 import { lineChart, numbersOfChart } from "./line_chart.js";
+import { pageData } from "./page_data.js";
 import { whenShownChange } from "./shown_trackers.js";
 
 const LEAST_WIDTH = 300, EMPTY_HEIGHT = 120;
@@ -11,8 +12,9 @@ let firstWidth = 0; // of the first full figure: all are as wide, and to measure
 
 // `figure`: { id, title, chosen, choices(chosen), line(chosen) } and either chart(chosen), the data for `lineChart`, or
 // drawing(chosen, width), an element, and numbers(chosen), its table. Its title is a heading of docs/figures.md.
-// `fixed(chosen)`: { name: value } for its file, besides the choices, such as a constant score. `aside`: it has a part
-// of the page's width.
+// `fixed(chosen)`: { name: value } for its file, besides the choices, such as a constant score. `legend(chosen)`: the rows
+// { name, style } of a drawing above it; for a chart these are its lines, only on paper and in its file. `aside`: it has
+// a part of the page's width.
 export function startFigure(figure) {
   const { id, title, chosen } = figure;
   const section = document.getElementById(id) ?? newSection(id, title);
@@ -20,20 +22,23 @@ export function startFigure(figure) {
   const holder = make("div", { class: "drawn" });
   const note = make("p", { class: "note" });
   const printed = make("p", { class: "printed" });
+  const keys = make("p", { class: "legend" });
   const drawing = figure.drawing ?? ((now, width) => lineChart({ ...figure.chart(now), width }));
   const table = figure.numbers ?? ((now) => numbersOfChart(figure.chart(now)));
   const numbers = (now) => labelled(table(now), { ...choicesMade(figure.choices(now), now), ...figure.fixed?.(now) });
   const words = () => choiceWords(figure.choices(chosen), chosen);
-  const legend = () => (figure.chart ? figure.chart(chosen).lines.toReversed() : []);
+  const legend = () => figure.legend?.(chosen) ?? (figure.chart ? figure.chart(chosen).lines.toReversed() : []);
+  const legendKeys = () => legend().map(({ name, style }) => make("span", {}, swatch(style), name));
   let width = 0;
   const redraw = () => {
     const draws = isEmpty(table(chosen)) ? (_, wide) => emptyDrawing(wide) : drawing;
     holder.replaceChildren(draws(chosen, Math.max(width, LEAST_WIDTH)));
-    printed.replaceChildren(make("span", {}, words()), ...legend().map(({ name, style }) => make("span", {}, swatch(style), name)));
+    printed.replaceChildren(make("span", {}, words()), ...(figure.legend ? [] : legendKeys()));
+    if (figure.legend) keys.replaceChildren(...legendKeys());
     note.replaceChildren(figure.line(chosen), " ", meaning(heading));
   };
   const controls = make("div", { class: "controls" }, choiceBar(figure.choices, chosen, redraw));
-  section.append(controls, printed, holder, note);
+  section.append(controls, printed, ...(figure.legend ? [keys] : []), holder, note);
   section.hidden = false;
   if (!figure.aside) firstWidth ||= holder.clientWidth;
   width = figure.aside ? holder.clientWidth : firstWidth;
@@ -46,7 +51,7 @@ export function startFigure(figure) {
   controls.append(downloadButtons(id, () => holder.querySelector("svg.figure-drawing"), head, () => numbers(chosen)));
   whenShownChange(redraw);
   new ResizeObserver(() => {
-    if (holder.clientWidth === width) return;
+    if (!holder.clientWidth || holder.clientWidth === width) return; // 0: in a part that is closed
     width = holder.clientWidth;
     redraw();
   }).observe(section);
@@ -73,18 +78,45 @@ function labelled([heading, ...rows], choices) {
   return [[...heading, ...Object.keys(choices)], ...rows.map((row) => [...row, ...Object.values(choices)])];
 }
 
+// The part of the page for figures that are not in its HTML, and the names of those that open on demand.
+let partOfPage = document.getElementById("figures");
+const namesOfDetails = make("span");
+
 function newSection(id, title) {
   const section = make("section", { id, class: "figure" }, make("h2", {}, title));
-  document.getElementById("figures").append(section);
+  partOfPage.append(section);
+  if (partOfPage.contains(namesOfDetails)) namesOfDetails.append(`${namesOfDetails.hasChildNodes() ? ", " : ""}${title.toLowerCase()}`);
+  partOfPage.hidden = false;
   return section;
+}
+
+// Figures that start after this are in a part that opens on demand, and on paper.
+export function startDetails() {
+  const details = make("details", { id: "details", hidden: "" }, make("summary", {}, make("b", {}, "Details: "), namesOfDetails));
+  partOfPage.append(details);
+  partOfPage = details;
+  window.addEventListener("beforeprint", () => { details.open = true; });
 }
 
 // A labelled select; `options`: [value, text] pairs. `changed` is called with the chosen value.
 export function choice(name, options, chosen, changed) {
-  const select = make("select", {}, ...options.map(([value, text]) => make("option", { value }, text)));
+  const select = make("select", { "data-choice": name }, ...options.map(([value, text]) => make("option", { value }, text)));
   select.value = String(chosen);
   select.addEventListener("change", () => changed(options[select.selectedIndex][0]));
   return make("label", { class: "choice" }, make("span", {}, name), select);
+}
+
+// Chooses a recording in every figure that offers it, and leads to its moments, or to the ranking if it has none.
+export function chooseRecording(recording) {
+  const offers = (select) => [...select.options].some(({ value }) => value === recording);
+  const choices = () => [...document.querySelectorAll("select[data-choice=Recording]")];
+  for (const select of choices().filter(offers)) {
+    select.value = recording;
+    select.dispatchEvent(new Event("change"));
+  }
+  const goal = document.getElementById(pageData.players.includes(recording) ? "moments" : "ranking");
+  goal.scrollIntoView();
+  choices().find((select) => goal.contains(select)).focus({ preventScroll: true });
 }
 
 // The choice, as a line of text, without choices that have no options.

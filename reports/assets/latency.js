@@ -1,7 +1,8 @@
 // The times of updates and forecasts: distribution, median, 95th and 99th percentile, on a logarithmic axis with the
 // period.
-import { draw, heightOf, namedRows, rowName, scaleOf, svgText } from "./drawing.js";
+import { draw, heightOf, rowName, svgText } from "./drawing.js";
 import { startFigure } from "./figure.js";
+import { rowPlot } from "./row_plot.js";
 import { recordingNamed, recordingOptions } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
@@ -16,20 +17,21 @@ function drawLatency({ recording, call }, width) {
   const log = (ms) => Math.log10(Math.max(ms, LEAST_MS));
   const times = [period, ...rows.flatMap((row) => [...row.latency[call], ...row.latency.twentieths[call]])].map(log);
   const [low, high] = [Math.floor(Math.min(...times)), Math.ceil(Math.max(...times) + 0.01)];
-  const narrow = width < 560, left = narrow ? 124 : 210, right = width - 110;
-  const x = scaleOf(low, high, left, right), places = namedRows(rows.map((row) => row.name), left - 12, ROW);
-  const height = heightOf(places) + 46, bottom = height - 42, decades = Math.ceil(TICK_ROOM / (x(low + 1) - x(low)));
-  const svg = draw("svg", { class: "figure-drawing", viewBox: `0 0 ${width} ${height}`, width, height, role: "img" });
-  svg.setAttribute("aria-label", rows.map((row) => `${row.name} ${inMs(row.latency[call][0])} ms`).join(", "));
-  for (let decade = high; decade >= low; decade -= decades) {
-    svg.append(draw("line", { class: "grid", x1: x(decade), x2: x(decade), y1: 0, y2: bottom }),
-      svgText(x(decade), bottom + 16, `${10 ** decade}${decade === high ? " ms" : ""}`, { class: "tick", "text-anchor": "middle" }));
-  }
-  svg.append(draw("line", { class: "period", x1: x(log(period)), x2: x(log(period)), y1: 0, y2: bottom }));
-  svg.append(svgText(right, height - 5, `${CALLS.find(([name]) => name === call)[1]}, ms`, { class: "axis-name", "text-anchor": "end" }));
+  const { svg, x, places } = rowPlot({
+    names: rows.map((row) => row.name), least: ROW, range: [low, high], axis: `${CALLS.find(([name]) => name === call)[1]}, ms`, room: 110, width,
+    words: rows.map((row) => `${row.name} ${inMs(row.latency[call][0])} ms`).join(", "), ticks: (at) => decadeTicks(at, low, high),
+  });
+  svg.append(draw("line", { class: "period", x1: x(log(period)), x2: x(log(period)), y1: 0, y2: heightOf(places) + 4 }));
   rows.forEach((row, i) => svg.append(drawnRow(row, row.latency[call].map(log).map(x), places[i], width, row.latency[call],
     row.latency.twentieths[call].map(log).map(x))));
   return svg;
+}
+
+// Powers of ten from the highest down, as many as have room.
+function decadeTicks(x, low, high) {
+  const apart = Math.ceil(TICK_ROOM / (x(low + 1) - x(low))), ticks = [];
+  for (let decade = high; decade >= low; decade -= apart) ticks.push([decade, `${10 ** decade}${decade === high ? " ms" : ""}`]);
+  return ticks;
 }
 
 function drawnRow(row, [p50, p95, p99], place, width, [median, , most], ends) {

@@ -64,7 +64,7 @@ function calibration(chosen) {
 }
 
 const FIGURES = [
-  { field: "precision", id: "precision-recall", title: "Precision and recall", chart: precisionRecall, fixed: () => ({ score: "precision" }), line: (now) => `Each point is a threshold; PR-AUC is the mean precision over recall, in steps${bandWords(precisionRecall(now))}.` },
+  { field: "precision", id: "precision-recall", title: "Precision and recall", chart: precisionRecall, fixed: () => ({ score: "precision" }), line: (now) => `Each point is a threshold${bandWords(precisionRecall(now))}.` },
   { field: "precision", id: "threshold", title: "Threshold", chart: f1OverThreshold, fixed: () => ({ score: "f1" }), line: () => "F1 at every threshold." },
   { field: "mean_p", id: "calibration", title: "Calibration", chart: calibration, fixed: () => ({ score: "share occupied" }), line: () => "On the diagonal, p is the share of cells that were occupied." },
 ];

@@ -48,6 +48,6 @@ export function startScoreTable() {
     },
     drawing: drawTable,
     numbers: tableNumbers,
-    line: () => "Pooled over the scored frames; brackets are 95 % intervals.",
+    line: () => "Brackets are 95 % intervals.",
   });
 }

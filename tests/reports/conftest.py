@@ -27,7 +27,7 @@ from gridtrack.reports.page import render_report
 from gridtrack.trackers.contract import Forecast
 
 from scenes.edited_run import edited
-from scenes.report_page import HOSTILE
+from scenes.report_page import HOSTILE, open_details
 from scenes.synthetic_run import DESCRIBED, description, write_run_record
 from scenes.synthetic_run import write_trial as write_drawn_trial
 
@@ -224,7 +224,7 @@ def hostile_report(run_folder, tmp_path_factory):
 
 @pytest.fixture
 def opened(browser, hostile_report):
-    """Opens a page with a fragment and gives it and its player; it had no error and no request in the end."""
+    """Opens a page and its details, with a fragment, and gives it and its player; it had no error and no request."""
     pages, faults = [], []
 
     def open_at(fragment="", width=1280, report=hostile_report, **options):
@@ -238,6 +238,7 @@ def opened(browser, hostile_report):
         page.goto(report.as_uri() + fragment)
         player = page.locator(".player[data-ready]")
         player.wait_for()
+        open_details(page)
         return page, player
 
     yield open_at

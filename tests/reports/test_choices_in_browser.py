@@ -9,6 +9,7 @@ from gridtrack.reports.page import render_report
 
 from scenes import synthetic_run as synthetic
 from scenes.edited_run import with_again
+from scenes.report_page import open_details
 
 PERIODS_S = {"fast": (0.05, 50), "slow": (0.2, 12), "uneven": (0.105263, 24)}
 """The period of each recording, and its steps: 1 s is step 20, step 5, and between 9 and 10: the even one."""
@@ -46,6 +47,7 @@ def page(browser, report):
     page.set_default_timeout(20_000)
     page.goto(report.as_uri())
     page.locator("#every-score table").wait_for()
+    open_details(page)
     yield page
     page.close()
 

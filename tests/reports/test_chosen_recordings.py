@@ -54,6 +54,7 @@ def test_a_page_without_room_for_all_has_the_recordings_with_the_largest_differe
     page = render_page(read_runs([run]))
     assert recordings_on(page) == ["all recordings", "hall-2", "street-2"], "in the order of the run"
     assert "2 of 4 recordings are not on this page" in page
+    assert data_of(page)["left_out"] == 2
     assert "recording street-1" not in page
     assert "4 recordings: 16 forecasts scored" in page, "the answer is that of the whole run"
 

@@ -10,7 +10,7 @@ from gridtrack.reports.page import render_page, render_report
 from gridtrack.reports.run import read_runs
 
 from scenes.edited_run import describe, put, trial_of
-from scenes.report_page import data_of
+from scenes.report_page import data_of, open_details
 
 METHOD = "shot"
 
@@ -73,6 +73,7 @@ def page_of(browser):
     def page_of(run):
         page.goto(render_report([run]).as_uri())
         page.locator("#every-score table").wait_for()
+        open_details(page)
         return page
 
     yield page_of

@@ -68,6 +68,18 @@ def test_a_drawing_has_the_whole_label_beside_the_plot(open_wide, figure, width)
 
 
 @pytest.mark.parametrize("width", WIDTHS)
+def test_names_right_of_the_plot_are_whole_and_apart(open_wide, width):
+    page = open_wide(width)
+    names = sorted(boxes(page, "#score-and-time .line > text"), key=lambda name: name["top"])
+    assert {name["text"] for name in names} == {"persistence", LONG, LONGER, UNBROKEN}
+    (drawing,) = boxes(page, "#score-and-time svg.figure-drawing")
+    plot = max(line["right"] for line in boxes(page, "#score-and-time line.grid"))
+    assert all(plot < name["left"] and name["right"] <= drawing["right"] + 1 for name in names)
+    assert all(above["bottom"] <= below["top"] for above, below in pairwise(names))
+    assert names[-1]["bottom"] <= drawing["bottom"]
+
+
+@pytest.mark.parametrize("width", WIDTHS)
 def test_the_ticks_of_the_times_stand_apart(open_wide, width):
     ticks = sorted(boxes(open_wide(width), "#latency svg > text.tick"), key=lambda tick: tick["left"])
     assert len(ticks) > 1

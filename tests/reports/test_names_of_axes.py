@@ -15,6 +15,7 @@ from scenes.report_page import opened as page_opened
 
 AXES = {
     "curves": ("horizon, s", "PR-AUC"),
+    "score-and-time": ("99th percentile of update and forecast, ms", "PR-AUC"),
     "scale": ("side in cells", "Fractions skill score"),
     "precision-recall": ("recall", "precision"),
     "threshold": ("threshold", "F1"),
@@ -36,7 +37,7 @@ def test_a_chart_names_both_axes_within_the_drawing(opened, width):
         drawing = page.locator(f"#{figure} svg.figure-drawing")
         assert drawing.locator("text.axis-name").all_text_contents() == list(names)
         assert drawing.evaluate(INSIDE) == []
-    for figure, name in (("ranking", "PR-AUC"), ("latency", "update, ms")):
+    for figure, name in (("ranking", "PR-AUC"), ("slices", "PR-AUC"), ("latency", "update, ms")):
         assert page.locator(f"#{figure} text.axis-name").all_text_contents() == [name]
 
 
@@ -125,10 +126,7 @@ def test_the_figure_of_degraded_input_names_the_only_kind(browser, run_folder, t
     points = [{"strength": at, "value": 0.2 * at, "delivered": "", "f1": f1} for at in (0.0, 1.0)]
     trial["robustness"] = {"degradation": {"beam_dropout": 0.2}, "kinds": {"beam_dropout": points}}
     (run / "summary.json").write_text(json.dumps(summary))
-    page = browser.new_page()
-    page.set_default_timeout(60_000)
-    page.goto(render_report([run]).as_uri())
-    figure = page.locator("#conditions")
-    assert figure.locator("text.axis-name").all_text_contents() == ["beams without a return", "F1"]
-    assert "beams without a return: input degraded" in figure.locator(".note").inner_text()
-    page.close()
+    with page_opened(browser, render_report([run])) as page:
+        figure = page.locator("#conditions")
+        assert figure.locator("text.axis-name").all_text_contents() == ["beams without a return", "F1"]
+        assert "beams without a return: input degraded" in figure.locator(".note").inner_text()

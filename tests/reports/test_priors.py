@@ -15,7 +15,7 @@ from gridtrack.reports.page import render_page, render_report
 from gridtrack.reports.priors import NEVER_SEEN, PRIOR_LEVELS
 from gridtrack.reports.run import read_runs
 
-from scenes.report_page import data_of
+from scenes.report_page import data_of, open_details
 
 SIZE = 32
 FRAMES = 8
@@ -96,6 +96,7 @@ def test_a_browser_draws_the_maps_with_row_0_at_the_bottom(browser, run):
     page.on("console", lambda message: message.type == "error" and faults.append(message.text))
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.goto(render_report([run]).as_uri())
+    open_details(page)
     page.locator("#priors .line image").nth(2).wait_for()
     names = page.locator("#priors g.line text").all_text_contents()
     assert names == ["recorded: share of frames", "good", "fair"]

@@ -10,13 +10,19 @@ HOSTILE = "<script>alert(1)<\\script><img src=x onerror=alert(1)>, & %2C"
 """A name of a tracker that would run, were it HTML."""
 
 
+def open_details(page):
+    """Open the part of a page with further figures."""
+    page.locator("#details").evaluate("one => { one.open = true; }")
+
+
 @contextmanager
 def opened(browser, report, **options):
-    """The page of a report in the browser, when it is drawn; `options` of the page, such as its viewport."""
+    """The page of a report in the browser, drawn, with all figures; `options` of the page, such as its viewport."""
     page = browser.new_page(**options)
     page.set_default_timeout(60_000)
     page.goto(report.as_uri())
     page.locator("#every-score table").wait_for()
+    open_details(page)
     yield page
     page.close()
 
