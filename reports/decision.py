@@ -142,9 +142,9 @@ class _Decision:
             return
         tested = [(words, self._weakest(rows)) for words, rows in pairs]
         if all(test is None for _, test in tested):
-            others = " and than ".join(words for words, _ in tested)
+            named = " and than ".join(words for words, _ in tested)
             who = "it" if len(self._top) == 1 else "each"
-            yield f"Whether {who} is better than {others} cannot be decided here: {self._why_untested()}."
+            yield f"Whether {who} is better than {named} cannot be decided here: {self._why_untested()}."
             return
         yield from self._decided([(words, test) for words, test in tested if test is not None])
         for words, test in tested:
