@@ -133,14 +133,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
             futures = rng.random((MAX_FUTURES, *occupancy.shape)) < occupancy
             forecast = Forecast(occupancy, semantics=semantics, futures=futures)
             for score in built_in():
-                counter = Counter([score], facts)
+                # a new counter each time: memories would grow without end, because every frame has the same stamp
                 ms = median_ms(
-                    lambda f=forecast, c=counter, s=seen, a=region_maps: c.count(ScoredForecast(f, s, a, ages)), few
+                    lambda f=forecast, k=score, x=facts, s=seen, a=region_maps: Counter([k], x).count(
+                        ScoredForecast(f, s, a, ages)
+                    ),
+                    few,
                 )
                 print(f"  {score.name} alone: {ms:.2f} ms")
-            counter = Counter([CONTACT_FORESIGHT], facts)
             plain = ScoredForecast(Forecast(occupancy), seen, region_maps, ages)
-            ms = median_ms(lambda c=counter, p=plain: c.count(p), few)
+            ms = median_ms(lambda p=plain, x=facts: Counter([CONTACT_FORESIGHT], x).count(p), few)
             print(f"  contact_foresight without sampled futures: {ms:.2f} ms")
     returns, chosen = observed[0].frame.occupied, rng.random(GRID.shape) < 0.3
     ms = median_ms(lambda: parts_of(chosen, returns, region_maps.dynamic, GRID), runs)

@@ -257,17 +257,17 @@ def contact_sums(rng: np.random.Generator, units: int, contacts: float) -> tuple
     """Sums (U, P) of contact foresight of two trackers on the same paths."""
     size = np.exp(CONTACT_SIZE * rng.standard_normal(units))
     level, difficulty = CONTACT_LEVEL * rng.standard_normal(units), CONTACT_DIFFICULTY * rng.standard_normal(units)
-    found = tuple(Sums(np.zeros((units, len(CONTACT_PARTS))), CONTACT_PARTS) for _ in CONTACT_MERITS)
+    one, other = (Sums(np.zeros((units, len(CONTACT_PARTS))), CONTACT_PARTS) for _ in CONTACT_MERITS)
     for name, mean, met in (("contacts", contacts, 1.0), ("clears", CLEARS, 0.0)):
         unit = np.repeat(np.arange(units), rng.poisson(mean * size))
         in_common = rng.standard_normal(unit.size)
-        for sums, merit in zip(found, CONTACT_MERITS, strict=True):
+        for sums, merit in zip((one, other), CONTACT_MERITS, strict=True):
             of_unit = level + met * (merit + difficulty + CONTACT_OF_TRACKER * rng.standard_normal(units))
             risks = expit(of_unit[unit] - 3.0 + 0.8 * in_common + 0.6 * rng.standard_normal(unit.size))
             bins = np.searchsorted(PROBABILITY_EDGES[1:-1], risks, side="right")
             counts = np.bincount(unit * PROBABILITY_BINS + bins, minlength=units * PROBABILITY_BINS)
             sums.block(name)[:] = counts.reshape(units, PROBABILITY_BINS)
-    return found
+    return one, other
 
 
 def foreseen(sums: Sums) -> Floats:
