@@ -54,7 +54,8 @@ HALF = int(np.searchsorted(PROBABILITY_EDGES, 0.5))
 """The bin with the lower edge 0.5."""
 FIRST_OF_CALIBRATION_BIN = np.searchsorted(PROBABILITY_EDGES, CALIBRATION_EDGES[:-1])
 """The first bin (C,) of each bin for calibration."""
-_CALIBRATION_BIN = np.searchsorted(FIRST_OF_CALIBRATION_BIN, np.arange(PROBABILITY_BINS), side="right") - 1
+CALIBRATION_BIN = np.searchsorted(FIRST_OF_CALIBRATION_BIN, np.arange(PROBABILITY_BINS), side="right") - 1
+"""The bin for calibration of each bin (B,)."""
 _SLOTS = 1 << 17
 """A table maps a probability to its bin: every edge is a multiple of 1 / _SLOTS, but for the ends of the MASSES."""
 _BIN_OF_SLOT = np.searchsorted(PROBABILITY_EDGES[1:-1], (np.arange(_SLOTS + 1) + 0.5) / _SLOTS, side="right").astype(
@@ -162,6 +163,12 @@ def count_cells(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def bin_of(p):  # type: ignore[no-untyped-def]
+    """The bin of a probability, float32; between two such numbers the bin may be a neighbour in its calibration bin."""
+    return _BIN_OF_SLOT[int(p * _SLOTS)] - (p in (0.0, 0.5))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _count_step(probability, state, motion, seen, hidden, cells, positives, p_sum, squared_error, log_loss):  # type: ignore[no-untyped-def]
     """Add one step's scored cells (M*M,) to their regions' counts: histograms (R, B), (R, C) and sums (R,).
 
@@ -174,9 +181,9 @@ def _count_step(probability, state, motion, seen, hidden, cells, positives, p_su
             continue
         region = seen[i] + RANGES * motion[i] if state[i] <= SEEN_OCCUPIED else hidden[i]
         p = float(probability[i])
-        bin_ = _BIN_OF_SLOT[int(probability[i] * np.float32(_SLOTS))] - (p in (0.0, 0.5))
+        bin_ = bin_of(p)
         cells[region, bin_] += 1
-        p_sum[region, _CALIBRATION_BIN[bin_]] += p
+        p_sum[region, CALIBRATION_BIN[bin_]] += p
         clipped = min(max(p, CLIP), 1.0 - CLIP)
         if state[i] & 1:
             positives[region, bin_] += 1

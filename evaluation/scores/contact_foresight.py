@@ -10,24 +10,27 @@ metrics" (CVPR 2020), without a planner.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import shift_between
+from gridtrack.common.scene import UNLABELLED
 from gridtrack.evaluation.referee.referee import ScoredForecast
 from gridtrack.evaluation.referee.strata import PARTS
 from gridtrack.evaluation.referee.targets import SEEN_FREE
 from gridtrack.evaluation.scores.cells import (
+    CALIBRATION_BIN,
     CALIBRATION_BINS,
-    CALIBRATION_EDGES,
     CLIP,
     FIRST_OF_CALIBRATION_BIN,
     PROBABILITY_BINS,
-    PROBABILITY_EDGES,
+    bin_of,
 )
 from gridtrack.evaluation.scores.contact_paths import NEVER, Events, Paths, draw_paths, events_of, risks_of
 from gridtrack.evaluation.scores.definition import (
@@ -54,14 +57,15 @@ NEEDLESS_AT, ALARMS_AT = 0.8, 0.95
 """Shares of foreseen contacts at which needless stops, and the rate of false alarms, are given."""
 _SLICES = ("dynamic", "in-motion", "standing")
 _HIDDEN = "occluded dynamic"
-_MOTIONS = {name: PARTS.index(name) for name in ("in-motion", "standing")}
-
-
+_HISTOGRAMS = {
+    "contacts": PROBABILITY_BINS,
+    "clears": PROBABILITY_BINS,
+    "independent contacts": CALIBRATION_BINS,
+    "independent clears": CALIBRATION_BINS,
+}
+"""Bins of the histograms by risk."""
 _PARTS = (
-    *block("contacts", PROBABILITY_BINS),
-    *block("clears", PROBABILITY_BINS),
-    *block("independent contacts", CALIBRATION_BINS),
-    *block("independent clears", CALIBRATION_BINS),
+    *(part for name, bins in _HISTOGRAMS.items() for part in block(name, bins)),
     *block("lead", CALIBRATION_BINS),
     *("followed", "unknown", "seconds", "forecasts", "skipped", "sampled paths", "sampled log loss"),
 )
@@ -80,14 +84,16 @@ def longest(facts: TrialFacts) -> int:
 
 @dataclass(slots=True)
 class _Approach:
-    """Paths of a forecast that end in a contact, and their risks in it and in later forecasts until the contact.
+    """The `paths` of a forecast; the risks of the paths `met` (N,) in it and in later forecasts until their contacts.
 
-    `since_s` of each of these forecasts; `risks` (N, L) of each, within steps 1..L of the first forecast.
+    `contact` (N,) and `slices` (K, N) are those of the contacts. `since_s` of each of the forecasts; `risks` (N, L) of
+    each, within steps 1..L of the first one.
     """
 
     stamp_ns: int
     window: SE2
     paths: Paths
+    met: NDArray[np.int64]
     contact: NDArray[np.int16]
     slices: NDArray[np.bool_]
     since_s: list[float]
@@ -109,21 +115,20 @@ def _count(forecast: ScoredForecast, facts: TrialFacts, memory: list[_Approach])
     if len(paths) < LEAST_PATHS:
         within["skipped"][:] = 1.0
         return sums.values
-    events = events_of(paths, forecast.targets[1 : last + 1], has_truth=facts.has_truth)
+    states = np.stack([target.state for target in forecast.targets[1 : last + 1]])
+    events = events_of(paths, states, has_truth=facts.has_truth)
     slices = _slices_of(events, forecast, facts)
-    largest, independent = risks_of(paths, occupancy)
-    outcome = _Outcomes.of(events, slices, last)
-    _add_histograms(within, "", _bins(largest, PROBABILITY_EDGES), outcome)
-    _add_histograms(within, "independent ", _bins(independent, CALIBRATION_EDGES), outcome)
-    within["unknown"][:] = outcome.unknown.sum(axis=0)[:, None]
-    within["seconds"][:] = facts.period_s * outcome.steps_driven.sum(axis=0)[:, None]
+    largest, independent = risks_of(paths, np.arange(len(paths)), occupancy)
+    histograms = (within.block(name) for name in _HISTOGRAMS)
+    counts = within["unknown"], within["seconds"]
+    _add_paths(largest, independent, events.contact, events.unseen, slices, *counts, *histograms)
+    within["seconds"][:] *= facts.period_s
     if forecast.forecast.futures is not None:
-        _add_futures(within, forecast.forecast.futures[:, 1 : last + 1], paths, outcome)
-    met = events.contact != NEVER
-    if met.any():
-        window, stamp_ns = forecast.frames[0].world_T_grid, forecast.stamp_ns
-        ends = events.contact[met], slices[:, met]
-        memory.append(_Approach(stamp_ns, window, paths.at(met), *ends, [0.0], [largest[met]]))
+        _add_futures(within, forecast.forecast.futures[:, 1 : last + 1], paths, events, slices)
+    met = np.flatnonzero(events.contact != NEVER)
+    if met.size:
+        window, ends = forecast.targets[0].frame.world_T_grid, (events.contact[met], slices[:, met])
+        memory.append(_Approach(forecast.stamp_ns, window, paths, met, *ends, [0.0], [largest[met]]))
     return sums.values
 
 
@@ -138,81 +143,70 @@ def paths_of(forecast: ScoredForecast, facts: TrialFacts) -> Paths:
     return draw_paths(int.from_bytes(key.digest(), "little"), free, dynamic, radius, stride, longest(facts))
 
 
-@dataclass(frozen=True, slots=True)
-class _Outcomes:
-    """Outcomes (N, L) of N paths within 1..L steps: contact, clear or unknown; `slices` (K, N): those of the contact.
-
-    `steps_driven` (N, L): until the contact, or all steps; 0 of an unknown path.
-    """
-
-    contact: NDArray[np.bool_]
-    clear: NDArray[np.bool_]
-    unknown: NDArray[np.bool_]
-    steps_driven: NDArray[np.int64]
-    slices: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, events: Events, slices: NDArray[np.bool_], last: int) -> _Outcomes:
-        within = np.arange(1, last + 1)
-        contact = events.contact[:, None] <= within
-        clear = ~contact & (events.unseen[:, None] > within)
-        driven = np.where(contact, events.contact[:, None], within) * (contact | clear)
-        return cls(contact, clear, ~contact & ~clear, driven, slices)
-
-
 def _slices_of(events: Events, forecast: ScoredForecast, facts: TrialFacts) -> NDArray[np.bool_]:
     """The strata (K, N) of the first cell of each path's contact."""
-    strata = contact_strata(facts)
-    slices = np.zeros((len(strata), len(events.hit)), np.bool_)
+    slices = {name: np.zeros(len(events.hit), np.bool_) for name in contact_strata(facts)}
     met = np.flatnonzero(events.contact != NEVER)
-    slices[0, met] = True
-    first = forecast.targets[0]
-    for i in met:
-        target, cell = forecast.targets[int(events.contact[i])], int(events.hit[i])
-        for name, part in _MOTIONS.items():
-            slices[strata.index(name), i] = target.motion.flat[cell] == part
-        if facts.has_truth:
-            slices[strata.index(_HIDDEN), i] = not first.frame.visible.flat[cell]
-        for label in target.labels[target.cells == cell][:1]:
-            slices[strata.index(f"dynamic {facts.classes[label]}"), i] = True
-    return slices
+    step, cell = events.contact[met], events.hit[met]
+    slices["dynamic"][met] = True
+    motion = np.stack([target.motion.ravel() for target in forecast.targets])[step, cell]
+    for name in ("in-motion", "standing"):
+        slices[name][met] = motion == PARTS.index(name)
+    if facts.has_truth:
+        slices[_HIDDEN][met] = ~forecast.targets[0].frame.visible.flat[cell]
+    if facts.classes:
+        labels = np.full((len(forecast.targets), forecast.targets[0].state.size), UNLABELLED, np.uint8)
+        for own, target in zip(labels, forecast.targets, strict=True):
+            own[target.cells] = target.labels
+        for number, name in enumerate(facts.classes):
+            slices[f"dynamic {name}"][met] = labels[step, cell] == number
+    return np.stack(list(slices.values()))
 
 
-def _bins(risks: NDArray[np.floating], edges: Floats) -> NDArray[np.int64]:
-    """The bin of each risk; -1 without a risk (NaN)."""
-    bins = np.searchsorted(edges[1:-1], risks, side="right")
-    return np.where(np.isnan(risks), -1, bins)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_paths(  # type: ignore[no-untyped-def]
+    largest, independent, contact, unseen, slices, unknown, driven, contacts, clears, coarse_contacts, coarse_clears
+):
+    """Add N paths to the histograms (L, K, B) and (L, K, C) by their risks (N, L), of the strata `slices` (K, N).
+
+    Within n steps a path has a contact, is clear, or is unknown. It is `driven` until the contact or for n steps. A
+    path without a risk (NaN) is missed if it has a contact, an alarm if not.
+    """
+    for i in range(largest.shape[0]):
+        for n in range(largest.shape[1]):
+            met, risk, joint = contact[i] <= n + 1, float(largest[i, n]), independent[i, n]
+            if not met and unseen[i] <= n + 1:
+                for k in range(slices.shape[0]):
+                    unknown[n, k] += 1.0
+                continue
+            if math.isnan(risk):
+                risk = joint = 0.0 if met else 1.0
+            bin_, coarse = bin_of(risk), CALIBRATION_BIN[bin_of(joint)]
+            for k in range(slices.shape[0]):
+                driven[n, k] += contact[i] if met else n + 1
+                if not met:
+                    clears[n, k, bin_] += 1.0
+                    coarse_clears[n, k, coarse] += 1.0
+                elif slices[k, i]:
+                    contacts[n, k, bin_] += 1.0
+                    coarse_contacts[n, k, coarse] += 1.0
 
 
-def _add_histograms(sums: Sums, kind: str, bins: NDArray[np.int64], outcome: _Outcomes) -> None:
-    """Add paths to the histograms by risk. A path without a risk is missed if it has a contact, an alarm if not."""
-    contacts, clears = sums.block(f"{kind}contacts"), sums.block(f"{kind}clears")
-    highest = clears.shape[-1] - 1
-    clears += _histogram(np.where(bins < 0, highest, bins), outcome.clear, highest + 1)[:, None]
-    for k, chosen in enumerate(outcome.slices):
-        contacts[:, k] += _histogram(np.maximum(bins, 0), outcome.contact & chosen[:, None], highest + 1)
-
-
-def _histogram(
-    bins: NDArray[np.int64], chosen: NDArray[np.bool_], size: int, weights: Floats | None = None
-) -> NDArray[np.floating | np.integer]:
-    """Numbers (L, size) of the chosen paths (N, L) by bin, or the sums of their `weights` (N,)."""
-    steps = bins.shape[1]
-    cells = (bins + size * np.arange(steps))[chosen]
-    own = None if weights is None else np.broadcast_to(weights[:, None], bins.shape)[chosen]
-    return np.bincount(cells, own, minlength=steps * size).reshape(steps, size)
-
-
-def _add_futures(sums: Sums, futures: NDArray[np.generic], paths: Paths, outcome: _Outcomes) -> None:
+def _add_futures(
+    sums: Sums, futures: NDArray[np.generic], paths: Paths, events: Events, slices: NDArray[np.bool_]
+) -> None:
     """Add the share of futures (F, L, M, M) in which a path has a contact, as the probability of one."""
-    touched = [risks_of(paths, np.ascontiguousarray(one, np.float32))[0] >= 0.5 for one in futures]
-    share = np.mean(touched, axis=0)
+    within = np.arange(1, futures.shape[1] + 1)
+    in_futures = [events_of(paths, (one >= 0.5).view(np.uint8), has_truth=True).contact for one in futures]
+    share = np.mean(np.array(in_futures)[..., None] <= within, axis=0)
     clipped = np.clip(share, CLIP, 1.0 - CLIP)
-    for k, chosen in enumerate(outcome.slices):
-        met = outcome.contact & chosen[:, None]
-        sums["sampled paths"][:, k] += (met | outcome.clear).sum(axis=0)
+    contact = events.contact[:, None] <= within
+    clear = ~contact & (events.unseen[:, None] > within)
+    for k, chosen in enumerate(slices):
+        met = contact & chosen[:, None]
+        sums["sampled paths"][:, k] += (met | clear).sum(axis=0)
         sums["sampled log loss"][:, k] -= np.where(met, np.log(clipped), 0.0).sum(axis=0)
-        sums["sampled log loss"][:, k] -= np.where(outcome.clear, np.log(1.0 - clipped), 0.0).sum(axis=0)
+        sums["sampled log loss"][:, k] -= np.where(clear, np.log(1.0 - clipped), 0.0).sum(axis=0)
 
 
 def _follow(
@@ -222,39 +216,38 @@ def _follow(
     for approach in tuple(memory):
         since_s = (forecast.stamp_ns - approach.stamp_ns) / 1e9
         gone = round(since_s / facts.period_s)
-        if gone >= len(occupancy):
-            _add_lead_times(approach, facts, sums)
-            memory.remove(approach)
+        if gone < len(occupancy):
+            shift = shift_between(approach.window, forecast.targets[0].frame.world_T_grid, facts.cell_m)
+            approach.since_s.append(since_s)
+            approach.risks.append(risks_of(approach.paths, approach.met, occupancy, gone, shift)[0])
             continue
-        shift = shift_between(approach.window, forecast.frames[0].world_T_grid, facts.cell_m)
-        size = occupancy.shape[-1]
-        paths = approach.paths.later(gone, shift.rows, shift.columns, size)
-        risks = np.zeros_like(approach.risks[0])
-        risks[:, gone:] = risks_of(paths, occupancy[: len(occupancy) - gone])[0]
-        approach.since_s.append(since_s)
-        approach.risks.append(risks)
+        memory.remove(approach)
+        ends_s = approach.contact * facts.period_s
+        forecasts = np.stack(approach.risks), np.array(approach.since_s)
+        _add_lead_times(*forecasts, approach.contact, ends_s, approach.slices, sums.block("lead"), sums["followed"])
 
 
-def _add_lead_times(approach: _Approach, facts: TrialFacts, sums: Sums) -> None:
-    """Add the seconds from the first forecast whose alarm stays on until the contact, by the threshold of the alarm.
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_lead_times(risks, since_s, contact, ends_s, slices, lead_s, followed):  # type: ignore[no-untyped-def]
+    """Add the seconds (L, K, C) from the first forecast whose alarm stays on until the contact, by its threshold.
 
-    The alarm stays on from a forecast on if this one and all later ones before the contact have a risk of at least the
-    threshold: the smallest of these risks decides.
+    The alarm stays on from a forecast on if this one and all later ones before the contact have a risk (T, N, L) of at
+    least the threshold: the smallest of these risks decides.
     """
-    risks, since_s = np.stack(approach.risks), np.array(approach.since_s)[:, None]
-    ends_s = approach.contact * facts.period_s
-    later = since_s >= ends_s
-    risks[later] = np.inf  # of a forecast after the contact
-    stays_on = np.minimum.accumulate(risks[::-1])[::-1]
-    gains_s = np.diff(np.minimum(np.append(since_s, [[np.inf]], axis=0), ends_s), axis=0)
-    within = approach.contact[:, None] <= np.arange(1, risks.shape[-1] + 1)
-    lead = sums.block("lead")
-    bins = _bins(stays_on, CALIBRATION_EDGES)
-    for k, chosen in enumerate(approach.slices):
-        met = within & chosen[:, None]
-        sums["followed"][:, k] += met.sum(axis=0)
-        for own, gained_s in zip(bins, gains_s, strict=True):
-            lead[:, k] += _histogram(np.maximum(own, 0), met, lead.shape[-1], gained_s)
+    for i in range(contact.size):
+        for n in range(contact[i] - 1, risks.shape[2]):
+            smallest, until_s = 1.0, ends_s[i]
+            for t in range(since_s.size - 1, -1, -1):
+                if since_s[t] >= ends_s[i]:
+                    continue
+                risk = float(risks[t, i, n])
+                smallest = 0.0 if math.isnan(risk) else min(smallest, risk)
+                for k in range(slices.shape[0]):
+                    if slices[k, i]:
+                        lead_s[n, k, CALIBRATION_BIN[bin_of(smallest)]] += until_s - since_s[t]
+                until_s = since_s[t]
+            for k in range(slices.shape[0]):
+                followed[n, k] += slices[k, i]
 
 
 def _value(sums: Sums) -> Mapping[str, Ratio | Measure | Floats]:

@@ -7,73 +7,53 @@ or between its positions in the step before and in this one. Positions are in ce
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.grid import Mask
-from gridtrack.evaluation.referee.targets import NOT_SCORED, Target
+from gridtrack.common.grid import Mask, Shift
+from gridtrack.evaluation.referee.targets import NOT_SCORED
 from gridtrack.evaluation.scores.definition import Floats
 
 PATHS = 400
 """Paths of a forecast, where so many are found."""
 TRIES = 10 * PATHS
 """Paths that are drawn at most."""
-LEAST_CLEAR = 1e-9
-"""A cell is free with at least this probability, so that a ratio of such probabilities is defined."""
 NEVER = int(np.iinfo(np.int16).max)
 """The step of an event that does not occur."""
+_STILL = Shift()
 
 
 @dataclass(frozen=True, slots=True)
 class Paths:
-    """N paths of a disc of L steps, with the cells of each step.
+    """N paths of a disc of L steps, with the cells of each.
 
-    `starts` (N, 2) float64: x and y; `strides` (N, 2): the way of a step. `cells` int32, row * M + column, are those of
-    step n of path i from `ends[i, n - 1]` on, before `ends[i, n]`; `ends` (N, L+1) int64.
+    `starts` (N, 2) float64: x and y; `strides` (N, 2): the way of a step. The cells of path i, in `rows` and `columns`
+    (C,) int16, are those from `ends[i]` on, before `ends[i + 1]`; `ends` (N+1,) int64. The disc is on a cell in the
+    steps from its `first` on, before its `after` (C,) int16, counted from 0: the number n is that of step n+1.
     """
 
     starts: NDArray[np.float64]
     strides: NDArray[np.float64]
     ends: NDArray[np.int64]
-    cells: NDArray[np.int32]
+    rows: NDArray[np.int16]
+    columns: NDArray[np.int16]
+    first: NDArray[np.int16]
+    after: NDArray[np.int16]
 
     def __len__(self) -> int:
         return len(self.starts)
-
-    @property
-    def steps(self) -> int:
-        """The number of steps, L."""
-        return self.ends.shape[1] - 1
-
-    def at(self, chosen: Mask) -> Paths:
-        """The chosen paths, with their cells only."""
-        numbers = self.ends[:, -1] - self.ends[:, 0]
-        gone = np.cumsum(np.where(chosen, 0, numbers))[chosen, None]
-        cells = self.cells[np.repeat(chosen, numbers)]
-        return Paths(self.starts[chosen], self.strides[chosen], self.ends[chosen] - gone, cells)
-
-    def later(self, steps: int, rows: int, columns: int, size: int) -> Paths:
-        """The rest of the paths after `steps` steps, in a window of `size` cells that moved by rows and columns.
-
-        Cells outside the new window are -1.
-        """
-        row, column = self.cells // size - rows, self.cells % size - columns
-        inside = (row >= 0) & (row < size) & (column >= 0) & (column < size)
-        cells = np.where(inside, row * size + column, -1).astype(np.int32)
-        starts = self.starts + steps * self.strides - np.array([columns, rows])
-        return Paths(starts, self.strides, self.ends[:, steps:], cells)
 
 
 @dataclass(frozen=True, slots=True)
 class Events:
     """What N paths meet in steps 1..L of an observation.
 
-    `contact` and `unseen` (N,) int16: the first step with an occupied cell, and with an unknown cell, on the path;
-    NEVER without one. `hit` (N,) int64: the cell of the contact that the disc reaches first, row * M + column, or -1.
+    `contact` and `unseen` (N,) int16: the first step with an occupied cell, and with an unknown cell before it, on the
+    path; NEVER without one. `hit` (N,) int64: the cell of the contact that the disc reaches first, row * M + column, or
+    -1.
     """
 
     contact: NDArray[np.int16]
@@ -95,37 +75,41 @@ def draw_paths(seed: int, free: Mask, passable: Mask, radius: float, longest_str
 
 def paths_along(starts: Floats, strides: Floats, radius: float, steps: int, size: int) -> Paths:
     """Paths of a disc with `radius` from `starts` (N, 2) by `strides` (N, 2), in a window of `size` cells."""
-    ends = np.zeros((len(starts), steps + 1), np.int64)
-    most = int((2.0 * radius + 2.0) * (2.0 * radius + 2.0 + np.hypot(*strides.T).max(initial=0.0))) + 1
-    cells = np.empty(len(starts) * steps * most, np.int32)
-    used = _sweep(starts, strides, radius, size, ends, cells)
-    return Paths(starts, strides, ends, cells[:used].copy())
+    width = 2.0 * radius + 2.0
+    most = int(len(starts) * width * (width + steps * np.hypot(*strides.T).max(initial=0.0))) + 1
+    ends, cells = np.zeros(len(starts) + 1, np.int64), np.empty((4, most), np.int16)
+    used = _sweep(starts, strides, radius, steps, size, ends, *cells)
+    return Paths(starts, strides, ends, *cells[:, :used].copy())
 
 
-def events_of(paths: Paths, targets: Sequence[Target], *, has_truth: bool) -> Events:
-    """What the paths meet in the `targets` of their steps 1..L.
+def events_of(paths: Paths, states: NDArray[np.uint8], *, has_truth: bool) -> Events:
+    """What the paths meet in the `states` (L, M, M) of their steps, as those of a target.
 
     With truth every cell is known: the interior of a body, a hidden cell that is not scored elsewhere, is occupied.
     """
-    number = len(paths)
-    contact, unseen = np.full((2, number), NEVER, np.int16)
-    hit = np.full(number, -1, np.int64)
-    states = np.stack([target.state for target in targets])
-    _meet(paths.starts, paths.strides, paths.ends, paths.cells, states, has_truth, contact, unseen, hit)
+    contact, unseen = np.full((2, len(paths)), NEVER, np.int16)
+    hit = np.full(len(paths), -1, np.int64)
+    cells = paths.ends, paths.rows, paths.columns, paths.first, paths.after
+    eventful = ((states & 1) | (states == NOT_SCORED)).any(axis=0)
+    _meet(paths.starts, paths.strides, *cells, states, eventful, has_truth, contact, unseen, hit)
     return Events(contact, unseen, hit)
 
 
-def risks_of(paths: Paths, occupancy: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Risks (N, L) of a contact within 1..L steps, by the forecast (L, M, M) of these steps.
+def risks_of(
+    paths: Paths, chosen: NDArray[np.int64], occupancy: NDArray[np.float32], gone: int = 0, shift: Shift = _STILL
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Risks (N, L) of a contact of the `chosen` (N,) paths within 1..L steps, by a forecast (L, M, M) of these steps.
 
     The first is the largest probability on the path, the lower bound of the probability that any of its cells is
     occupied (Frechet). The second is the probability of it for independent cells, 1 - prod(1 - p), p being the largest
-    probability of a cell in a step. A cell without a probability (NaN) gives NaN.
+    probability of a cell in a step. A cell without a probability (NaN) gives NaN. A later forecast is made after `gone`
+    steps, in a window that moved by `shift`; it says nothing of these steps and of cells outside its window.
     """
-    largest = np.zeros((len(paths), paths.steps), np.float32)
-    independent = np.zeros((len(paths), paths.steps))
-    _risk(paths.ends, paths.cells, occupancy.reshape(len(occupancy), -1), largest, independent)
-    return largest, independent
+    largest = np.zeros((len(chosen), len(occupancy)), np.float32)
+    clear = np.ones(largest.shape)
+    cells = paths.ends, paths.rows, paths.columns, paths.first, paths.after
+    _risk(*cells, chosen, occupancy, gone, *shift, largest, clear)
+    return largest, 1.0 - clear
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -152,7 +136,9 @@ def _draw(seed, free, passable, radius, longest, steps, tries, paths):  # type: 
             used += 2
             square = east * east + north * north
         dx, dy = stride * east / math.sqrt(square), stride * north / math.sqrt(square)
-        if not _all_on(free, x, y, 0.0, 0.0, radius):
+        last_x, last_y = x + steps * dx, y + steps * dy
+        # most paths that are not taken end outside the window: the ends are tried before the way
+        if not (_all_on(free, x, y, 0.0, 0.0, radius) and _all_on(passable, last_x, last_y, 0.0, 0.0, radius)):
             continue
         if _all_on(passable, x, y, steps * dx, steps * dy, radius):
             paths[found, 0], paths[found, 1], paths[found, 2], paths[found, 3] = x, y, dx, dy
@@ -207,65 +193,80 @@ def _columns(row, x, y, dx, dy, radius):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _sweep(starts, strides, radius, size, ends, cells):  # type: ignore[no-untyped-def]
-    """Set the cells of each step of each path, and their `ends` (N, L+1); returns the number of cells."""
+def _sweep(starts, strides, radius, steps, size, ends, rows, columns, first, after):  # type: ignore[no-untyped-def]
+    """Set the cells of each path and their `ends` (N+1,), and the steps in which they are covered; returns the number
+    of cells."""
     used = 0
     for i in range(starts.shape[0]):
-        dx, dy = strides[i, 0], strides[i, 1]
-        ends[i, 0] = used
-        for n in range(ends.shape[1] - 1):
-            x, y = starts[i, 0] + n * dx, starts[i, 1] + n * dy
-            bottom, top = _rows(y, dy, radius)
-            for row in range(max(bottom, 0), min(top, size)):
-                left, right = _columns(row, x, y, dx, dy, radius)
-                for column in range(max(left, 0), min(right, size)):
-                    cells[used] = row * size + column
-                    used += 1
-            ends[i, n + 1] = used
+        x, y, dx, dy = starts[i, 0], starts[i, 1], strides[i, 0], strides[i, 1]
+        square = dx * dx + dy * dy
+        inverse = 1.0 / square
+        bottom, top = _rows(y, steps * dy, radius)
+        for row in range(max(bottom, 0), min(top, size)):
+            left, right = _columns(row, x, y, steps * dx, steps * dy, radius)
+            for column in range(max(left, 0), min(right, size)):
+                rows[used], columns[used], first[used], after[used] = row, column, 0, steps
+                if square > 0.0:  # when the centre enters the disc and leaves it, in steps
+                    right_of, above = column + 0.5 - x, row + 0.5 - y
+                    nearest, aside = inverse * (right_of * dx + above * dy), right_of * dy - above * dx
+                    half = inverse * math.sqrt(max(radius * radius * square - aside * aside, 0.0))
+                    first[used] = math.ceil(max(nearest - half - 1.0, 0.0))
+                    after[used] = math.floor(min(nearest + half + 1.0, float(steps)))
+                used += 1
+        ends[i + 1] = used
     return used
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _meet(starts, strides, ends, cells, states, known, contact, unseen, hit):  # type: ignore[no-untyped-def]
+def _meet(starts, strides, ends, rows, columns, first, after, states, eventful, known, contact, unseen, hit):  # type: ignore[no-untyped-def]
     """Set the events of each path in the states (L, M, M) of steps 1..L; `known`: a cell not scored is occupied.
 
-    Of the cells of the first contact the disc hits the one that is nearest to it, seen along its way.
+    Cells that are not `eventful` (M, M), as most are, are free and known in every step. Of the cells of the first
+    contact the disc hits the one that is nearest to it, seen along its way.
     """
     size = states.shape[1]
     for i in range(starts.shape[0]):
-        for n in range(states.shape[0]):
-            nearest = np.inf
-            for c in range(ends[i, n], ends[i, n + 1]):
-                row, column = cells[c] // size, cells[c] % size
+        nearest = np.inf
+        for c in range(ends[i], ends[i + 1]):
+            row, column = rows[c], columns[c]
+            if not eventful[row, column]:
+                continue
+            for n in range(first[c], min(after[c], contact[i])):
                 state = states[n, row, column]
                 if state == NOT_SCORED and not known:
                     unseen[i] = min(unseen[i], n + 1)
                 elif state & 1 or state == NOT_SCORED:
-                    contact[i] = n + 1
                     right, up = column + 0.5 - starts[i, 0], row + 0.5 - starts[i, 1]
                     along = right * strides[i, 0] + up * strides[i, 1]
-                    if along < nearest:
-                        nearest, hit[i] = along, cells[c]
-            if contact[i] != NEVER:
-                break
+                    if n + 1 < contact[i] or along < nearest:
+                        contact[i], nearest, hit[i] = n + 1, along, row * size + column
+                    break
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _risk(ends, cells, occupancy, largest, independent):  # type: ignore[no-untyped-def]
-    """Set the risks (N, L) of each path by the probabilities (L, M*M) of steps 1..L."""
-    steps = occupancy.shape[0]
-    highest = np.zeros(occupancy.shape[1], np.float32)  # of each cell on the path
-    for i in range(ends.shape[0]):
-        most, clear = np.float32(0.0), 1.0
-        for n in range(steps):
-            for c in range(ends[i, n], ends[i, n + 1]):
-                cell = cells[c]
-                if cell >= 0 and not occupancy[n, cell] <= highest[cell]:
-                    p = occupancy[n, cell]
-                    most = most if p <= most else p
-                    clear *= max(1.0 - p, LEAST_CLEAR) / max(1.0 - highest[cell], LEAST_CLEAR)
-                    highest[cell] = p
-            largest[i, n], independent[i, n] = most, 1.0 - clear
-        for c in range(ends[i, 0], ends[i, steps]):
-            if cells[c] >= 0:
-                highest[cells[c]] = 0.0
+def _risk(ends, rows, columns, first, after, chosen, occupancy, gone, up, right, largest, clear):  # type: ignore[no-untyped-def]
+    """Raise the largest risks (N, L) of chosen paths from 0, and lower the probabilities (N, L) that all cells are free
+    from 1."""
+    steps, size = occupancy.shape[0], occupancy.shape[1]
+    for i in range(chosen.size):
+        passed = np.ones(steps + 1)  # the probability that the cells that the disc leaves before a step are free
+        for c in range(ends[chosen[i]], ends[chosen[i] + 1]):
+            row, column = rows[c] - up, columns[c] - right
+            if after[c] <= gone or not (0 <= row < size and 0 <= column < size):
+                continue
+            highest = np.float32(0.0)
+            for n in range(max(first[c], gone), after[c]):
+                highest = _larger(highest, occupancy[n - gone, row, column])
+                largest[i, n] = _larger(largest[i, n], highest)
+                clear[i, n] *= 1.0 - highest
+            passed[after[c]] *= 1.0 - highest
+        for n in range(1, steps):
+            passed[n] *= passed[n - 1]
+            clear[i, n] *= passed[n]
+            largest[i, n] = _larger(largest[i, n - 1], largest[i, n])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _larger(one, other):  # type: ignore[no-untyped-def]
+    """The larger probability; NaN if either is."""
+    return other if (other > one) | math.isnan(other) else one

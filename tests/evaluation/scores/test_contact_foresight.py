@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.referee.strata import STRATA
+from gridtrack.common.geometry import SE2
+from gridtrack.evaluation.referee.strata import PARTS, STRATA
 from gridtrack.evaluation.referee.targets import HIDDEN_FREE, HIDDEN_OCCUPIED, NOT_SCORED, Target
+from gridtrack.evaluation.scores.cells import CALIBRATION_BINS, CALIBRATION_EDGES, CLIP, PROBABILITY_EDGES
 from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT, LEAST_PATHS, _first_at, _last_at, paths_of
 from gridtrack.evaluation.scores.contact_paths import NEVER, PATHS, draw_paths, events_of, paths_along, risks_of
 from gridtrack.evaluation.scores.definition import Sums
@@ -20,11 +24,11 @@ ROBOT = Robot(radius=1.5, speed=4.8)
 
 
 def cells_of_step(start, stride, radius, n):
-    """Cells with a centre in the disc at step n, or between its positions at n-1 and n, by points along the way."""
+    """Cells (M, M) with a centre in the disc at step n, or between its positions at n-1 and n."""
     rows, columns = np.indices((SIZE, SIZE)) + 0.5
-    way = start + np.linspace(n - 1, n, 400)[:, None] * stride
-    near = np.hypot(columns[..., None] - way[:, 0], rows[..., None] - way[:, 1]).min(axis=-1) <= radius
-    return list(zip(*np.nonzero(near), strict=True))
+    east, north = columns - start[0] - (n - 1) * stride[0], rows - start[1] - (n - 1) * stride[1]
+    share = np.clip((east * stride[0] + north * stride[1]) / max(stride @ stride, 1e-300), 0.0, 1.0)
+    return np.hypot(east - share * stride[0], north - share * stride[1]) <= radius
 
 
 def random_scene(seed, hidden=True):
@@ -37,37 +41,100 @@ def random_scene(seed, hidden=True):
     kinds = np.full((SIZE, SIZE), DYNAMIC_CELL)
     kinds[:, 0] = STATIC_CELL
     targets = [Target.of_frame(frame(v, o, 10**8 * n)) for n, (v, o) in enumerate(zip(visible, occupied, strict=True))]
+    for target in targets:
+        target.motion[:] = rng.integers(0, len(PARTS), target.motion.shape)
     return scored(rng.random((STEPS + 1, SIZE, SIZE)).astype(np.float32) ** 8, targets, region_maps(kinds))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_events_and_risks_are_those_of_the_definition(seed):
-    forecast = random_scene(seed)
-    paths = paths_of(forecast, facts_of(forecast, robot=ROBOT, period_s=PERIOD_S))
-    paths = paths.at(np.arange(len(paths)) < 30)
-    last = len(forecast.targets) - 1
-    events = events_of(paths, forecast.targets[1:], has_truth=False)
-    largest, independent = risks_of(paths, forecast.forecast.occupancy[1:])
-    for i in range(len(paths)):
-        contact, unseen, most, by_cell = NEVER, NEVER, 0.0, {}
-        for n in range(1, last + 1):
-            cells = cells_of_step(paths.starts[i], paths.strides[i], 1.5, n)
-            state, p = forecast.targets[n].state, forecast.forecast.occupancy[n]
-            if contact == NEVER and any(state[cell] == 1 for cell in cells):
-                contact = n
-            if unseen == NEVER and contact == NEVER and any(state[cell] == NOT_SCORED for cell in cells):
-                unseen = n
-            most = max([most, *(p[cell] for cell in cells)])
-            for cell in cells:
-                by_cell[cell] = max(by_cell.get(cell, 0.0), p[cell])
-            assert largest[i, n - 1] == pytest.approx(most)
-            clear = np.prod([1.0 - float(p) for p in by_cell.values()])
-            assert independent[i, n - 1] == pytest.approx(1.0 - clear, abs=1e-6)
-        assert events.contact[i] == contact
-        if contact == NEVER:
-            assert events.unseen[i] == unseen
-        else:
-            assert forecast.targets[contact].state.flat[events.hit[i]] == 1
+def states_of(targets):
+    return np.stack([target.state for target in targets])
+
+
+def moving_scenes():
+    """Forecasts a second apart, of windows that move by a cell to the right and two up."""
+    scenes = [random_scene(n) for n in range(3)]
+    for number, scene in enumerate(scenes):
+        moved = [
+            replace(t, frame=replace(t.frame, stamp_ns=10**9 * number, world_T_grid=SE2(1.0 * number, 2.0 * number)))
+            for t in scene.targets
+        ]
+        scenes[number] = replace(scene, targets=tuple(moved))
+    return scenes
+
+
+def risks_by_definition(cells, occupancy):
+    """Within 1..L steps: the largest probability on the `cells` (L, M, M), and that of independent cells."""
+    p = np.maximum.accumulate(np.where(cells, occupancy, 0.0))
+    return p.max(axis=(1, 2)), 1.0 - np.prod(1.0 - p.astype(np.float64), axis=(1, 2))
+
+
+def leads_by_definition(scenes, first, cells, contact):
+    """Seconds (L+1, C) from the alarm that stays on until the contact, by each edge of the bins as its threshold."""
+    lead_s = np.zeros((len(cells) + 1, CALIBRATION_BINS))
+    for n in range(contact, len(cells) + 1):
+        risks = []
+        for moved, scene in enumerate(scenes[first : first + -(-contact // 4)]):  # until before the contact
+            seen = np.roll(cells[4 * moved : n], (-2 * moved, -moved), axis=(1, 2))
+            seen[:, SIZE - 2 * moved :] = seen[:, :, SIZE - moved :] = False
+            risks.append(np.where(seen, scene.forecast.occupancy[1 : n - 4 * moved + 1], 0.0).max())
+        stays_on = np.array([min(risks[number:]) >= CALIBRATION_EDGES[:-1] for number in range(len(risks))])
+        lead_s[n] = np.where(stays_on.any(axis=0), contact * PERIOD_S - stays_on.argmax(axis=0), 0.0)
+    return lead_s
+
+
+def sums_by_definition(scenes, facts):
+    """The sums of all scenes, path by path, without the kernels of the score."""
+    last = len(scenes[0].targets) - 1
+    sums = Sums(np.zeros((last + 1, 3, len(CONTACT_FORESIGHT.parts(facts)))), CONTACT_FORESIGHT.parts(facts))
+    lead_s = np.zeros((last + 1, 3, CALIBRATION_BINS))  # of alarms by each edge as threshold
+    for first, scene in enumerate(scenes):
+        paths = paths_of(scene, facts)
+        sums["forecasts"][1:] += 1
+        for start, stride in zip(paths.starts, paths.strides, strict=True):
+            cells = np.stack([cells_of_step(start, stride, 1.5, n) for n in range(1, last + 1)])
+            states = np.where(cells, states_of(scene.targets[1:]), 0)
+            met, unseen = (states == 1).any(axis=(1, 2)), (states == NOT_SCORED).any(axis=(1, 2))
+            largest, independent = risks_by_definition(cells, scene.forecast.occupancy[1:])
+            slices = [True, False, False]
+            if met.any():
+                contact = int(met.argmax()) + 1
+                rows, columns = np.nonzero(states[contact - 1] == 1)
+                nearest = np.argmin((columns + 0.5 - start[0]) * stride[0] + (rows + 0.5 - start[1]) * stride[1])
+                part = PARTS[scene.targets[contact].motion[rows[nearest], columns[nearest]]]
+                slices = [True, part == "in-motion", part == "standing"]
+                if first == 0:  # others have their contacts after the last forecast
+                    lead_s[:, slices] += leads_by_definition(scenes, first, cells, contact)[:, None]
+                    sums["followed"][contact:] += slices
+            for n in range(1, last + 1):
+                bins = (
+                    np.searchsorted(PROBABILITY_EDGES[1:-1], largest[n - 1], side="right"),
+                    np.searchsorted(CALIBRATION_EDGES[1:-1], independent[n - 1], side="right"),
+                )
+                if met[:n].any():
+                    sums["seconds"][n] += PERIOD_S * contact
+                    for name, bin_ in zip(("contacts", "independent contacts"), bins, strict=True):
+                        sums.block(name)[n, slices, bin_] += 1
+                elif unseen[:n].any():
+                    sums["unknown"][n] += 1
+                else:
+                    sums["seconds"][n] += PERIOD_S * n
+                    for name, bin_ in zip(("clears", "independent clears"), bins, strict=True):
+                        sums.block(name)[n, :, bin_] += 1
+    return sums, lead_s
+
+
+def test_sums_are_those_of_the_definition():
+    scenes = moving_scenes()
+    facts = facts_of(scenes[0], robot=ROBOT, period_s=PERIOD_S)
+    memory = CONTACT_FORESIGHT.new_memory(facts)
+    found = Sums(sum(CONTACT_FORESIGHT.count(one, facts, memory) for one in scenes), CONTACT_FORESIGHT.parts(facts))
+    expected, lead_s = sums_by_definition(scenes, facts)
+    assert found["followed"].max() > 50
+    for name in ("contacts", "clears", "independent contacts", "independent clears"):
+        assert np.array_equal(found.block(name), expected.block(name)), name
+    for name in ("followed", "unknown", "seconds", "forecasts", "skipped"):
+        assert np.allclose(found[name], expected[name], rtol=1e-12), name
+    assert np.allclose(np.cumsum(found.block("lead")[..., ::-1], axis=-1)[..., ::-1], lead_s, atol=1e-9)
 
 
 def test_paths_start_safe_and_stay_in_the_window_and_off_static_cells_and_ring():
@@ -122,32 +189,38 @@ def hand_drawn(occupied_at, p_at, size=9, steps=3, hidden=()):
 
 def test_a_person_who_crosses_before_the_robot_is_no_contact_and_one_who_is_there_in_time_is():
     paths, targets, _ = hand_drawn([(1, 4, 4), (2, 4, 4)], [])
-    assert events_of(paths, targets[1:], has_truth=False).contact == [NEVER]
+    assert events_of(paths, states_of(targets[1:]), has_truth=False).contact == [NEVER]
     paths, targets, _ = hand_drawn([(3, 4, 4)], [])
-    events = events_of(paths, targets[1:], has_truth=False)
+    events = events_of(paths, states_of(targets[1:]), has_truth=False)
     assert (events.contact, events.hit) == ([3], [4 * 9 + 4])
 
 
 def test_the_risk_is_the_largest_probability_in_time_and_grows_with_the_horizon():
     paths, _, p = hand_drawn([], [(1, 4, 4, 0.9), (2, 4, 3, 0.3), (3, 4, 4, 0.2), (3, 4, 8, 1.0)])
-    largest, independent = risks_of(paths, p[1:])
+    largest, independent = risks_of(paths, np.array([0]), p[1:])
     assert largest[0].tolist() == pytest.approx([0.0, 0.3, 0.3])
     assert independent[0].tolist() == pytest.approx([0.0, 0.3, 1 - 0.7 * 0.8])
 
 
+def test_a_cell_without_a_number_gives_a_path_without_a_risk_from_then_on():
+    paths, _, p = hand_drawn([], [(2, 4, 3, np.nan), (2, 4, 2, 0.5), (3, 4, 4, 0.2)])
+    for risks in risks_of(paths, np.array([0]), p[1:]):
+        assert np.isnan(risks[0]).tolist() == [False, True, True]
+
+
 def test_an_unseen_cell_makes_a_path_unknown_from_then_on_unless_a_contact_came_first():
     paths, targets, _ = hand_drawn([(3, 4, 4)], [], hidden=[(2, 4, 3)])
-    events = events_of(paths, targets[1:], has_truth=False)
+    events = events_of(paths, states_of(targets[1:]), has_truth=False)
     assert (events.unseen, events.contact) == ([2], [3])
     paths, targets, _ = hand_drawn([], [], hidden=[(2, 4, 3)])
-    assert events_of(paths, targets[1:], has_truth=False).contact == [NEVER]
+    assert events_of(paths, states_of(targets[1:]), has_truth=False).contact == [NEVER]
 
 
 def test_with_truth_hidden_outlines_and_interiors_are_contacts_and_nothing_is_unknown():
     for state in (HIDDEN_OCCUPIED, NOT_SCORED, HIDDEN_FREE):
         paths, targets, _ = hand_drawn([], [], hidden=[(2, 4, 3)])
         targets[2].state[4, 3] = state
-        events = events_of(paths, targets[1:], has_truth=True)
+        events = events_of(paths, states_of(targets[1:]), has_truth=True)
         assert events.contact == [NEVER if state == HIDDEN_FREE else 2]
         assert events.unseen == [NEVER]
 
@@ -222,6 +295,18 @@ def test_lead_time_is_the_time_until_the_contact_of_an_alarm_that_stays_on():
     for one in late[::2]:  # every other forecast sees nothing coming
         one.forecast.occupancy[:] = 0.0
     assert foresight(late)["lead_time"] < 0.8 * whole
+
+
+@pytest.mark.parametrize("dtype", [bool, np.float16])
+def test_sampled_futures_give_the_probability_of_a_contact(dtype):
+    scenes = walker_scene(oracle)
+    for number, one in enumerate(scenes):
+        later = one.forecast.occupancy
+        futures = np.stack([later, later, later, np.zeros_like(later)]).astype(dtype)
+        scenes[number] = replace(one, forecast=replace(one.forecast, futures=futures))
+    found = foresight(scenes)
+    share = found["contact_share"]
+    assert found["sampled_log_loss"] == pytest.approx(-share * np.log(0.75) - (1 - share) * np.log(1 - CLIP))
 
 
 def test_too_few_paths_leave_a_forecast_out_and_are_counted():
