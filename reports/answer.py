@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from gridtrack.common.notices import joined_names
 from gridtrack.evaluation.runs.summary import TrackerSummary, TrialSummary
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 from gridtrack.reports.differences import SIGNIFICANT_VERDICTS
@@ -13,7 +14,7 @@ from gridtrack.reports.measurements import keeps_up_of
 from gridtrack.reports.notices import failures_of
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.run_description import Fact
-from gridtrack.reports.table import HeadlineTable, TableRow, headline_tables, joined_names, main_tables, row_key
+from gridtrack.reports.table import HeadlineTable, TableRow, headline_tables, main_tables, row_key
 
 NAMED_ROWS = 2
 """Names of rows in the main result beyond this number are counted."""
