@@ -1,4 +1,5 @@
 // A figure of the page: choices, a drawing, one line of description, and its downloads.
+import { inAddress, keepInAddress } from "./address.js";
 import { downloadButtons } from "./downloads.js";
 import { draw, make, meaning, svgText, swatch } from "./drawing.js";
 import { lineChart, numbersOfChart } from "./line_chart.js";
@@ -15,6 +16,7 @@ let firstWidth = 0; // of the figure drawn first: all are as wide, and to measur
 export function startFigure(figure) {
   const { id, title, chosen } = figure;
   const section = document.getElementById(id) ?? newSection(id, title);
+  takeFromAddress(figure);
   const heading = section.querySelector("h2").textContent.toLowerCase().replaceAll(" ", "-");
   const holder = make("div", { class: "drawn" });
   const note = make("p", { class: "note" });
@@ -31,7 +33,10 @@ export function startFigure(figure) {
     printed.replaceChildren(make("span", {}, words()), ...legend().map(({ name, style }) => make("span", {}, swatch(style), name)));
     note.replaceChildren(figure.line(chosen), " ", meaning(heading));
   };
-  const controls = make("div", { class: "controls" }, choiceBar(figure.choices, chosen, redraw));
+  const controls = make("div", { class: "controls" }, choiceBar(figure.choices, chosen, () => {
+    redraw();
+    keepInAddress(id, figure.choices(chosen).map(([key, , , taken = chosen[key]]) => taken));
+  }));
   section.append(controls, printed, holder, note);
   section.hidden = false;
   firstWidth ||= holder.clientWidth;
@@ -49,6 +54,15 @@ export function startFigure(figure) {
     width = holder.clientWidth;
     redraw();
   }).observe(section);
+}
+
+// The choices of a figure in the address, as far as they are options.
+function takeFromAddress({ id, choices, chosen }) {
+  (inAddress(id) ?? []).forEach((text, at) => {
+    const [key, , options] = choices(chosen)[at] ?? [];
+    const found = options?.find(([value]) => String(value) === text);
+    if (found) [chosen[key]] = found;
+  });
 }
 
 // Whether the table of a figure, headings first, has no value after its first column of names or places.

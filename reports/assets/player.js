@@ -1,8 +1,9 @@
 // The player of one recording: kept forecasts over time and horizon, one to four trackers side by side.
+import { keepInAddress } from "./address.js";
 import { inSeconds, make, meaning, nearest } from "./drawing.js";
 import { busiestCell, cameColour, cssColour, MARK_COLOURS, truthColour, unpackedMoment } from "./moment_cells.js";
 import { MomentCanvas, MomentDrawing } from "./moment_drawing.js";
-import { linkOf, MOST_DIFFERENT, outstandingMoment, WORST } from "./moments.js";
+import { IN_ADDRESS, MOST_DIFFERENT, outstandingMoment, WORST } from "./moments.js";
 import { isShown } from "./shown_trackers.js";
 
 const MOST_PANELS = 4;
@@ -28,7 +29,6 @@ export class Player {
     this.menus = this.chosen.map((_, at) => this.trackerMenu(at));
     this.jumps = new Map([[WORST, "worst of the first"], [MOST_DIFFERENT, "most different of the first two"]]
       .map(([kind, words]) => [kind, button(words, () => this.jump(kind))]));
-    this.link = make("a", { href: "#" }, "link to this moment");
     this.wipeSlider = slider("wipe", this.data.size, (column) => this.go({ split: column }));
     this.why = make("output", { class: "why" });
     const zooms = [[1, "all that fits"], [2, "twice"], [4, "four times"]];
@@ -41,7 +41,7 @@ export class Player {
         check("hits and errors", true, (marks) => this.go({ marks })),
         check("boxes", true, (boxes) => this.go({ boxes })),
         check("wipe between the first two", false, (wipe) => this.go({ wipe })),
-        this.wipeSlider.element, this.link, this.why),
+        this.wipeSlider.element, this.why),
     );
     this.panels = make("div", { class: "moment-panels" });
     this.legend = markLegend(this.data.hidden_known);
@@ -67,6 +67,7 @@ export class Player {
     return menu(`tracker ${at + 1}`, options, this.chosen[at], (value) => {
       this.chosen[at] = value;
       this.arrange();
+      this.keep();
     });
   }
 
@@ -111,7 +112,13 @@ export class Player {
     this.show();
   }
 
+  // A change by the user.
   go(change) {
+    this.change(change);
+    this.keep();
+  }
+
+  change(change) {
     const wiped = this.wipe;
     if ("moment" in change || "h" in change) this.remark = "";
     Object.assign(this, change);
@@ -146,7 +153,7 @@ export class Player {
   // To the most interesting moment.
   begin() {
     const found = [MOST_DIFFERENT, WORST].map((kind) => this.outstanding(kind)).find(({ moment }) => moment !== undefined);
-    if (found) this.go(found);
+    if (found) this.change(found);
   }
 
   get ahead() {
@@ -235,9 +242,14 @@ export class Player {
     this.wipeSlider.input.value = this.split;
     this.legend.hidden = !this.marks;
     this.why.textContent = `moment ${moment + 1} of ${data.moments.length}${this.remark}`;
-    const trackers = this.shown.map((tracker) => data.trackers[tracker]);
-    this.link.href = linkOf({ recording: data.recording, seconds: t, horizon: data.horizons_s[h], trackers });
     this.element.dataset.ready = `${moment} ${h}`;
+  }
+
+  // The moment on screen goes into the address.
+  keep() {
+    const { recording, trackers, horizons_s: horizons, moments } = this.data;
+    const labels = this.shown.map((tracker) => trackers[tracker]);
+    keepInAddress(IN_ADDRESS, [recording, moments[this.moment].t, horizons[this.h], ...labels]);
   }
 
   // The choices that carry over to another recording: the labels of trackers, and the horizon in seconds.
@@ -259,6 +271,7 @@ export class Player {
     this.moment = nearest(this.data.moments.map(({ t }) => t), link.seconds);
     this.arrange();
     this.element.scrollIntoView();
+    return this;
   }
 }
 
