@@ -2,19 +2,25 @@
 import { downloadButtons } from "./downloads.js";
 import { inDigits, inSeconds, make, nearest } from "./drawing.js";
 import { choiceBar } from "./figure.js";
-import { FEW_CELLS, momentF1, occupiedCells } from "./moments.js";
+import { FEW_CELLS, momentF1, occupiedCells, robotCounts } from "./moments.js";
 import { pageData } from "./page_data.js";
 import { isShown, whenShownChange } from "./shown_trackers.js";
 
 const EVERY_RECORDING = "", WITH_MOTION = "motion", EVERY_MOMENT = "every";
 
-// A column: { key, name, of(line) } or, for the first two, words alone. Values sort downwards first.
-const momentColumns = ({ names }) => [
+// The columns of the list; those with `digits` are numbers and sort downwards first.
+const momentColumns = (players, { one, other }) => [
   { key: "recording", name: "recording" },
   { key: "seconds", name: "time, s", digits: 1 },
-  { key: "one", name: `F1 of ${names[0]}`, digits: 2 },
-  { key: "other", name: `F1 of ${names[1]}`, digits: 2 },
+  { key: "one", name: `F1 of ${nameOf(one)}`, digits: 2 },
+  { key: "other", name: `F1 of ${nameOf(other)}`, digits: 2 },
   { key: "difference", name: "difference", digits: 2 },
+  ...(players.some(({ moments }) => moments.some(({ robots }) => robots)) ? contactColumns(nameOf(one)) : []),
+];
+const contactColumns = (name) => [
+  { key: "contacts", name: "contacts", digits: 0 },
+  { key: "missed", name: `missed by ${name}`, digits: 0 },
+  { key: "needless", name: `needless of ${name}`, digits: 0 },
 ];
 
 // Fills a section below the players. `momentsOf(recording)`: its data; `open(link)`: shows a moment in the player.
@@ -51,6 +57,7 @@ function choicesOf(players, labels, chosen) {
     ["moments", "Moments", [[EVERY_MOMENT, "all"], [WITH_MOTION, `with ${FEW_CELLS} cells in motion or more`]]]];
 }
 
+const isNumber = ({ digits }) => digits !== undefined;
 const nameOf = (label) => pageData.trackers.find((one) => one.label === label).name;
 
 // The lines that the choices leave, in their order; undefined values come last.
@@ -72,21 +79,25 @@ function lineOfMoment(player, moment, { one, other, ahead_s }) {
   const scores = [of(one), of(other)];
   const difference = scores.includes(null) ? null : scores[0] - scores[1];
   const { recording } = player, seconds = player.moments[moment].t;
-  return { recording, seconds, one: scores[0], other: scores[1], difference, cells: occupiedCells(player, moment, h) };
+  const tracker = player.trackers.indexOf(one), robots = isShown(one) ? robotCounts(player, moment, tracker) : null;
+  return {
+    recording, seconds, one: scores[0], other: scores[1], difference, cells: occupiedCells(player, moment, h),
+    contacts: robots && robots.foreseen + robots.missed, missed: robots?.missed ?? null, needless: robots?.needless ?? null,
+  };
 }
 
 function drawList(players, chosen, order, open, redraw) {
-  const columns = momentColumns({ names: [nameOf(chosen.one), nameOf(chosen.other)] });
+  const columns = momentColumns(players, chosen);
   const sorted = ({ key }) => (key === order.key ? (order.down ? "descending" : "ascending") : null);
   const heading = (column) => {
     const button = make("button", { type: "button", class: "sorts" }, column.name);
     button.addEventListener("click", () => {
-      Object.assign(order, { key: column.key, down: column.key === order.key ? !order.down : Boolean(column.digits) });
+      Object.assign(order, { key: column.key, down: column.key === order.key ? !order.down : isNumber(column) });
       redraw();
       document.querySelector(`.sorts[data-key="${column.key}"]`).focus();
     });
     button.dataset.key = column.key;
-    return make("th", { scope: "col", "aria-sort": sorted(column), class: column.digits ? null : "name" }, button);
+    return make("th", { scope: "col", "aria-sort": sorted(column), class: isNumber(column) ? null : "name" }, button);
   };
   const lines = momentLines(players, chosen, order);
   const rows = lines.map((line) => make("tr", {}, ...columns.map((column) => cellOf(line, column, chosen, open))));
@@ -96,8 +107,8 @@ function drawList(players, chosen, order, open, redraw) {
       make("table", {}, make("thead", {}, make("tr", {}, ...columns.map(heading))), make("tbody", {}, ...rows))));
 }
 
-function cellOf(line, { key, digits }, { one, other, ahead_s }, open) {
-  if (digits) return make("td", {}, inDigits(line[key], digits));
+function cellOf(line, column, { one, other, ahead_s }, open) {
+  if (isNumber(column)) return make("td", {}, inDigits(line[column.key], column.digits));
   const button = make("button", { type: "button", class: "opens-moment" }, line.recording);
   const { recording, seconds } = line;
   button.addEventListener("click", () => open({ recording, seconds, horizon: ahead_s, trackers: [...new Set([one, other])] }));
@@ -105,6 +116,6 @@ function cellOf(line, { key, digits }, { one, other, ahead_s }, open) {
 }
 
 function numbersOf(players, chosen, order) {
-  const columns = momentColumns({ names: [nameOf(chosen.one), nameOf(chosen.other)] });
+  const columns = momentColumns(players, chosen);
   return [columns.map(({ name }) => name), ...momentLines(players, chosen, order).map((line) => columns.map(({ key }) => line[key]))];
 }

@@ -34,6 +34,39 @@ export function scoreText(player, moment, h, tracker) {
   return `F1 ${f1 === null ? "–" : f1.toFixed(2)}: ${tp} hit, ${fp} false, ${fn} missed`;
 }
 
+// The paths of virtual robots of a moment by the alarms of a tracker, { place, velocity, until_s, kind }; null without
+// alarms. Kinds: FORESEEN and MISSED contacts, and NEEDLESS alarms on clear paths.
+export const FORESEEN = "contact foreseen", MISSED = "contact missed", NEEDLESS = "needless alarm", TOUCHED = "contact";
+
+export function robotsOf(player, moment, tracker) {
+  const { paths, alarms } = player.moments[moment].robots ?? { alarms: [] };
+  if (!alarms[tracker]) return null;
+  const kindOf = (contact, alarm) => (contact ? (alarm ? FORESEEN : MISSED) : alarm ? NEEDLESS : null);
+  return paths.map(([x, y, vx, vy, until_s, contact], i) =>
+    ({ place: [x, y], velocity: [vx, vy], until_s, kind: kindOf(contact, alarms[tracker][i] === "1") }))
+    .filter(({ kind }) => kind);
+}
+
+// The paths of a moment that end in a contact.
+export function contactsOf(player, moment) {
+  return (player.moments[moment].robots?.paths ?? []).filter((path) => path[5])
+    .map(([x, y, vx, vy, until_s]) => ({ place: [x, y], velocity: [vx, vy], until_s, kind: TOUCHED }));
+}
+
+// Numbers of paths by kind for a tracker; null without alarms.
+export function robotCounts(player, moment, tracker) {
+  const robots = robotsOf(player, moment, tracker);
+  const number = (kind) => robots.filter((one) => one.kind === kind).length;
+  return robots && { foreseen: number(FORESEEN), missed: number(MISSED), needless: number(NEEDLESS) };
+}
+
+export function robotWords(player, moment, tracker) {
+  const counts = robotCounts(player, moment, tracker);
+  if (!counts) return "";
+  const { foreseen, missed, needless } = counts;
+  return `; ${foreseen} of ${foreseen + missed} contacts foreseen, ${needless} needless`;
+}
+
 // Kinds of outstanding moments for the first `trackers` on screen, with a high `value`; null if a moment is of another
 // kind. Worst: the lowest F1 of moments with occupied cells. Different: the largest range of F1. Moments with few
 // occupied cells come last: F1 of one cell is 0 or 1 by chance.
