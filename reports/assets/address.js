@@ -1,5 +1,6 @@
 // The view in the address of the page: #key=part,part&key=..., each part escaped. A reload or a copied link shows it again.
-const view = viewOf(location.hash);
+const followers = new Map(); // by key: they follow another address without a reload
+let view = viewOf(location.hash);
 
 function viewOf(hash) {
   const keys = new Map();
@@ -22,7 +23,18 @@ export function keepInAddress(key, parts) {
   history.replaceState(null, "", `#${texts.join("&")}`);
 }
 
-// Calls `listener` after the user went to another address, with its parts of the key; null if it lacks the key.
-export function whenAddressChanges(key, listener) {
-  window.addEventListener("hashchange", () => listener(viewOf(location.hash).get(key) ?? null));
+// Calls `follower` with the parts of the key, null if it lacks them, after the user went to another address. If that
+// differs in another key, the page is loaded again.
+export function whenAddressChanges(key, follower) {
+  followers.set(key, follower);
 }
+
+window.addEventListener("hashchange", () => {
+  const now = viewOf(location.hash), before = view;
+  if (!now.size) return; // a place on the page
+  view = now;
+  const changed = [...new Set([...now.keys(), ...before.keys()])]
+    .filter((key) => String(now.get(key)) !== String(before.get(key)));
+  if (changed.some((key) => !followers.has(key))) location.reload();
+  else for (const key of changed) followers.get(key)(inAddress(key));
+});

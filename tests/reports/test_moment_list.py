@@ -104,3 +104,13 @@ def test_the_address_has_choices_rows_and_moment_and_is_copied(opened, hostile_r
     assert blank.get_attribute("aria-pressed") == "false"
     assert page.locator("[data-tracker=blank]:visible").count() == 0
     player.locator(".why", has_text="moment 8 of 20").wait_for()
+
+
+def test_a_link_that_is_entered_on_the_open_page_is_followed(opened):
+    page, player = opened()
+    page.evaluate("location.hash = 't=crossing,2.5,1,good'")
+    player.locator(".why", has_text="moment 6 of 20").wait_for()
+    page.evaluate("location.hash = 'hidden=blank&t=crossing,2.5,1,good'")
+    blank = page.locator("#trackers").get_by_role("button", name="blank", exact=True)
+    page.locator("#trackers button[aria-pressed=false]", has_text="blank").wait_for()
+    assert blank.get_attribute("aria-pressed") == "false"
