@@ -13,7 +13,7 @@ from gridtrack.common.errors import bounded_line
 
 Line = Annotated[str, AfterValidator(bounded_line)]
 """A sentence for people, which may quote untrusted input: one printable line of bounded length."""
-MOST_NAMES = 3
+MOST_NAMED = 3
 """A line names so many recordings or rows; of more it gives their number."""
 PLACE = "{}"
 """The place of a value in the kind of a notice."""
@@ -66,7 +66,7 @@ def _together(found: Sequence[Notice], recordings: Collection[str]) -> NoticesOf
     names = list(dict.fromkeys(one.recording for one in found if one.recording))
     where = " on ".join(filter(None, (counted(rows, "rows"), counted(names, "recordings", recordings))))
     is_one_text = len({one.text for one in found}) == 1
-    is_complete = is_one_text and len(found) == max(len(rows), len(names)) <= MOST_NAMES
+    is_complete = is_one_text and len(found) == max(len(rows), len(names)) <= MOST_NAMED
     text = found[0].text if is_complete else _with_ranges(found)
     members = () if is_complete else tuple(one.subject if is_one_text else str(one) for one in found)
     return NoticesOfAKind(f"{where}: {text}" if where else text, members)
@@ -83,7 +83,7 @@ def _with_ranges(found: Sequence[Notice]) -> str:
 
 def counted(names: Sequence[str], noun: str, every: Collection[str] = ()) -> str:
     """The names if they are few, else their number; of the number of `every` name, if they are among these."""
-    if len(names) <= MOST_NAMES:
+    if len(names) <= MOST_NAMED:
         return joined_names(names)
     if not set(names) <= set(every):
         return f"{len(names)} {noun}"

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from gridtrack.common.errors import MAX_LINE_CHARS
-from gridtrack.common.notices import MOST_NAMES, NoticesOfAKind, by_kind, counted
+from gridtrack.common.notices import MOST_NAMED, NoticesOfAKind, by_kind, counted
 from gridtrack.evaluation.runs.summary import TrialSummary
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow, outcome_words
@@ -123,4 +123,4 @@ def _before(names: Sequence[str], runs: Sequence[ReportedRun]) -> str:
 
 def _list_of(recordings: Sequence[str]) -> tuple[str, ...]:
     """The recordings that `counted` does not name."""
-    return tuple(recordings) if len(recordings) > MOST_NAMES else ()
+    return tuple(recordings) if len(recordings) > MOST_NAMED else ()

@@ -14,7 +14,7 @@ import numpy as np
 from gridtrack.common.grid import GridSpec, Mask, nearest_step
 from gridtrack.evaluation.referee.samples import SAMPLES, Sample, SamplesError, read_samples
 from gridtrack.evaluation.runs.run_record import RUN_FILE, RecordingIdentity
-from gridtrack.evaluation.scores.contact_foresight import SHOWN_S
+from gridtrack.evaluation.scores.contact_foresight import ROBOTS_AHEAD_S
 from gridtrack.reports.moments import (
     ChosenMoment,
     FrameScore,
@@ -100,7 +100,7 @@ def _alarm_risks(run: ReportedRun, tables: Sequence[HeadlineTable]) -> dict[str,
     """The least risk of an alarm of each row, over the recordings of all tables. Raises ReportError."""
     trials: dict[str, list[tuple[Path, int]]] = defaultdict(list)
     for table in tables:
-        step = nearest_step(SHOWN_S, _identity(run, table).period_s)
+        step = nearest_step(ROBOTS_AHEAD_S, _identity(run, table).period_s)
         for row in table.rows:
             folder = run.trial_folder(row.label, table.recording)
             trials[row.label] += [(folder, step)] if (folder / SAMPLES).exists() else []
@@ -139,7 +139,7 @@ def player_of(
     time_of = _clock(described, min(reference))
     thresholds = {row.label: _thresholds(row, steps) for row in trackers}
     moments = _within_budget(order, trackers, samples, scores, steps, thresholds, alarm_risks, time_of, budget)
-    robots_ahead = nearest_step(SHOWN_S, described.period_s)
+    robots_ahead = nearest_step(ROBOTS_AHEAD_S, described.period_s)
     data = {
         "recording": table.recording,
         "size": first.grid.size,

@@ -44,7 +44,7 @@ from gridtrack.evaluation.scores.definition import (
 )
 from gridtrack.evaluation.scores.pr_auc import area_under_precision_recall
 
-SHOWN_S = 1.0
+ROBOTS_AHEAD_S = 1.0
 """The horizon of the paths that are kept to be shown, seconds."""
 LONGEST_S = 2.0
 """The longest horizon, seconds."""
@@ -141,11 +141,11 @@ def paths_of(forecast: ScoredForecast, facts: TrialFacts) -> Paths:
 
 
 def robots_of(forecast: ScoredForecast, facts: TrialFacts, origin: tuple[float, float]) -> RobotPaths | None:
-    """The paths of a forecast with an outcome within SHOWN_S, to be shown; `origin` of the grid, metres.
+    """The paths of a forecast with an outcome within ROBOTS_AHEAD_S, to be shown; `origin` of the grid, metres.
 
     None if a forecast has too few paths, or does not reach so far.
     """
-    shown, last = nearest_step(SHOWN_S, facts.period_s), longest(facts)
+    shown, last = nearest_step(ROBOTS_AHEAD_S, facts.period_s), longest(facts)
     paths = paths_of(forecast, facts) if 1 <= shown <= last else None
     if paths is None or len(paths) < LEAST_PATHS:
         return None

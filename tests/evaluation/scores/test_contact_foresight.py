@@ -12,7 +12,7 @@ from gridtrack.evaluation.scores.cells import PROBABILITY_BINS
 from gridtrack.evaluation.scores.contact_foresight import (
     CONTACT_FORESIGHT,
     LEAST_PATHS,
-    SHOWN_S,
+    ROBOTS_AHEAD_S,
     _first_at,
     _last_at,
     alarm_risk,
@@ -271,12 +271,12 @@ def test_the_paths_that_are_kept_have_the_contacts_and_the_alarms_of_the_score()
     forecast = random_scene(3)
     known = {"robot": ROBOT, "period_s": PERIOD_S}
     strata, sums = counted(CONTACT_FORESIGHT, forecast, **known)
-    step = round(SHOWN_S / PERIOD_S)
+    step = round(ROBOTS_AHEAD_S / PERIOD_S)
     contacts, clears = (sums.block(name)[step, strata.index("dynamic")] for name in ("contacts", "clears"))
     robots = robots_of(forecast, facts_of(forecast, **known), (-2.0, 5.0))
     met = robots.contact == 1
     assert (met.sum(), (~met).sum()) == (contacts.sum(), clears.sum())
-    assert robots.until_s[~met].tolist() == [SHOWN_S] * int((~met).sum())
+    assert robots.until_s[~met].tolist() == [ROBOTS_AHEAD_S] * int((~met).sum())
     assert set((robots.until_s[met] / PERIOD_S).tolist()) <= set(range(1, step + 1))
     alarm = robots.risks >= alarm_risk(clears)
     assert 0.02 < alarm[~met].mean() <= 0.05
