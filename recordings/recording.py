@@ -8,10 +8,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 
 from gridtrack.common.errors import RecordingError, bounded_line, did_you_mean
 from gridtrack.common.files import name_from, sha256_of
+from gridtrack.common.notices import Notice
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.file_reading import DamageError, Growth
 from gridtrack.recordings.meaning import with_meaning
@@ -19,12 +21,11 @@ from gridtrack.recordings.overview import RecordingOverview, SensorOverview
 from gridtrack.recordings.read_options import Mount, ReadOptions
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.recordings.stamp_order import StampOrder
-from gridtrack.recordings.survey import SensorSurvey, Survey
+from gridtrack.recordings.survey import Survey
 
 MAX_WARNINGS, MAX_LISTED_TOPICS = 100, 1000
 """Limits of the warnings about a recording, and of the topics that are listed."""
-MATCHED_POSES = ("kiss-icp", "refined")
-"""Beginnings of `RecordingInfo.poses` for poses from matching the scans: they agree with the scans."""
+IN_BURSTS = "the stamps come in bursts: at the rate of their median many frames are empty"
 NO_MORE_WARNINGS = f"more than {MAX_WARNINGS} warnings: the others are left out"
 
 
@@ -66,14 +67,14 @@ def scans_between(scans: Iterable[Scan], start_s: float | None, end_s: float | N
 class Recording(ABC):
     """A file of scans, read as a stream.
 
-    `warnings` has one line for each fault in the part that has been read, even if it is read several times; `damage` is
-    the reason why the rest of the file cannot be read. With the option `strict` the first fault raises RecordingError.
+    `notices` has one for each fault in the part that has been read, even if it is read several times; `damage` is the
+    reason why the rest of the file cannot be read. With the option `strict` the first fault raises RecordingError.
     """
 
     def __init__(self, path: Path, options: ReadOptions) -> None:
         self.path = path
         self.options = options
-        self.warnings: list[str] = []
+        self.notices: list[Notice] = []
         self.damage = ""
         self.growth: Growth | None = None
         """For a file that is still being written; None: the file is finished."""
@@ -93,6 +94,11 @@ class Recording(ABC):
         For a file that is still being written, of the part that is read.
         """
         return sha256_of(self.path, self.growth.limit if self.growth else None)
+
+    @property
+    def warnings(self) -> list[str]:
+        """The notices, a line each, with the path of the recording."""
+        return [bounded_line(f"{self.path}: {notice.text}") for notice in self.notices]
 
     @property
     def scans_version(self) -> str:
@@ -177,8 +183,8 @@ class Recording(ABC):
         topics, survey = Topics(), Survey()
         for scan in self._in_order(topics):
             survey.add(scan)
-        for text in self._found_by(survey):
-            self.notify(text)
+        for found in self._found_by(survey):
+            self.notify(found)
         if problem := self._pose_problem_of(survey):
             self.notify(problem)
         survey.topics = {topic: (kind, topics.counts[topic]) for topic, kind in topics.types.items()}
@@ -192,7 +198,7 @@ class Recording(ABC):
 
     def survey_again(self) -> None:
         """Forget `survey`, `sha256` and the warnings, because the file has grown; the next use finds them again."""
-        self.warnings.clear()
+        self.notices.clear()
         for name in ("survey", "sha256"):
             self.__dict__.pop(name, None)
 
@@ -201,32 +207,37 @@ class Recording(ABC):
         if problem := self._pose_problem_of(self.survey):
             raise RecordingError(f"{self.path}: {problem}")
 
-    def _found_by(self, survey: Survey) -> list[str]:
-        """The warnings about the scans; poses from matching the scans are not compared with them."""
-        drift = ""
-        if not self.pose_problem and not self.info.poses.startswith(MATCHED_POSES):
-            lines = ((name, self._drift_of(name, sensor)) for name, sensor in survey.sensors.items())
-            drift = next((f"sensor '{name}': {text}" for name, text in lines if text), "")
-        alternating = [
-            f"sensor '{name}': its scans alternate between two views, as those of two lasers on one topic do:"
-            f" {self.separate_lasers_with(name)}"
-            for name, sensor in survey.sensors.items()
-            if sensor.alternation.is_found(len(sensor.stamps))
-        ]
-        bursts = [
-            f"sensor '{name}': {sensor.bursts}" + (f", or {self.stamp_remedy}" if self.stamp_remedy else "")
-            for name, sensor in survey.sensors.items()
-            if sensor.bursts
-        ]
-        return [*alternating, *bursts, *survey.warnings(), *([drift] if drift else [])]
+    def _found_by(self, survey: Survey) -> Iterator[Notice]:
+        """The notices about the scans; poses from matching the scans are not compared with them."""
+        for name, sensor in survey.sensors.items():
+            if sensor.alternation.is_found(len(sensor.stamps)):
+                yield Notice(
+                    text=f"sensor '{name}': its scans alternate between two views, as those of two lasers on one topic"
+                    f" do: {self.separate_lasers_with(name)}",
+                    kind="the scans alternate between two views, as those of two lasers on one topic do",
+                )
+        for name, sensor in survey.sensors.items():
+            if sensor.bursts:
+                remedy = f", or {self.stamp_remedy}" if self.stamp_remedy else ""
+                yield Notice(text=f"sensor '{name}': {sensor.bursts}{remedy}", kind=IN_BURSTS)
+        yield from survey.notices()
+        if not self.pose_problem and not self.info.has_matched_poses:
+            yield from islice(self._drifts(survey), 1)
 
-    def _drift_of(self, name: str, sensor: SensorSurvey) -> str:
-        """A line about poses of a sensor that disagree with its scans; else empty."""
-        if not sensor.moved:
-            return sensor.rest.unrest(self.import_command(["--ego-motion", "kiss-icp"]))
-        if turn_deg := sensor.drift.turn_deg:
-            return sensor.drift.wrong_mount(turn_deg, self.mount_remedy(name, turn_deg))
-        return sensor.drift.problem(self.import_command(["--ego-motion", "refined"]))
+    def _drifts(self, survey: Survey) -> Iterator[Notice]:
+        """A notice of each sensor with poses that disagree with its scans."""
+        for name, sensor in survey.sensors.items():
+            if not sensor.moved:
+                text = sensor.rest.unrest(self.import_command(["--ego-motion", "kiss-icp"]))
+                kind = "no motion is recorded, but the sensor moves: every score is of moving walls"
+            elif turn_deg := sensor.drift.turn_deg:
+                text = sensor.drift.wrong_mount(turn_deg, self.mount_remedy(name, turn_deg))
+                kind = "the poses disagree with the scans, and agree if the sensor is turned"
+            else:
+                text = sensor.drift.problem(self.import_command(["--ego-motion", "refined"]))
+                kind = "the poses disagree with the scans: trackers with a memory smear the walls and score worse"
+            if text:
+                yield Notice(text=f"sensor '{name}': {text}", kind=kind)
 
     def _pose_problem_of(self, survey: Survey) -> str:
         if self.pose_problem or len(survey.sensors) < 2 or len(set(survey.poses.values())) > 1:
@@ -255,13 +266,12 @@ class Recording(ABC):
 
     def warning_texts(self) -> list[str]:
         """The warnings without the path of the recording."""
-        return [line.removeprefix(f"{self.path}: ") for line in self.warnings]
+        return [notice.text for notice in self.notices]
 
     def warnings_for_copy(self) -> list[str]:
         """The warnings that a copy cannot find itself: all but those about the scans."""
-        found = self._found_by(self.survey) if "survey" in self.__dict__ else []
-        lines = {bounded_line(f"{self.path}: {text}") for text in found}
-        return [text for line, text in zip(self.warnings, self.warning_texts(), strict=True) if line not in lines]
+        found = {one.text for one in self._found_by(self.survey)} if "survey" in self.__dict__ else set()
+        return [text for text in self.warning_texts() if text not in found]
 
     def warn(self, text: str) -> None:
         """Add a warning about an error in the file, once. Raises RecordingError instead with the option `strict`."""
@@ -269,12 +279,12 @@ class Recording(ABC):
             raise RecordingError(text)
         self.notify(text)
 
-    def notify(self, text: str) -> None:
+    def notify(self, found: str | Notice) -> None:
         """Add a warning that is not about an error in the file, once."""
-        line = bounded_line(f"{self.path}: {text}")
-        if line not in self.warnings and len(self.warnings) <= MAX_WARNINGS:
-            full = len(self.warnings) == MAX_WARNINGS
-            self.warnings.append(f"{self.path}: {NO_MORE_WARNINGS}" if full else line)
+        notice = Notice(text=found) if isinstance(found, str) else found
+        if notice.text not in self.warning_texts() and len(self.notices) <= MAX_WARNINGS:
+            full = len(self.notices) == MAX_WARNINGS
+            self.notices.append(Notice(text=NO_MORE_WARNINGS) if full else notice)
 
     def _in_order(self, topics: Topics) -> Iterator[Scan]:
         order = StampOrder(self.warn, lambda: self.stamp_remedy)
@@ -314,8 +324,8 @@ class Recording(ABC):
         """Why no scan was found, and the remedy."""
         topic = self.options.topic
         present = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.types.items())) or "none"
-        if self.warnings:
-            last = self.warnings[-1].removeprefix(f"{self.path}: ")
+        if self.notices:
+            last = self.notices[-1].text
             if self.damage:
                 return f"no scans before the damage ({last}): copy the file again from its origin, or repair it"
             return f"no scan can be used: {last}"

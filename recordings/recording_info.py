@@ -15,6 +15,12 @@ Stretch = tuple[float, float | None]
 """(start, end) in seconds from the recording's first scan; the end is excluded, None is the end of the recording."""
 
 
+NO_MOTION = "no motion recorded: assumed at rest (if the robot drives: --ego-motion kiss-icp)"
+"""The end of `RecordingInfo.poses` if the sensors are at rest by assumption."""
+MATCHED_POSES = ("kiss-icp", "refined")
+"""Beginnings of `RecordingInfo.poses` for poses from matching the scans: they agree with the scans."""
+
+
 def stretch_text(stretch: Stretch) -> str:
     """A stretch as on the command line: `75s-90s`, or `90s-` to the end."""
     start_s, end_s = stretch
@@ -46,6 +52,16 @@ class RecordingInfo(Settings):
         if not self.poses:
             del values["poses"]
         return values
+
+    @property
+    def assumes_rest(self) -> bool:
+        """Whether no motion is recorded, and the user has not said that the sensors are at rest."""
+        return self.poses.endswith(NO_MOTION)
+
+    @property
+    def has_matched_poses(self) -> bool:
+        """Whether the poses are from matching the scans."""
+        return self.poses.startswith(MATCHED_POSES)
 
     @field_validator("grid")
     @classmethod

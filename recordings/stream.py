@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Points, window_about
+from gridtrack.common.notices import Notice
 from gridtrack.common.scan import MAX_RATE_HZ, MIN_RATE_HZ, Scan
 from gridtrack.recordings import Recording, open_recording
 from gridtrack.recordings.observation import Observation, check_labels, frame_of, labelled_returns
@@ -267,10 +268,15 @@ class GridStream:
         ]
         if gaps and len(survey.sensors) == 1:
             longest = max(gaps, key=lambda gap: int(gap[1] - gap[0]))
+            longest_s = round((longest[1] - longest[0]) / 1e9, 2)
             self.recording.notify(
-                f"gaps longer than two periods of {self.period_s:g} s in {stretch_text(self.stretch_s)}: {len(gaps)},"
-                f" the longest {(longest[1] - longest[0]) / 1e9:.2f} s from"
-                f" {(longest[0] - survey.first_ns) / 1e9:.2f} s on; frames in them are empty"
+                Notice(
+                    text=f"gaps longer than two periods of {self.period_s:g} s in {stretch_text(self.stretch_s)}:"
+                    f" {len(gaps)}, the longest {longest_s:.2f} s from"
+                    f" {(longest[0] - survey.first_ns) / 1e9:.2f} s on; frames in them are empty",
+                    kind="{} gaps between scans, the longest {} s; frames in them are empty",
+                    values=(len(gaps), longest_s),
+                )
             )
         return len(gaps)
 

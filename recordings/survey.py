@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.files import atomic_write
 from gridtrack.common.geometry import SE2, same_pose
+from gridtrack.common.notices import Notice
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.alternation import Alternation
 from gridtrack.recordings.meaning import END_M, at_end
@@ -129,32 +130,39 @@ class SensorSurvey:
             f" {median_s * 1e3:.3g} ms after another: frames at that distance are empty: give --rate {1 / mean_s:.3g}"
         )
 
-    def warnings(self, first_ns: int) -> Iterator[str]:
-        """The warnings about ranges and poses; `first_ns` is the stamp of the recording's first scan."""
-        for text in (*self._about_ranges(), self.jumps.warning(first_ns)):
-            if text:
-                yield f"sensor '{self.first.sensor}': {text}"
+    def notices(self, first_ns: int) -> Iterator[Notice]:
+        """The notices about ranges and poses; `first_ns` is the stamp of the recording's first scan."""
+        for one in (*self._about_ranges(), *self._about_jumps(first_ns)):
+            yield one.model_copy(update={"text": f"sensor '{self.first.sensor}': {one.text}"})
 
-    def _about_ranges(self) -> Iterator[str]:
-        """Warnings about ranges that measure nothing, or else about many that are invalid, exactly 0.0, or at the end
-        of the range."""
+    def _about_jumps(self, first_ns: int) -> Iterator[Notice]:
+        if text := self.jumps.warning(first_ns):
+            yield Notice(text=text, kind="the poses jump: walls are in two places there")
+
+    def _about_ranges(self) -> Iterator[Notice]:
+        """Notices of ranges that measure nothing, or else of many that are invalid, exactly 0.0, or at the end of the
+        range."""
         if nothing := self.nothing_measured():
-            yield nothing
+            yield Notice(text=nothing)
             return
         at_end, invalid, zeros = (count / max(self.readings, 1) for count in (self.at_end, self.invalid, self.zeros))
         if at_end > MANY_CODES:
-            yield (
-                f"{at_end:.1%} of the ranges are {self.first.range_max:g} m, its maximum, or up to {END_M * 100:g} cm"
-                " less: walls at that distance. Where the driver writes this for no return, import the recording with"
-                " --no-return max"
+            yield Notice(
+                text=f"{at_end:.1%} of the ranges are {self.first.range_max:g} m, its maximum, or up to"
+                f" {END_M * 100:g} cm less: walls at that distance. Where the driver writes this for no return, import"
+                " the recording with --no-return max",
+                kind="{} % of the ranges are the maximum of the laser or little less: walls at that distance",
+                values=(round(100 * at_end),),
             )
         if invalid > MANY_INVALID:
             codes = "zero" if zeros > MANY_CODES else "nan"
-            yield (
-                f"{invalid:.1%} of the ranges are invalid (NaN or below range_min)"
+            yield Notice(
+                text=f"{invalid:.1%} of the ranges are invalid (NaN or below range_min)"
                 + (f" and {zeros:.1%} exactly 0.0" if zeros > MANY_CODES else "")
                 + f": nothing is known on these beams. Where the driver writes {'0.0' if codes == 'zero' else 'NaN'}"
-                f" for no return, import the recording with --no-return {codes}"
+                f" for no return, import the recording with --no-return {codes}",
+                kind="{} % of the ranges are invalid (NaN or below range_min): nothing is known on these beams",
+                values=(round(100 * invalid),),
             )
 
     def nothing_measured(self) -> str:
@@ -209,9 +217,10 @@ class Survey:
             self.sensors[scan.sensor] = SensorSurvey(scan)
         self.sensors[scan.sensor].add(scan)
 
-    def warnings(self) -> list[str]:
-        """The warnings about the ranges and the poses of the sensors."""
-        return [text for sensor in self.sensors.values() for text in sensor.warnings(self.first_ns)]
+    def notices(self) -> Iterator[Notice]:
+        """The notices about the ranges and the poses of the sensors."""
+        for sensor in self.sensors.values():
+            yield from sensor.notices(self.first_ns)
 
     @property
     def nothing_measured(self) -> str:

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import scipy
 
+from gridtrack.common.notices import joined_names
 from gridtrack.evaluation.runs.summary import PairFamily, PairTest
 from gridtrack.evaluation.statistics.jackknife import ALPHA, LEVEL
 from gridtrack.reports.differences import SIGNIFICANT_VERDICTS
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.table import HeadlineTable, TableRow, joined_names, row_key
+from gridtrack.reports.table import HeadlineTable, TableRow, row_key
 
 NAMED_ROWS = 2
 """Names of rows beyond this number are counted."""

@@ -3,35 +3,35 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from gridtrack.common.errors import MAX_LINE_CHARS
+from gridtrack.common.notices import MOST_NAMED, NoticesOfAKind, by_kind, counted
 from gridtrack.evaluation.runs.summary import TrialSummary
 from gridtrack.reports.run import ReportedRun
-from gridtrack.reports.table import HeadlineTable, TableRow, joined_names, outcome_words
-
-MOST_RECORDINGS = 3
-"""A notice names so many recordings, and gives the number of further ones."""
+from gridtrack.reports.table import HeadlineTable, TableRow, outcome_words
 
 
 @dataclass(frozen=True)
-class Notice:
-    """One notice; `serious` if because of it a trial or a recording is not ranked, or the run did not end."""
+class ShownNotice:
+    """A line, and its list; `serious` if because of it a trial or a recording is not ranked, or the run did not end."""
 
     text: str
+    members: tuple[str, ...] = ()
     serious: bool = False
 
 
-def notices_of(runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable]) -> list[Notice]:
+def notices_of(runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable]) -> list[ShownNotice]:
     """Every notice: failures with their reasons, other serious notices, then the rest. Raises RunError."""
     serious = [*_of_trials(tables), *_of_ends(runs), *_of_parity(tables)]
     return list(dict.fromkeys([*serious, *_of_code(runs), *_of_runs(runs), *_of_intervals(tables)]))
 
 
-def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
+def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[ShownNotice]:
     """A line for each row without a rank and each reason; if recordings are pooled, one for all of them."""
     known: set[str] = set()
+    every = [table.recording for table in tables if not table.pooled]
     found: dict[tuple[str, str], list[str]] = defaultdict(list)
     for table in sorted(tables, key=lambda table: not table.pooled):
         for row in (one for one in table.rows_in("unranked") if one.key not in known):
@@ -39,8 +39,9 @@ def _of_trials(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
             found[row.name, why].append("" if table.pooled or len(tables) == 1 else table.recording)
             known |= {row.key} if table.pooled else set()
     for (name, why), recordings in found.items():
-        where = f" on {_counted(recordings, len(tables))}" if any(recordings) else ""
-        yield Notice(f"{name}{where}: {why}", serious=True)
+        named = list(filter(None, recordings))
+        where = f" on {counted(named, 'recordings', every)}" if named else ""
+        yield ShownNotice(f"{name}{where}: {why}", _list_of(named), serious=True)
 
 
 def outcome_text(row: TableRow) -> str:
@@ -66,61 +67,40 @@ def failures_of(trials: Sequence[TrialSummary], most_chars: int = MAX_LINE_CHARS
         yield f"{outcome}{where}" + (f" ({reason}{others})" if reason else "")
 
 
-def _of_ends(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
+def _of_ends(runs: Sequence[ReportedRun]) -> Iterator[ShownNotice]:
     for run in runs:
         if run.summary.interrupted:
             before = _before([run.name], runs)
-            yield Notice(f"{before}the run was interrupted: the page shows the scores until then", serious=True)
+            yield ShownNotice(f"{before}the run was interrupted: the page shows the scores until then", serious=True)
 
 
-def _of_parity(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
+def _of_parity(tables: Sequence[HeadlineTable]) -> Iterator[ShownNotice]:
     unlike = [table for table in tables if not table.comparable]
     if found := [table.recording for table in unlike if not table.pooled] or [table.recording for table in unlike]:
-        where = _counted(found, sum(not table.pooled for table in tables))
-        yield Notice(f"{where}: the rows are not scored on the same frames, none is marked as best", serious=True)
+        where = counted(found, "recordings", [table.recording for table in tables if not table.pooled])
+        text = f"{where}: the rows are not scored on the same frames, none is marked as best"
+        yield ShownNotice(text, _list_of(found), serious=True)
 
 
-def _of_code(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
+def _of_code(runs: Sequence[ReportedRun]) -> Iterator[ShownNotice]:
     for run in runs:
         for label in run.summary.trackers:
             if (versions := len(run.code_of(label))) > 1:
                 text = f"{label}: its trials ran with {versions} different versions of its code"
-                yield Notice(_before([run.name], runs) + text)
+                yield ShownNotice(_before([run.name], runs) + text)
 
 
-def _of_runs(runs: Sequence[ReportedRun]) -> Iterator[Notice]:
-    """The notices of the runs. Texts that differ only in the name of a recording, or in the run, become one."""
-    runs_with: dict[str, list[str]] = defaultdict(list)
+def _of_runs(runs: Sequence[ReportedRun]) -> Iterator[ShownNotice]:
+    """The notices of the runs by kind. Those that are the same in several runs become one."""
+    runs_with: dict[NoticesOfAKind, list[str]] = defaultdict(list)
     for run in runs:
-        described = run.summary.recordings.items()
-        names = {name for recording, one in described for name in (recording, one.stretch) if name}
-        for text in _joined(run.summary.notices, names, len(run.recordings)):
-            runs_with[text].append(run.name)
-    for text, names_of_runs in runs_with.items():
-        yield Notice(_before(names_of_runs, runs) + text)
+        for kind in by_kind(run.summary.notices, run.recordings):
+            runs_with[kind].append(run.name)
+    for kind, names_of_runs in runs_with.items():
+        yield ShownNotice(_before(names_of_runs, runs) + kind.text, kind.members)
 
 
-def _joined(texts: Iterable[str], names: Collection[str], of_run: int) -> Iterator[str]:
-    """`texts`, in which texts that differ only in one of the `names` are joined; the run has `of_run` recordings."""
-    alike: dict[tuple[str, str], list[str]] = defaultdict(list)
-    for text in texts:
-        before, name, after = _around_name(text, names)
-        alike[before, after].append(name)
-    for (before, after), found in alike.items():
-        yield f"{before}{_counted(list(dict.fromkeys(found)), of_run)}{after}"
-
-
-def _around_name(text: str, names: Collection[str]) -> tuple[str, str, str]:
-    """A text as `RECORDING: ...` or `... on RECORDING ...` in three parts; all in the first if it names none."""
-    name, colon, after = text.partition(": ")
-    if colon and name in names:
-        return "", name, colon + after
-    before, on, rest = text.partition(" on ")
-    name, space, after = rest.partition(" ")
-    return (before + on, name, space + after) if name in names else (text, "", "")
-
-
-def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
+def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[ShownNotice]:
     without: dict[tuple[str, str], list[str]] = defaultdict(list)
     pooled = [table for table in tables if table.pooled]
     for table in pooled or tables:
@@ -128,9 +108,11 @@ def _of_intervals(tables: Sequence[HeadlineTable]) -> Iterator[Notice]:
         for run, interval in dict.fromkeys((row.run, row.trial.interval) for row in complete if row.trial.interval):
             without[run, interval].append(table.recording)
     for (run, interval), recordings in without.items():
-        yield Notice(
-            f"{f'{run}: ' if run else ''}{_counted(recordings, len(tables))}: {interval}; the scores describe this"
-            " stretch only and do not show that one tracker is better than another"
+        where = counted(recordings, "recordings", [table.recording for table in tables])
+        yield ShownNotice(
+            f"{f'{run}: ' if run else ''}{where}: {interval}; the scores describe this stretch only and do not show"
+            " that one tracker is better than another",
+            _list_of(recordings),
         )
 
 
@@ -139,8 +121,6 @@ def _before(names: Sequence[str], runs: Sequence[ReportedRun]) -> str:
     return f"{' and '.join(names)}: " if len(runs) > 1 else ""
 
 
-def _counted(recordings: Sequence[str], of_run: int) -> str:
-    """The names of the recordings if they are few, else their number; `of_run`: the number of all recordings."""
-    if len(recordings) <= MOST_RECORDINGS:
-        return joined_names(recordings)
-    return f"{'all ' if len(recordings) == of_run else ''}{len(recordings)} recordings"
+def _list_of(recordings: Sequence[str]) -> tuple[str, ...]:
+    """The recordings that `counted` does not name."""
+    return tuple(recordings) if len(recordings) > MOST_NAMED else ()

@@ -19,7 +19,7 @@ from gridtrack.reports.differences import (
     trainings_across,
     trainings_table,
 )
-from gridtrack.reports.notices import Notice, notices_of
+from gridtrack.reports.notices import ShownNotice, notices_of
 from gridtrack.reports.page_data import page_data
 from gridtrack.reports.pictures import scale_png
 from gridtrack.reports.player import opening_of, players_of
@@ -84,8 +84,8 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
             answers=[answer_of(run) for run in runs],
             changes=changes_of(runs) if len(runs) > 1 else (),
             runs=[(run, run_facts(run, {table.recording for table in tables}), provenance_of(run)) for run in runs],
-            notices=[Notice(text, serious=True) for text in (*damaged, *unreadable, *unread)]
-            + ([Notice(LEFT_OUT.format(left_out, sum(not table.pooled for table in every)))] if left_out else [])
+            notices=[ShownNotice(text, serious=True) for text in (*damaged, *unreadable, *unread)]
+            + ([ShownNotice(LEFT_OUT.format(left_out, sum(not table.pooled for table in every)))] if left_out else [])
             + notices_of(runs, every),
             sections=[section_of(runs, table) for table in main_tables(tables)],
             players=players,

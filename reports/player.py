@@ -3,6 +3,7 @@ as still pictures for pages without scripts."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from gridtrack.common.grid import GridSpec, Mask
+from gridtrack.common.grid import GridSpec, Mask, nearest_step
 from gridtrack.evaluation.referee.samples import SAMPLES, Sample, SamplesError, read_samples
 from gridtrack.evaluation.runs.run_record import RUN_FILE, RecordingIdentity
+from gridtrack.evaluation.scores.contact_foresight import ROBOTS_AHEAD_S
 from gridtrack.reports.moments import (
     FEW_CELLS,
     ChosenMoment,
@@ -23,6 +25,7 @@ from gridtrack.reports.moments import (
     pack_moment,
 )
 from gridtrack.reports.pictures import frame_png, probability_png
+from gridtrack.reports.robots import alarm_risk_of, robots_of_moment
 from gridtrack.reports.run import ReportedRun, ReportError
 from gridtrack.reports.scripts import json_in_page
 from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable, TableRow
@@ -77,24 +80,46 @@ def players_of(
     players: list[Player] = []
     notices: list[str] = []
     single = [table for table in tables if not table.pooled]
+    alarm_risks = _alarm_risks(run, single)
     for table in single:
         folders = {row.label: run.trial_folder(row.label, table.recording) for row in table.rows}
-        described = run.record.configuration.recordings.get(table.recording)
-        if described is None:
-            raise ReportError(f"{run.path / RUN_FILE}: does not describe {table.recording}; compare again")
-        player, unreadable = player_of(table, folders, described, budget // len(single))
+        player, unreadable = player_of(table, folders, _identity(run, table), budget // len(single), alarm_risks)
         players += [player] if player else []
         notices += unreadable
     return tuple(players), tuple(notices)
 
 
+def _identity(run: ReportedRun, table: HeadlineTable) -> RecordingIdentity:
+    """The recording of a table. Raises ReportError."""
+    described = run.record.configuration.recordings.get(table.recording)
+    if described is None:
+        raise ReportError(f"{run.path / RUN_FILE}: does not describe {table.recording}; compare again")
+    return described
+
+
+def _alarm_risks(run: ReportedRun, tables: Sequence[HeadlineTable]) -> dict[str, float | None]:
+    """The least risk of an alarm of each row, over the recordings of all tables. Raises ReportError."""
+    trials: dict[str, list[tuple[Path, int]]] = defaultdict(list)
+    for table in tables:
+        step = nearest_step(ROBOTS_AHEAD_S, _identity(run, table).period_s)
+        for row in table.rows:
+            folder = run.trial_folder(row.label, table.recording)
+            trials[row.label] += [(folder, step)] if (folder / SAMPLES).exists() else []
+    return {label: alarm_risk_of(own) for label, own in trials.items()}
+
+
 def player_of(
-    table: HeadlineTable, folders: Mapping[str, Path], described: RecordingIdentity, budget: int
+    table: HeadlineTable,
+    folders: Mapping[str, Path],
+    described: RecordingIdentity,
+    budget: int,
+    alarm_risks: Mapping[str, float | None],
 ) -> tuple[Player | None, tuple[str, ...]]:
     """The player of one recording with moments of `budget` bytes, and notices of unreadable samples.
 
-    `folders`: the folder of each trial by label. The scores of cells in motion at the decisive step order the moments;
-    times are seconds since the start of the recording. The player is None if no trial kept samples. Raises ReportError.
+    `folders`: the folder of each trial by label; `alarm_risks` by label. The scores of cells in motion at the decisive
+    step order the moments; times are seconds since the start of the recording. The player is None if no trial kept
+    samples. Raises ReportError.
     """
     samples, notices = _kept_samples(table.rows, folders)
     trackers = sorted((row for row in table.rows if samples.get(row.label)), key=lambda row: row.group == "ceiling")
@@ -114,7 +139,8 @@ def player_of(
         return None, notices
     time_of = _clock(described, min(reference))
     thresholds = {row.label: _thresholds(row, steps) for row in trackers}
-    moments = _within_budget(order, trackers, samples, scores, steps, thresholds, time_of, budget)
+    moments = _within_budget(order, trackers, samples, scores, steps, thresholds, alarm_risks, time_of, budget)
+    robots_ahead = nearest_step(ROBOTS_AHEAD_S, described.period_s)
     data = {
         "recording": table.recording,
         "size": first.grid.size,
@@ -122,6 +148,7 @@ def player_of(
         "origin": list(first.grid.origin),
         "horizons_s": [described.horizons_s[step] for step in steps],
         "decisive": decisive,
+        "robots_at": steps.index(robots_ahead) if robots_ahead in steps else None,
         "stratum": MAIN_STRATUM if first.in_motion is not None else "",
         "hidden_known": bool(((first.state == 2) | (first.state == 3)).any()),
         "trackers": [row.label for row in trackers],
@@ -224,6 +251,7 @@ def _within_budget(
     scores: Mapping[str, Mapping[int, Mapping[int, FrameScore]]],
     steps: Sequence[int],
     thresholds: Mapping[str, Sequence[float]],
+    alarm_risks: Mapping[str, float | None],
     time_of: Callable[[int], float],
     budget: int,
 ) -> list[dict[str, Any]]:
@@ -241,6 +269,7 @@ def _within_budget(
             "missing": [label for label, sample in found.items() if sample is None],
             "counts": [[one and [one.tp, one.fp, one.fn] for one in at] for at in counts],
             "objects": [_objects(sample) for sample in found.values()],
+            "robots": robots_of_moment(found, alarm_risks),
             "cells": pack_moment(seen, planes),
         }
         left -= len(json_in_page(packed))

@@ -207,7 +207,9 @@ def _with_recordings(run: ReportedRun, chosen: Set[str]) -> ReportedRun:
         for label, row in run.summary.trackers.items()
         if (own := [name for name in described if name in row.recordings])
     }
-    summary = run.summary.model_copy(update={"recordings": described, "trackers": trackers})
+    others = run.summary.recordings.keys() - chosen
+    notices = tuple(notice for notice in run.summary.notices if notice.recording not in others)
+    summary = run.summary.model_copy(update={"recordings": described, "trackers": trackers, "notices": notices})
     return replace(run, summary=summary, pooled=False)
 
 

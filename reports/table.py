@@ -114,11 +114,6 @@ def outcome_words(trial: TrialSummary) -> str:
     return f"{trial.outcome}, {LEAK}" if trial.leak else trial.outcome
 
 
-def joined_names(names: Sequence[str]) -> str:
-    """`A`, `A and B` or `A, B and C`."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
-
-
 def row_key(run: str, label: str) -> str:
     """A row's label after the name of its run, which is empty on the page of one run."""
     return f"{run}: {label}" if run else label

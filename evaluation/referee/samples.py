@@ -2,8 +2,8 @@
 
 The log time of a sample is the stamp of frame t: `/window` is the pose of its window in the world, `/input` x_t,
 `/sensors` the positions of the sensors in it, `/tracks` the tracker's objects at t, `/came/1s` the frame observed one
-second later, `/scored/1s` the known state of every cell then, and `/forecast/1s` the forecast of it. Probabilities have
-255 steps.
+second later, `/scored/1s` the known state of every cell then, and `/forecast/1s` the forecast of it, and `/robots` the
+paths of virtual robots. Probabilities have 255 steps.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
@@ -46,15 +47,36 @@ HORIZONS_S = (0.5, 1.0, 2.0)
 MAX_TOPICS = 64
 BUDGET = ReadBudget(bytes_per_byte=2000, free_records=2 * KEPT * MAX_TOPICS)
 """Limits of an unpacked file of samples: most cells of a large grid are never seen, and compress well."""
-SENSORS_TOPIC, TRACKS_TOPIC, WINDOW_TOPIC = "/sensors", "/tracks", "/window"
+SENSORS_TOPIC, TRACKS_TOPIC, WINDOW_TOPIC, ROBOTS_TOPIC = "/sensors", "/tracks", "/window", "/robots"
 
-_MESSAGES: dict[str, Any] = {SENSORS_TOPIC: PosesInFrame, TRACKS_TOPIC: SceneUpdate, WINDOW_TOPIC: FrameTransform}
+_MESSAGES: dict[str, Any] = {
+    SENSORS_TOPIC: PosesInFrame,
+    TRACKS_TOPIC: SceneUpdate,
+    WINDOW_TOPIC: FrameTransform,
+    ROBOTS_TOPIC: PointCloud,
+}
 """The schemas of the topics that are not grids."""
 _UNREADABLE = (OSError, DecodeError, GridtrackError, ValueError, KeyError)
 
 
 class SamplesError(GridtrackError):
     """A file of samples that cannot be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotPaths:
+    """Straight paths of N virtual robots from the input on, of those with a known outcome within the horizon.
+
+    `places`, `velocities` (N, 2) float32: metres and m/s, grid frame. (N,) float32: `until_s`, seconds to the contact
+    or the horizon of the paths; `contact`, 1 with a contact and 0 of a clear path; `risks`, the largest probability on
+    the path, NaN if it is not known.
+    """
+
+    places: NDArray[np.float32]
+    velocities: NDArray[np.float32]
+    until_s: NDArray[np.float32]
+    contact: NDArray[np.float32]
+    risks: NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +105,8 @@ class Sample:
     objects: tuple[KeptObject, ...] = ()
     reference_T_grid: SE2 = field(default_factory=SE2)
     """The pose of the window in the world of ground truth; SE2() of a file without it, which earlier runs wrote."""
+    robots: RobotPaths | None = None
+    """None if there are too few paths, and of a file without them, which earlier runs wrote."""
 
 
 def kept_forecasts(schedule: Schedule) -> frozenset[int]:
@@ -110,13 +134,15 @@ class SampleWriter:
         with self._file:
             self._writer.finish()  # type: ignore[no-untyped-call]
 
-    def add(self, scored: ScoredForecast) -> None:
-        """Write one forecast, with the frames that it is a forecast of."""
+    def add(self, scored: ScoredForecast, robots: RobotPaths | None = None) -> None:
+        """Write one forecast, with the frames that it is a forecast of, and the paths of robots in them."""
         stamp_ns, frames = scored.stamp_ns, scored.frames
         self._write_message(WINDOW_TOPIC, stamp_ns, _window_message(scored.reference_T_grid, stamp_ns))
         self._write_occupancy("/input", stamp_ns, frames[0])
         self._write_message(SENSORS_TOPIC, stamp_ns, _sensor_poses(frames[0].origins, stamp_ns))
         self._write_message(TRACKS_TOPIC, stamp_ns, objects_message(scored.forecast.objects, stamp_ns))
+        if robots is not None:
+            self._write_message(ROBOTS_TOPIC, stamp_ns, _robots_message(robots, stamp_ns))
         for horizon, step in self._steps.items():
             self._write_occupancy(f"/came/{horizon:g}s", stamp_ns, frames[step])
             known = scored_planes(scored.targets[step], scored.region_maps.dynamic)
@@ -142,6 +168,31 @@ def _window_message(reference_T_grid: SE2, stamp_ns: int) -> Any:
     half = reference_T_grid.theta / 2
     message.rotation.z, message.rotation.w = math.sin(half), math.cos(half)
     return message
+
+
+ROBOT_FIELDS = ("x", "y", "vx", "vy", "until_s", "contact", "risk")
+
+
+def _robots_message(robots: RobotPaths, stamp_ns: int) -> Any:
+    """Message with a point for each path, at its start."""
+    message = PointCloud(frame_id=GRID_FRAME, point_stride=4 * len(ROBOT_FIELDS))
+    message.timestamp.FromNanoseconds(stamp_ns)
+    message.pose.orientation.w = 1.0
+    for number, name in enumerate(ROBOT_FIELDS):
+        message.fields.add(name=name, offset=4 * number, type=PackedElementField.FLOAT32)
+    columns = (robots.places, robots.velocities, robots.until_s, robots.contact, robots.risks)
+    message.data = np.column_stack(columns).astype("<f4").tobytes()
+    return message
+
+
+def _robots_of(message: Any) -> RobotPaths:
+    """The paths of a message. Raises ValueError if it has another form."""
+    if tuple(field.name for field in message.fields) != ROBOT_FIELDS or message.point_stride != 4 * len(ROBOT_FIELDS):
+        raise ValueError(f"robots with other fields than {', '.join(ROBOT_FIELDS)}")
+    values = np.frombuffer(message.data, "<f4").reshape(-1, len(ROBOT_FIELDS))
+    if not np.isfinite(values[:, :-1]).all():
+        raise ValueError("robots with a place, a velocity or a time that is not finite")
+    return RobotPaths(values[:, :2], values[:, 2:4], values[:, 4], values[:, 5], values[:, 6])
 
 
 def _sensor_poses(origins: NDArray[np.float32], stamp_ns: int) -> Any:
@@ -206,8 +257,22 @@ def _sample(stamp_ns: int, topics: dict[str, Any]) -> Sample:
     objects = objects_of(topics[TRACKS_TOPIC]) if TRACKS_TOPIC in topics else ()
     seen, came = observed[..., 0], observed[..., 1]
     window = _window_of(topics[WINDOW_TOPIC]) if WINDOW_TOPIC in topics else SE2()
+    robots = _robots_of(topics[ROBOTS_TOPIC]) if ROBOTS_TOPIC in topics else None
     return Sample(
-        stamp_ns, horizons, grid, visible, occupied, origins, forecast, seen, came, state, in_motion, objects, window
+        stamp_ns,
+        horizons,
+        grid,
+        visible,
+        occupied,
+        origins,
+        forecast,
+        seen,
+        came,
+        state,
+        in_motion,
+        objects,
+        window,
+        robots,
     )
 
 

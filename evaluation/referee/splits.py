@@ -11,11 +11,12 @@ from pathlib import Path
 from gridtrack.common.errors import ConfigurationError, NothingMeasuredError, RecordingError
 from gridtrack.common.files import NAME_RULE, is_name, name_from
 from gridtrack.common.grid import GridSpec, Points, nearest_step
+from gridtrack.common.notices import Notice
 from gridtrack.evaluation.referee.kinds import Regions, regions_of
 from gridtrack.evaluation.referee.referee import WARM_UP, Schedule
 from gridtrack.evaluation.referee.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.recordings import Recording, Stretch, open_recording
-from gridtrack.recordings.recording_info import stretch_text
+from gridtrack.recordings.recording_info import NO_MOTION, RecordingInfo, stretch_text
 from gridtrack.recordings.stream import GridStream
 from gridtrack.recordings.stretches import RecordedTime, parse_stretch
 from gridtrack.trackers.training.card import TrainingData
@@ -24,6 +25,7 @@ ORACLE = "oracle"
 """Label of the ceiling, which the referee computes if there is truth; no tracker may have it."""
 TEST, VALIDATION, TRAIN = "test", "validation", "train"
 """Names of stretches in a recording that have a use here."""
+_CARDS = "thresholds from the cards of the weights, 0.5 without one: no usable validation stretch (--validation)"
 _OF_CARD = (
     ", so the thresholds of a tracker come from its weights' card (chosen on the validation stretches of its"
     " training), and 0.5 if there is none; name a stretch with --validation"
@@ -70,7 +72,7 @@ class EvaluationSplit:
     validation: GridStream | None
     steps: int
     every: int
-    notices: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
     warm_up: int = WARM_UP
     segment_of: str | None = None
 
@@ -159,15 +161,26 @@ def split_of(
         raise ConfigurationError(f"{_too_short(test, steps)}: name a longer stretch, or a shorter --horizon")
     if validation is not None and opened is None:
         opened = open_recording(parse_stretch(validation)[0], format=sampling.format)
-    chosen_on, notices = _validation_stretch(test, validation, steps, opened)
-    poses = (f"{path}: poses: {recording.info.poses}",) if recording.info.poses else ()
-    warnings = (*recording.warnings, *(chosen_on.recording.warnings if chosen_on else ()))
-    every_notice = tuple(dict.fromkeys((*warnings, *notices, *poses, *often)))
-    return EvaluationSplit(name, path, test, chosen_on, steps, every, every_notice)
+    chosen_on, of_thresholds = _validation_stretch(test, validation, steps, opened)
+    notices = [*recording.notices, *of_thresholds, *often, *_unrecorded_poses(recording.info)]
+    if chosen_on and chosen_on.recording is not recording:
+        of_validation = chosen_on.recording.notices
+        notices += [
+            one.model_copy(update={"text": f"validation {chosen_on.name}: {one.text}"}) for one in of_validation
+        ]
+    named = (one.model_copy(update={"recording": name}) for one in notices)
+    return EvaluationSplit(name, path, test, chosen_on, steps, every, tuple(dict.fromkeys(named)))
 
 
-def _every(test: GridStream, steps: int, every_s: float | None) -> tuple[int, tuple[str, ...]]:
-    """The frames from one scored forecast to the next, and a line if the stretch is short for the default."""
+def _unrecorded_poses(info: RecordingInfo) -> Iterator[Notice]:
+    """A notice of poses that are assumed or matched; recorded ones are as usual."""
+    kind = NO_MOTION if info.assumes_rest else "from matching the scans" if info.has_matched_poses else ""
+    if kind:
+        yield Notice(text=f"poses: {info.poses}", kind=f"poses: {kind}")
+
+
+def _every(test: GridStream, steps: int, every_s: float | None) -> tuple[int, tuple[Notice, ...]]:
+    """The frames from one scored forecast to the next, and a notice if the stretch is short for the default."""
     if every_s is not None:
         return max(1, round(every_s / test.period_s)), ()
     usual = max(1, round(USUAL_EVERY_S / test.period_s))
@@ -175,7 +188,10 @@ def _every(test: GridStream, steps: int, every_s: float | None) -> tuple[int, tu
     if every == usual:
         return every, ()
     forecasts = Schedule(len(test), steps, every).expected
-    return every, (f"{test.name}: {forecasts} forecasts, one every {every * test.period_s:.3g} s (--every)",)
+    period_s = float(f"{every * test.period_s:.3g}")
+    kind = "{} forecasts, one every {} s (--every)"
+    text = f"{forecasts} forecasts, one every {period_s:g} s (--every)"
+    return every, (Notice(text=text, kind=kind, values=(forecasts, period_s)),)
 
 
 def refuse_unmeasured(recording: Recording) -> None:
@@ -210,7 +226,7 @@ def _too_short(stream: GridStream, steps: int) -> str:
 
 def _validation_stretch(
     test: GridStream, requested: str | None, steps: int, opened: Recording | None
-) -> tuple[GridStream | None, tuple[str, ...]]:
+) -> tuple[GridStream | None, tuple[Notice, ...]]:
     """The stretch on which thresholds are chosen, or None with notices; it shares no frame with the test stretch.
 
     A stretch that cannot be used is an error where it was requested, and a notice where the recording names it.
@@ -221,7 +237,7 @@ def _validation_stretch(
     elif VALIDATION in test.recording.info.stretches and test.recording.growth is None:
         stretch = own_validation(test)
     else:
-        return None, (f"{test.name}: no validation stretch{_OF_CARD}",)
+        return None, (Notice(text=f"no validation stretch{_OF_CARD}", kind=_CARDS),)
     problem = ""
     if shares_frames(test, stretch):
         problem = f"{test.name} shares frames with its validation {stretch.name}"
@@ -229,7 +245,7 @@ def _validation_stretch(
         problem = _too_short(stretch, steps)
     if problem and requested is not None:
         raise ConfigurationError(f"{problem}: name another --validation")
-    return (None, (problem + _OF_CARD,)) if problem else (stretch, ())
+    return (None, (Notice(text=problem + _OF_CARD, kind=_CARDS),)) if problem else (stretch, ())
 
 
 def own_validation(stream: GridStream) -> GridStream:

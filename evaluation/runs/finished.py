@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.grid import nearest_step
+from gridtrack.common.notices import Notice
 from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.run_record import RecordingDescription
 from gridtrack.evaluation.runs.sums import KeptRows, ScoredFrames, TrialSums
@@ -285,19 +286,19 @@ def steps_at(horizons_s: Sequence[float], described: RecordingDescription) -> tu
     return tuple(nearest_step(horizon_s, described.period_s) for horizon_s in horizons_s)
 
 
-def unlike_recordings(recordings: Mapping[str, RecordingDescription]) -> list[str]:
+def unlike_recordings(recordings: Mapping[str, RecordingDescription]) -> list[Notice]:
     """Notices of differences among pooled recordings."""
     described = list(recordings.values())
-    notices, horizons_s = [], common_horizons(described)
+    texts, horizons_s = [], common_horizons(described)
     if any(one.horizons_s != horizons_s for one in described):
         off_s = max(_off_s(horizons_s, one) for one in described)
-        notices.append(
+        texts.append(
             "the recordings differ in rate or horizon: scores over all of them are given every"
             f" {POOLED_EVERY_S:g} s; of each recording the nearest step counts, at most {off_s * 1000:.0f} ms away"
         )
     if len({one.grid.partition("@")[0].partition("x")[2] for one in described}) > 1:
-        notices.append("the recordings differ in the size of their cells: together every cell counts as one")
-    return notices
+        texts.append("the recordings differ in the size of their cells: together every cell counts as one")
+    return [Notice(text=text) for text in texts]
 
 
 def _off_s(horizons_s: Sequence[float], described: RecordingDescription) -> float:

@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.files import name_from
+from gridtrack.common.notices import Notice, by_kind
 from gridtrack.evaluation.engines.engine import WAKE_S, Engine, Interrupted
 from gridtrack.evaluation.referee.kinds import regions_of
 from gridtrack.evaluation.referee.referee import WARM_UP
@@ -101,8 +102,8 @@ class Following:
 
     def follow(self, table: LiveObserver) -> None:
         """Present the frames to the trackers as they are written, up to the end of the file or Ctrl-C."""
-        for notice in self._plan.notices:
-            table.note(notice)
+        for kind in by_kind(self._plan.notices, [self._split.name]):
+            table.note(kind.text)
         try:
             table.note(f"{self._path}: starting {len(self.runs)} trackers")
             self._start()
@@ -280,7 +281,7 @@ class Following:
             while thread.is_alive():
                 thread.join(WAKE_S)
 
-    def _notices(self) -> list[str]:
+    def _notices(self) -> list[Notice]:
         ending = Ending(
             path=self._path,
             at_s=self._frames * self._split.test.period_s,
@@ -315,9 +316,10 @@ class Ending:
     """Hash of the frames that were presented."""
 
 
-def follow_notices(ending: Ending, records: Iterable[TrialRecord]) -> list[str]:
-    """The notices of the run, one line each."""
-    return [*_about_the_end(ending), *(line for record in records for line in _about_a_trial(record, ending))]
+def follow_notices(ending: Ending, records: Iterable[TrialRecord]) -> list[Notice]:
+    """The notices of the run."""
+    of_trials = (Notice(text=text, row=record.label) for record in records for text in _about_a_trial(record, ending))
+    return [*(Notice(text=text) for text in _about_the_end(ending)), *of_trials]
 
 
 def _about_the_end(ending: Ending) -> Iterator[str]:
@@ -340,8 +342,8 @@ def _about_a_trial(record: TrialRecord, ending: Ending) -> Iterator[str]:
     followed = record.followed
     if followed and followed.missed and followed.age_frames:
         yield (
-            f"{record.label} missed {followed.missed} of {followed.frames} frames with a deadline; its newest forecast"
+            f"missed {followed.missed} of {followed.frames} frames with a deadline; its newest forecast"
             f" in time was {followed.age_frames.p99:g} frames old at the 99th percentile"
         )
     if record.complete and record.delivered != ending.delivered:
-        yield f"{record.label} received other frames than it was scored on"
+        yield "received other frames than it was scored on"

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.notices import Notice
 from gridtrack.evaluation.runs.finished import DETAIL_HORIZON_S, FinishedTrial, RunTrials, detail_step
 from gridtrack.evaluation.scores.definition import RareEvents, ScoreDefinition
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
@@ -15,8 +16,8 @@ LEAST_FORECASTS = 50
 """So many forecasts with an event, each a horizon after the last, are enough without LEAST_UNITS units with one."""
 
 
-def leading_scores(run: RunTrials, scores: Sequence[ScoreDefinition]) -> tuple[list[ScoreDefinition], list[str]]:
-    """The scores that may lead the run, the headline score first, and a line on each that has too few events.
+def leading_scores(run: RunTrials, scores: Sequence[ScoreDefinition]) -> tuple[list[ScoreDefinition], list[Notice]]:
+    """The scores that may lead the run, the headline score first, and a notice of each that has too few events.
 
     A score may lead if trackers are compared by it and higher values are better. In a run without intervals scores with
     a threshold come last, because few frames determine a threshold poorly. Raises ScoresError.
@@ -26,26 +27,26 @@ def leading_scores(run: RunTrials, scores: Sequence[ScoreDefinition]) -> tuple[l
     for score in (one for one in scores if one.lead.tested and one.lead.direction > 0):
         if counted and score.name not in counted:
             continue
-        missing = _too_few(run, score, score.events) if score.events else ""
+        missing = _too_few(run, score, score.events) if score.events else None
         too_few += [missing] if missing else []
         may_lead += [] if missing else [score]
     tested = any(_number(run, names) >= LEAST_UNITS for names in run.groups)
     return sorted(may_lead, key=lambda score: score.thresholded and not tested), too_few
 
 
-def _too_few(run: RunTrials, score: ScoreDefinition, events: RareEvents) -> str:
-    """A line on the first group of recordings that has too few events; empty if all have enough."""
+def _too_few(run: RunTrials, score: ScoreDefinition, events: RareEvents) -> Notice | None:
+    """A notice of the first group of recordings that has too few events; None if all have enough."""
     for names in run.groups:
         found = [_events_of(run, trial, score, events) for trial in _scored_in_full(run, names)]
         forecasts = sum(_apart(stamps_ns[has_event], DETAIL_HORIZON_S) for stamps_ns, has_event in found)
         units = _number(run, names, [has_event for _, has_event in found])
         if units < LEAST_UNITS and forecasts < LEAST_FORECASTS:
-            where = f"{names[0]}: " if len(run.groups) > 1 else ""
-            return (
-                f"{where}too few {events.name}: {forecasts} separate forecasts and {units} units have any, and"
+            text = (
+                f"too few {events.name}: {forecasts} separate forecasts and {units} units have any, and"
                 f" {LEAST_FORECASTS} forecasts or {LEAST_UNITS} units are needed for {score.title} to lead"
             )
-    return ""
+            return Notice(text=text, recording=names[0] if len(run.groups) > 1 else "")
+    return None
 
 
 def _scored_in_full(run: RunTrials, names: Sequence[str]) -> list[FinishedTrial]:

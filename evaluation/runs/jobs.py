@@ -20,6 +20,7 @@ from pydantic import ValidationError
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import name_from
+from gridtrack.common.notices import Notice
 from gridtrack.evaluation.engines.engine import EngineError, Monitor
 from gridtrack.evaluation.engines.task import TaskFolder, run_task
 from gridtrack.evaluation.hosting.limits import Limits
@@ -197,9 +198,9 @@ class OracleJob(_RunJob):
         regions, by = self._shared.regions_of(split, monitor.check), scores(self._shared.settings.scores)
         return run_oracle(split, regions, self._folder, monitor.next_frame, thresholds, by, self._shared.settings.robot)
 
-    def on_error(self, error: Exception) -> str:
+    def on_error(self, error: Exception) -> Notice:
         """The notice for the user."""
-        return f"{self.split.name}: no oracle: {_reason(error)}"
+        return Notice(text=f"no oracle: {_reason(error)}", recording=self.split.name, kind="no oracle")
 
 
 class _MeasurementJob(_RunJob):
@@ -213,7 +214,7 @@ class _MeasurementJob(_RunJob):
         super().__init__(trial.name, trial, folder, shared)
         self.trial, self.split, self.record = trial, trial.split, record
 
-    def on_error(self, error: Exception) -> str:
+    def on_error(self, error: Exception) -> Notice:
         """The notice for the user."""
         return not_measured(self.trial, self.measurement, error)
 
@@ -255,9 +256,10 @@ class RobustnessJob(_MeasurementJob):
 RunJob = TrialJob | OracleJob | PriorJob | RobustnessJob
 
 
-def not_measured(trial: Trial, measurement: str, error: Exception) -> str:
+def not_measured(trial: Trial, measurement: str, error: Exception) -> Notice:
     """The notice about a missing measurement of a complete trial."""
-    return f"{trial.name}: no measurement of {measurement}: {_reason(error)}"
+    missing = f"no measurement of {measurement}"
+    return trial.notice(f"{missing}: {_reason(error)}", missing)
 
 
 def _reason(error: Exception) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
+from gridtrack.common.notices import Notice
 from gridtrack.evaluation.runs.finished import HEADLINE_STRATA
 from gridtrack.evaluation.runs.result_files import Curves
 from gridtrack.evaluation.runs.summary import PairFamily, TrackerSummary, TrialSummary
@@ -19,7 +20,7 @@ BEYOND = 0.1
 
 def with_memories(
     trackers: Mapping[str, TrackerSummary], families: Iterable[PairFamily], may_remember: Collection[str]
-) -> tuple[dict[str, TrackerSummary], list[str]]:
+) -> tuple[dict[str, TrackerSummary], list[Notice]]:
     """The rows with the sign in `memory` of each scope that has one, and a notice of each.
 
     `may_remember`: labels of the rows with a tracker that could read a file that it kept; the others have no sign.
@@ -33,7 +34,12 @@ def with_memories(
         pooled = row.pooled and row.pooled.model_copy(update=marked)
         rows[label] = row.model_copy(update={"recordings": recordings, "pooled": pooled})
     notices = [
-        f"{label} on {name}: {sign}: the tracker may remember the recording; --sandbox prevents it"
+        Notice(
+            text=f"{sign}: the tracker may remember the recording; --sandbox prevents it",
+            row=label,
+            recording=name,
+            kind="may remember the recording; --sandbox prevents it",
+        )
         for (label, name), sign in signs.items()
     ]
     return rows, notices

@@ -14,6 +14,7 @@ from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, WeightsError, did_you_mean
 from gridtrack.common.files import check_path
 from gridtrack.common.grid import GridSpec
+from gridtrack.common.notices import Notice
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.sandbox import check_sandbox
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess, describe
@@ -106,11 +107,18 @@ class Trial:
         stretch = self.split.validation
         return stretch and with_points(stretch, self.selection.points)
 
-    @property
-    def beyond_training(self) -> str:
-        """A notice if its general weights were trained on other cell sizes or periods than the stream's, or ""."""
+    def beyond_training(self) -> Iterator[Notice]:
+        """A notice if its general weights were trained on other cell sizes or periods than the stream's."""
         beyond = self.weights and self.weights.card.beyond_training(self.test.grid.cell_m, self.test.period_s)
-        return f"{self.label}, {self.split.name}: its general weights were trained on {beyond}" if beyond else ""
+        if beyond:
+            yield self.notice(
+                f"its general weights were trained on {beyond}",
+                "general weights were trained on other cell sizes or periods",
+            )
+
+    def notice(self, text: str, kind: str = "") -> Notice:
+        """A notice about this row on its recording."""
+        return Notice(text=text, row=self.label, recording=self.split.name, kind=kind)
 
     @property
     def leaks(self) -> tuple[str, ...]:
@@ -181,7 +189,7 @@ class ComparisonPlan:
     settings: CompareSettings
     splits: tuple[EvaluationSplit, ...]
     trials: tuple[Trial, ...]
-    notices: tuple[str, ...]
+    notices: tuple[Notice, ...]
 
     def identity(self) -> RunConfiguration:
         """The resolved configuration; a resumed run must have the same."""
@@ -268,30 +276,30 @@ def resolve(
     )
     for trial in trials:
         _refuse_thresholds_of_another_site(trial)
-    of_weights = (notice for _, notice in weights.values() if notice)
+    of_weights = (notice for _, notices in weights.values() for notice in notices)
     notices = [*left_out, *(notice for split in splits for notice in split.notices), *of_weights, *_notices(trials)]
     notices += _leak_notices(settings, trials)
     return ComparisonPlan(settings, splits, trials, tuple(dict.fromkeys(notices)))
 
 
-def _leak_notices(settings: CompareSettings, trials: Sequence[Trial]) -> list[str]:
-    """A line for each allowed leak. Raises the error of `refuse_leaks` for others."""
+def _leak_notices(settings: CompareSettings, trials: Sequence[Trial]) -> list[Notice]:
+    """A notice of each allowed leak. Raises the error of `refuse_leaks` for others."""
     if settings.allow_leak:
-        return [f"{trial.label} is not ranked: {leak}" for trial in trials for leak in trial.leaks]
+        kind = "not ranked: learned from frames of the comparison"
+        return [trial.notice(f"not ranked: {leak}", kind) for trial in trials for leak in trial.leaks]
     refuse_leaks(trial.leaks for trial in trials)
     return []
 
 
-def _notices(trials: Sequence[Trial]) -> Iterator[str]:
-    """Lines about the trials before they run."""
+def _notices(trials: Sequence[Trial]) -> Iterator[Notice]:
+    """Notices about the trials before they run."""
     for trial in trials:
         if trial.limits.sandbox and is_plugin(trial.launch):
             yield _beside_gridtrack(trial.label)
         if trial.weights and trial.weights.card.interrupted:
             name, at = trial.weights.name, trial.weights.card.interrupted
-            yield f"{trial.label}: {name} is of a training that was interrupted at {at}"
-        if trial.beyond_training:
-            yield trial.beyond_training
+            yield Notice(text=f"{name} is of a training that was interrupted at {at}", row=trial.label)
+        yield from trial.beyond_training()
     yield from _large_cost(trials)
 
 
@@ -307,8 +315,8 @@ def _wholes(settings: CompareSettings, note: Callable[[str], None]) -> tuple[Eva
     return plan_splits(map(posed, settings.recordings), validation, sampling_of(settings))
 
 
-def _large_cost(trials: Sequence[Trial]) -> Iterator[str]:
-    """A line if scoring will take long: an estimate before anything runs."""
+def _large_cost(trials: Sequence[Trial]) -> Iterator[Notice]:
+    """A notice if scoring will take long: an estimate before anything runs."""
     splits = [trial.split for trial in trials]
     forecasts = [s.schedule.expected + (s.validation_schedule.expected if s.validation else 0) for s in splits]
     cells = sum(n * (s.steps + 1) * s.test.grid.size**2 for n, s in zip(forecasts, splits, strict=True))
@@ -316,18 +324,18 @@ def _large_cost(trials: Sequence[Trial]) -> Iterator[str]:
     if minutes > LONG_MINUTES:
         largest = max(splits, key=lambda split: (split.steps + 1) * split.test.grid.size**2)
         size = largest.test.grid.size
-        yield (
-            f"scoring {sum(forecasts)} forecasts, the largest of {largest.steps + 1} steps on {size} x {size} cells,"
-            f" takes about {minutes:.0f} minutes of processor time, besides the trackers' own: fewer cells (--grid), a"
-            " shorter --horizon or a longer --every take less"
+        yield Notice(
+            text=f"scoring {sum(forecasts)} forecasts, the largest of {largest.steps + 1} steps on {size} x {size}"
+            f" cells, takes about {minutes:.0f} minutes of processor time, besides the trackers' own: fewer cells"
+            " (--grid), a shorter --horizon or a longer --every take less"
         )
 
 
-def _beside_gridtrack(label: str) -> str:
-    return (
-        f"{label}: --sandbox confines its process, but its package is installed beside gridtrack, where a package can"
-        " run code in gridtrack's own process: install it in an environment of its own, named by `python` in"
-        " trackers.toml"
+def _beside_gridtrack(label: str) -> Notice:
+    return Notice(
+        row=label,
+        text="--sandbox confines its process, but its package is installed beside gridtrack, where a package can run"
+        " code in gridtrack's own process: install it in an environment of its own, named by `python` in trackers.toml",
     )
 
 
@@ -337,7 +345,7 @@ def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
     return (*(name for name in registry.entries() if VALID_NAME.fullmatch(name) and name not in floors), *external)
 
 
-def _added_floors(settings: CompareSettings) -> tuple[list[str], list[str]]:
+def _added_floors(settings: CompareSettings) -> tuple[list[str], list[Notice]]:
     """The rows of the floors that the settings do not name, and a notice of each that cannot run.
 
     Beside named trackers they have general weights, which learned from no frame of the comparison.
@@ -348,7 +356,9 @@ def _added_floors(settings: CompareSettings) -> tuple[list[str], list[str]]:
     others = {name: entry for name, entry in registry.floors().items() if name not in named}
     why = {name: entry.problem or registry.missing_extra(entry) for name, entry in others.items()}
     rows = [f"{name}:card=general" if settings.trackers else name for name in others if not why[name]]
-    return rows, [f"{name}, a floor, is left out: {problem}" for name, problem in why.items() if problem]
+    return rows, [
+        Notice(text=f"a floor that is left out: {problem}", row=name) for name, problem in why.items() if problem
+    ]
 
 
 def _check_options(selection: Selection, start: Launch, limits: Limits) -> None:
@@ -437,15 +447,15 @@ def _place_of(split: EvaluationSplit) -> tuple[str, str, int]:
 
 def _fitting_weights(
     selection: Selection, split: EvaluationSplit, override: Path | None
-) -> tuple[LearnedWeights | None, str]:
-    """The weights of a row, and a notice if general ones replace weights of the site that do not fit grid or rate.
+) -> tuple[LearnedWeights | None, tuple[Notice, ...]]:
+    """The weights of a row, with a notice if general ones replace weights of the site that do not fit grid or rate.
 
     Raises WeightsError if the row's own folder has none.
     """
     test = split.test
     found = _weights_of(selection, test.site, override, selection.card)
     if found is None or selection.card != "any":
-        return found, ""
+        return found, ()
     try:
         fitted_card(found.card, found.path, stream_of(test))
     except WeightsError as misfit:
@@ -453,11 +463,11 @@ def _fitting_weights(
             general = _weights_of(selection, test.site, override, "general")
             if general is not None:
                 why = str(misfit).removeprefix(f"{found.path}: ").partition(": ")[0]
-                return general, (
-                    f"{selection.label}, {split.name}: its weights of the site '{test.site}' are {why}; general weights"
-                    " are used, as with card=general"
-                )
-    return found, ""
+                used = "general weights are used, as with card=general"
+                text = f"its weights of the site '{test.site}' are {why}; {used}"
+                kind = f"the weights of the site do not fit; {used}"
+                return general, (Notice(text=text, row=selection.label, recording=split.name, kind=kind),)
+    return found, ()
 
 
 def _weights_of(selection: Selection, site: str, override: Path | None, kind: CardKind) -> LearnedWeights | None:

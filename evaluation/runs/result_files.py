@@ -10,9 +10,9 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
-from gridtrack.common.errors import GridtrackError, bounded_line
+from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import read_json, write_text
 
 DECIMALS = 6
@@ -40,8 +40,6 @@ def _each_defined(values: Any) -> Any:
     return tuple(map(_defined, values))
 
 
-Line = Annotated[str, AfterValidator(bounded_line)]
-"""A sentence for people, which may quote untrusted input: one printable line of bounded length."""
 Number = Annotated[float | None, BeforeValidator(_defined)]
 """A score; None if it is undefined (NaN and infinities are read as None)."""
 Curve = Annotated[tuple[float | None, ...], BeforeValidator(_each_defined)]

@@ -19,6 +19,7 @@ from typing import Any, TextIO
 import psutil
 
 from gridtrack.common.files import refuse_links
+from gridtrack.common.notices import Notice
 from gridtrack.evaluation.engines.engine import remove_scratch
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.referee.splits import ORACLE
@@ -43,7 +44,7 @@ from gridtrack.evaluation.scores.registry import scores
 LOCK = ".lock"
 UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 """Errors of file systems without locks, such as some network file systems: the run continues without a lock."""
-OTHER_VERSIONS = "trials kept from a run with"
+OTHER_VERSIONS = "trials kept from runs with other versions"
 """In the notice of a resumed run about trials of other versions, which every later run repeats."""
 DISTRIBUTIONS = (
     "gridtrack", "numpy", "numba", "pydantic", "polars", "pyarrow", "mcap", "safetensors",
@@ -147,7 +148,7 @@ class RunFolder:
         self.kept.update(done)
         return done
 
-    def finish(self, records: Mapping[str, TrialRecord], notices: Sequence[str], interrupted: bool) -> RunSummary:
+    def finish(self, records: Mapping[str, TrialRecord], notices: Sequence[Notice], interrupted: bool) -> RunSummary:
         """Write and return the summary of these records, by trial name, with `notices`, and close the run.
 
         The records are the host's own. A trial with a file that another process has changed since counts as failed.
@@ -184,19 +185,20 @@ class RunFolder:
         failed.write(self.path / name)
         return failed
 
-    def _notices_of_versions(self, records: Mapping[str, TrialRecord]) -> list[str]:
+    def _notices_of_versions(self, records: Mapping[str, TrialRecord]) -> list[Notice]:
         """Notices of kept trials that ran with other versions than the current ones, in this run or an earlier one."""
         kept = [
             t.name for t in self.plan.trials if t.name in self.kept and _is_kept(self.kept[t.name], records[t.name])
         ]
         if self.earlier is None or not kept:
             return []
-        notices: list[str] = []
+        notices: list[Notice] = []
         with suppress(FileNotFoundError, RunError):
-            notices = [notice for notice in read_summary(self.path).notices if OTHER_VERSIONS in notice]
+            notices = [notice for notice in read_summary(self.path).notices if notice.kind == OTHER_VERSIONS]
         then, now = _differing(self.earlier.versions, self.record.versions)
         if then:
-            notices.append(f"{OTHER_VERSIONS} {then}: {len(kept)}; now {now}")
+            text = f"trials kept from a run with {then}: {len(kept)}; now {now}"
+            notices.append(Notice(text=text, kind=OTHER_VERSIONS))
         return list(dict.fromkeys(notices))
 
 

@@ -9,6 +9,7 @@ from itertools import groupby, zip_longest
 from pathlib import Path
 from typing import Any, Protocol
 
+from gridtrack.common.notices import Notice, by_kind
 from gridtrack.evaluation.engines.engine import WAKE_S, Engine, JobObserver
 from gridtrack.evaluation.engines.local import LocalEngine
 from gridtrack.evaluation.engines.ray_cluster import RayCluster
@@ -59,8 +60,8 @@ def run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver) -> 
 
 def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, engine: Engine) -> RunSummary:
     folder = RunFolder.prepare(plan, command)
-    for notice in plan.notices:
-        progress.note(notice)
+    for kind in by_kind(plan.notices, [split.name for split in plan.splits]):
+        progress.note(kind.text)
     stages = Stages(plan, folder.path, progress, engine)
     for name, record in without_edited(plan, folder.kept_records(), progress.note).items():
         stages.keep(name, record)
@@ -84,9 +85,9 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, en
         why = "too little memory" if isinstance(end, MemoryError) else "interrupted"
         progress.note(f"{why} while the summary was made: the scores are kept; continue with --resume")
         raise
-    for notice in summary.notices:
-        if notice not in (*plan.notices, *stages.notices):
-            progress.note(notice)
+    found = [notice for notice in summary.notices if notice not in (*plan.notices, *stages.notices)]
+    for kind in by_kind(found, summary.recordings):
+        progress.note(kind.text)
     return summary
 
 
@@ -128,7 +129,7 @@ class Stages:
     """The stages of one run, in the order of its methods, and the records so far."""
 
     def __init__(self, plan: ComparisonPlan, folder: Path, progress: RunObserver, engine: Engine) -> None:
-        self.notices: list[str] = []
+        self.notices: list[Notice] = []
         """Failed measurements of complete trials, with their reasons."""
         self._plan, self._folder, self._progress, self._engine = plan, folder, progress, engine
         self._shared = SharedInputs(plan.settings, progress.note, engine.scratch, max(1, engine.capacity))
@@ -231,7 +232,7 @@ class Stages:
         if error is not None and not isinstance(error, Exception):
             raise error
         result = job.on_error(error) if error else future.result()
-        if isinstance(result, str):
+        if isinstance(result, Notice):
             self._notify(result)
             return
         if isinstance(job, TrialJob):
@@ -257,6 +258,6 @@ class Stages:
         record.write(self._folder / trial.name)
         self._records[trial.name] = record
 
-    def _notify(self, notice: str) -> None:
+    def _notify(self, notice: Notice) -> None:
         self.notices.append(notice)
-        self._progress.note(notice)
+        self._progress.note(str(notice))

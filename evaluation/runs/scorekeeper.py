@@ -11,6 +11,7 @@ from gridtrack.evaluation.referee.referee import ScoredForecast
 from gridtrack.evaluation.referee.samples import SAMPLES, SampleWriter, kept_forecasts
 from gridtrack.evaluation.referee.splits import EvaluationSplit
 from gridtrack.evaluation.runs.sums import SUMS_FILE, Layout, SumsWriter
+from gridtrack.evaluation.scores.contact_foresight import robots_of
 from gridtrack.evaluation.scores.definition import ScoreDefinition, TrialFacts
 from gridtrack.evaluation.scores.robot import Robot
 from gridtrack.evaluation.scores.thresholds import Thresholds
@@ -61,7 +62,7 @@ class Scorekeeper:
     def __init__(
         self, folder: Path, split: EvaluationSplit, facts: TrialFacts, scores: Sequence[ScoreDefinition]
     ) -> None:
-        self._counter = Counter(scores, facts)
+        self._counter, self._facts, self._origin = Counter(scores, facts), facts, split.test.grid.origin
         self._kept = kept_forecasts(split.schedule)
         self.scored = 0
         with ExitStack() as files:
@@ -81,5 +82,5 @@ class Scorekeeper:
         for score, sums in self._counter.count(forecast).items():
             self._sums.add(forecast.stamp_ns, delivered, score, sums)
         if self.scored in self._kept:
-            self._samples.add(forecast)
+            self._samples.add(forecast, robots_of(forecast, self._facts, self._origin))
         self.scored += 1

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from gridtrack.common.notices import Notice
 from gridtrack.evaluation.hosting.timing import CLOCK_FACTOR, TRANSPORT_MS
 from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.comparisons import Comparisons
@@ -59,7 +60,7 @@ LEAST_LEAD = 0.001
 def summarise(
     recordings: Mapping[str, RecordingDescription],
     trials: Iterable[FinishedTrial],
-    notices: Sequence[str],
+    notices: Sequence[Notice],
     interrupted: bool,
     reference: str | None = None,
     scores: Sequence[ScoreDefinition] | None = None,
@@ -86,12 +87,12 @@ class _Summary:
         self._headline = find_output(headline or self._may_lead[0].name, scores)
         self._comparisons = Comparisons(run, scores, self._headline)
 
-    def made(self, notices: Sequence[str], interrupted: bool) -> RunSummary:
+    def made(self, notices: Sequence[Notice], interrupted: bool) -> RunSummary:
         run, comparisons = self._run, self._comparisons
         rows = {label: self._row(label) for label in run.labels}
         found = [*self._too_few, *_notices(run), *_incomplete_floors(rows)]
         if not run.pools and len(run.recordings) > 1:
-            found.append("the recordings have no horizons in common: no scores are pooled over them")
+            found.append(Notice(text="the recordings have no horizons in common: no scores are pooled over them"))
         found += unlike_recordings(run.recordings) if run.pools else []
         horizons_s = {name: run.horizons_of([name]) for name in run.recordings} | {ALL_RECORDINGS: run.horizons_s}
         trackers = related(rows, self._scores, self._headline, horizons_s)
@@ -317,57 +318,70 @@ def _curves(scope: ScopeSummary, score: ScoreDefinition) -> CurvesByStratum:
     return {name: np.array([np.nan if one is None else one for one in values]) for name, values in found.items()}
 
 
-def _incomplete_floors(rows: Mapping[str, TrackerSummary]) -> Iterator[str]:
-    """A line for each floor without which no share of the oracle is known, on some of the recordings or on all."""
+def _incomplete_floors(rows: Mapping[str, TrackerSummary]) -> Iterator[Notice]:
+    """A notice of each floor without which no share of the oracle is known, on some of the recordings or on all."""
     for label, row in rows.items() if ORACLE in rows else ():
         missing = sum(trial.outcome != "ok" or bool(trial.leak) for trial in row.recordings.values())
         if row.floor and missing:
             trials = len(row.recordings)
             where = f" on {missing} of {trials} recordings, nor on all together" if trials > 1 else ""
-            yield f"no share of the oracle{where}: {label}, a floor, is not complete"
+            kind = "a floor that is not complete: no share of the oracle"
+            yield Notice(text=f"{kind}{where}", row=label, kind=kind)
 
 
-def _notices(run: RunTrials) -> Iterator[str]:
-    """Facts to know before a comparison, a line each."""
+def _notices(run: RunTrials) -> Iterator[Notice]:
+    """Facts to know before a comparison."""
     for name, description in run.recordings.items():
         trials = run.on(name)
-        yield from filter(None, (_unknown_classes(trial.record, description) for trial in trials))
+        for trial in trials:
+            yield from _unknown_classes(trial.record, description)
         for label in _mismatched_degradations((trial.points, trial.record) for trial in trials):
-            yield f"{label} on {name} was delivered other degraded frames: its robustness is not comparable"
+            text = "was delivered other degraded frames: its robustness is not comparable"
+            yield Notice(text=text, row=label, recording=name)
         for label in run.mismatched[name]:
-            yield f"{label} on {name} was delivered other frames than the rest: its scores are not comparable"
+            text = "was delivered other frames than the rest: its scores are not comparable"
+            yield Notice(text=text, row=label, recording=name)
     for record in (trial.record for trial in run.all):
-        where = f"{record.label} on {record.recording}"
-        if record.recoveries:
-            failures = f"{record.recoveries} failure{'s' * (record.recoveries > 1)}"
-            yield f"{where} continued after {failures} inside it, which it counted itself"
-        if "host" in {measured.clock for measured in (record.latency_ms, record.deadline) if measured}:
-            yield f"{where} reports far shorter times than the round trips of its calls: the round trips count"
-        yield from (f"{where}: {slower}" for slower in _slower_when_scored(record))
+        for notice in _of_trial(record):
+            yield notice.model_copy(update={"row": record.label, "recording": record.recording})
 
 
-def _slower_when_scored(record: TrialRecord) -> Iterator[str]:
+def _of_trial(record: TrialRecord) -> Iterator[Notice]:
+    """The notices about a trial, without its names."""
+    if record.recoveries:
+        failures = f"{record.recoveries} failure{'s' * (record.recoveries > 1)}"
+        yield Notice(
+            text=f"continued after {failures} inside it, which it counted itself",
+            kind="continued after {} failures inside it, which it counted itself",
+            values=(record.recoveries,),
+        )
+    if "host" in {measured.clock for measured in (record.latency_ms, record.deadline) if measured}:
+        yield Notice(text="reports far shorter times than the round trips of its calls: the round trips count")
+    yield from _slower_when_scored(record)
+
+
+def _slower_when_scored(record: TrialRecord) -> Iterator[Notice]:
     """A notice of each kind of call with a median round trip, while the tracker was scored, of more than CLOCK_FACTOR
     times that in a pass that timed it alone, and TRANSPORT_MS more."""
     timed = [one.round_trips for one in (record.latency_ms, record.deadline) if one]
     for call, name in (("an update", "update_ms"), ("a forecast", "predict_ms")):
         scored_ms, alone_ms = getattr(record.round_trips, name), min((getattr(one, name) for one in timed), default=0.0)
         if alone_ms and scored_ms > CLOCK_FACTOR * alone_ms + TRANSPORT_MS:
-            yield (
-                f"{call} took {scored_ms:.0f} ms while it was scored and {alone_ms:.1f} ms when it was timed alone: the"
-                " machine was busy with other work, or the tracker is fast only when it is timed"
+            why = "the machine was busy with other work, or the tracker is fast only when it is timed"
+            yield Notice(
+                text=f"{call} took {scored_ms:.0f} ms while it was scored and {alone_ms:.1f} ms when it was timed"
+                f" alone: {why}",
+                kind=f"slower when scored than when timed alone: {why}",
             )
 
 
-def _unknown_classes(record: TrialRecord, recording: RecordingDescription) -> str:
-    """A notice of the recording's classes that the tracker does not have; empty if there are none."""
+def _unknown_classes(record: TrialRecord, recording: RecordingDescription) -> Iterator[Notice]:
+    """A notice of the recording's classes that the tracker does not have, if there are any."""
     missing = [name for name in recording.classes if name not in record.classes]
-    if not record.classes or not missing:
-        return ""
-    return (
-        f"{record.label} does not forecast the classes {', '.join(missing)} of {record.recording}: their cells count as"
-        " misclassified, with probability 0"
-    )
+    if record.classes and missing:
+        counted = "their cells count as misclassified, with probability 0"
+        text = f"does not forecast the classes {', '.join(missing)}: {counted}"
+        yield Notice(text=text, row=record.label, recording=record.recording)
 
 
 def _mismatched_degradations(records: Iterable[tuple[str, TrialRecord]]) -> list[str]:
@@ -401,8 +415,8 @@ class _Order:
 
 def _reversed_rankings(
     run: RunTrials, trackers: Mapping[str, TrackerSummary], may_lead: Sequence[ScoreDefinition]
-) -> Iterator[str]:
-    """A line for each headline stratum in which the ranking by F1 reverses between the chosen thresholds and 0.5, and
+) -> Iterator[Notice]:
+    """A notice for each headline stratum in which the ranking by F1 reverses between the chosen thresholds and 0.5, and
     one where the ranking by F1 is not that of the first score without a threshold that may lead.
 
     Over all recordings at the horizons of their pooled scores, on each if there are none. Ranked rows count, and the
@@ -419,27 +433,27 @@ def _reversed_rankings(
         }
         if beside is not None:
             by_f1, by_other = (_Order(one.name, one.lead.name, one.stratum, f"in {one.title}") for one in (F1, beside))
-            about = f"the order of trackers depends on the score, {beside.title} or F1"
-            yield from _reversal(f"{name}: {about}", scopes, horizons_s, (by_other, by_f1))
+            about = Notice(text=f"the order of trackers depends on the score, {beside.title} or F1", recording=name)
+            yield from _reversal(about, scopes, horizons_s, (by_other, by_f1))
         for stratum in HEADLINE_STRATA:
             chosen = _Order("f1", "f1", stratum, "in F1 at the chosen thresholds")
             half = _Order("f1", "at_half", stratum, "in F1 at a threshold of 0.5")
-            about = f"{name}: the order of trackers depends on the threshold"
+            about = Notice(text="the order of trackers depends on the threshold", recording=name)
             yield from _reversal(about, scopes, horizons_s, (chosen, half))
 
 
 def _reversal(
-    about: str,
+    about: Notice,
     scopes: Mapping[str, ScopeSummary],
     horizons_s: Sequence[float],
     orders: tuple[_Order, _Order],
-) -> Iterator[str]:
-    """A line with the largest reversal and the number of the others; none without any."""
+) -> Iterator[Notice]:
+    """The notice `about` it with the largest reversal and the number of the others; none without any."""
     pairs = sorted(_reversed_pairs(scopes, horizons_s, orders), key=lambda pair: -pair[0])
     if pairs:
         pairs_of = "pair of rows and horizon" if len(pairs) == 2 else "pairs of rows and horizons"
         more = f"; {len(pairs) - 1} more such {pairs_of}" if len(pairs) > 1 else ""
-        yield f"{about}: {pairs[0][1]}{more}"
+        yield about.model_copy(update={"text": f"{about.text}: {pairs[0][1]}{more}", "kind": about.text})
 
 
 def _reversed_pairs(

@@ -8,9 +8,10 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
+from gridtrack.common.notices import Line, Notice
 from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.passes import Deadline, Latency, Robustness
-from gridtrack.evaluation.runs.result_files import Curve, Line, Number, ResultModel, read_model, write_model
+from gridtrack.evaluation.runs.result_files import Curve, Number, ResultModel, read_model, write_model
 from gridtrack.evaluation.runs.run_record import LONGEST_S, RecordingSummary, refuse_unordered
 from gridtrack.evaluation.runs.trial_record import Times
 from gridtrack.evaluation.scores.definition import HORIZONS_S, Output, ScoreDefinition
@@ -335,8 +336,8 @@ class RunSummary(ResultModel):
 
     schema_version: Literal[3] = Field(default=SUMMARY_SCHEMA, alias="schema")
     interrupted: bool = False
-    notices: tuple[Line, ...] = ()
-    """To know before a comparison, a line for each."""
+    notices: tuple[Notice, ...] = ()
+    """To know before a comparison."""
     scores: Annotated[tuple[ScoreDescription, ...], Field(max_length=100)] = ()
     """The scores of the run, in the order in which they are listed."""
     headline: str = "f1.f1"

@@ -9,9 +9,10 @@ from typing import Final, Literal, Protocol
 from pydantic import Field
 
 from gridtrack.common.files import sha256_of
+from gridtrack.common.notices import Line
 from gridtrack.evaluation.hosting.outcome import Outcome
 from gridtrack.evaluation.runs.passes import Deadline, Followed, Latency, Robustness, RoundTrips
-from gridtrack.evaluation.runs.result_files import Line, ResultModel, RunError, read_model, write_model
+from gridtrack.evaluation.runs.result_files import ResultModel, RunError, read_model, write_model
 from gridtrack.evaluation.scores.thresholds import Thresholds
 from gridtrack.recordings.degradation import Degradation
 from gridtrack.trackers.contract import ComparedPart, Role

@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import shift_between
+from gridtrack.common.grid import nearest_step, shift_between
 from gridtrack.common.scene import UNLABELLED
 from gridtrack.evaluation.referee.referee import ScoredForecast
+from gridtrack.evaluation.referee.samples import RobotPaths
 from gridtrack.evaluation.referee.strata import PARTS
 from gridtrack.evaluation.referee.targets import SEEN_FREE
 from gridtrack.evaluation.scores.cells import (
@@ -30,6 +31,7 @@ from gridtrack.evaluation.scores.cells import (
     CLIP,
     FIRST_OF_CALIBRATION_BIN,
     PROBABILITY_BINS,
+    PROBABILITY_EDGES,
     bin_of,
 )
 from gridtrack.evaluation.scores.contact_paths import NEVER, Events, Paths, draw_paths, events_of, risks_of
@@ -47,6 +49,8 @@ from gridtrack.evaluation.scores.definition import (
 )
 from gridtrack.evaluation.scores.pr_auc import area_under_precision_recall
 
+ROBOTS_AHEAD_S = 1.0
+"""The horizon of the paths that are kept to be shown, seconds."""
 LONGEST_S = 2.0
 """The longest horizon, seconds."""
 LEAST_PATHS = 50
@@ -141,6 +145,34 @@ def paths_of(forecast: ScoredForecast, facts: TrialFacts) -> Paths:
     free = dynamic & (first.state == SEEN_FREE)
     radius, stride = facts.robot.radius / facts.cell_m, facts.robot.speed * facts.period_s / facts.cell_m
     return draw_paths(int.from_bytes(key.digest(), "little"), free, dynamic, radius, stride, longest(facts))
+
+
+def robots_of(forecast: ScoredForecast, facts: TrialFacts, origin: tuple[float, float]) -> RobotPaths | None:
+    """The paths of a forecast with an outcome within ROBOTS_AHEAD_S, to be shown; `origin` of the grid, metres.
+
+    None if a forecast has too few paths, or does not reach so far.
+    """
+    shown, last = nearest_step(ROBOTS_AHEAD_S, facts.period_s), longest(facts)
+    paths = paths_of(forecast, facts) if 1 <= shown <= last else None
+    if paths is None or len(paths) < LEAST_PATHS:
+        return None
+    states = np.stack([target.state for target in forecast.targets[1 : last + 1]])
+    events = events_of(paths, states, has_truth=facts.has_truth)
+    occupancy = np.ascontiguousarray(forecast.forecast.occupancy[1 : last + 1])
+    risks = risks_of(paths, np.arange(len(paths)), occupancy)[0][:, shown - 1]
+    contact = events.contact <= shown
+    known = contact | (events.unseen > shown)
+    steps = np.minimum(events.contact, shown)
+    places = facts.cell_m * paths.starts + np.array(origin)
+    velocities = facts.cell_m / facts.period_s * paths.strides
+    found = (places, velocities, facts.period_s * steps, contact, risks)
+    return RobotPaths(*(own[known].astype(np.float32) for own in found))
+
+
+def alarm_risk(clears: Floats) -> float:
+    """The least risk from which on at most FALSE_ALARMS of the clear paths, a histogram (B,), give an alarm."""
+    rates = _curve(clears)[::-1]
+    return float(PROBABILITY_EDGES[:-1][rates <= FALSE_ALARMS].min(initial=1.0))
 
 
 def _slices_of(events: Events, forecast: ScoredForecast, facts: TrialFacts) -> NDArray[np.bool_]:

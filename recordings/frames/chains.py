@@ -12,11 +12,11 @@ from gridtrack.common.files import is_label
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import BODY_FRAMES, Edge, FrameTree, PoseTopic, frame_name, is_world, last_part
 from gridtrack.recordings.read_options import NO_POSES, Mount
+from gridtrack.recordings.recording_info import NO_MOTION
 
 LinkKey = tuple[str, str]
 """The source of a link's transforms (a topic or an option), and the child frame in them."""
 SHOWN_FRAMES = 8
-NO_MOTION = "no motion recorded: assumed at rest (if the robot drives: --ego-motion kiss-icp)"
 
 
 @dataclass(frozen=True, slots=True)

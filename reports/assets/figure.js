@@ -1,4 +1,5 @@
 // A figure of the page: choices, a drawing, one line of description, and its downloads.
+import { inAddress, keepInAddress } from "./address.js";
 import { downloadButtons } from "./downloads.js";
 import { draw, make, meaning, svgText, swatch } from "./drawing.js";
 import { lineChart, numbersOfChart } from "./line_chart.js";
@@ -18,6 +19,7 @@ let firstWidth = 0; // of the first full figure: all are as wide, and to measure
 export function startFigure(figure) {
   const { id, title, chosen } = figure;
   const section = document.getElementById(id) ?? newSection(id, title);
+  takeFromAddress(figure);
   const heading = section.querySelector("h2").textContent.toLowerCase().replaceAll(" ", "-");
   const holder = make("div", { class: "drawn" });
   const note = make("p", { class: "note" });
@@ -37,7 +39,10 @@ export function startFigure(figure) {
     if (figure.legend) keys.replaceChildren(...legendKeys());
     note.replaceChildren(figure.line(chosen), " ", meaning(heading));
   };
-  const controls = make("div", { class: "controls" }, choiceBar(figure.choices, chosen, redraw));
+  const controls = make("div", { class: "controls" }, choiceBar(figure.choices, chosen, () => {
+    redraw();
+    keepInAddress(id, figure.choices(chosen).map(([key, , , taken = chosen[key]]) => taken));
+  }));
   section.append(controls, printed, ...(figure.legend ? [keys] : []), holder, note);
   section.hidden = false;
   if (!figure.aside) firstWidth ||= holder.clientWidth;
@@ -55,6 +60,15 @@ export function startFigure(figure) {
     width = holder.clientWidth;
     redraw();
   }).observe(section);
+}
+
+// The choices of a figure in the address, as far as they are options.
+function takeFromAddress({ id, choices, chosen }) {
+  (inAddress(id) ?? []).forEach((text, at) => {
+    const [key, , options] = choices(chosen)[at] ?? [];
+    const found = options?.find(([value]) => String(value) === text);
+    if (found) [chosen[key]] = found;
+  });
 }
 
 // Whether the table of a figure, headings first, has no value after its first column of names or places.

@@ -15,7 +15,7 @@ export function lineChart({ lines, x: across, y: up, diagonal, width }) {
   const places = placesOf(lines);
   const [first, last] = across.range ?? [places[0] ?? 0, places.at(-1) ?? 1];
   const x = scaleOf(first, last, LEFT, width - RIGHT);
-  const range = up.range ?? axisRange(scaledValues(lines, across.unranked ? places[1] : first), up.fromZero);
+  const range = rangeOf(lines, across, up);
   const y = scaleOf(...range, HEIGHT - BOTTOM, TOP);
   const svg = draw("svg", { class: "figure-drawing", viewBox: `0 0 ${width} ${HEIGHT}`, width, height: HEIGHT, role: "img" });
   svg.setAttribute("aria-label", `${up.name}: ${lines.map((one) => `${one.name} ${inDigits(one.values.at(-1), up.digits)}`).join(", ")}`);
@@ -36,6 +36,23 @@ export function lineChart({ lines, x: across, y: up, diagonal, width }) {
   svg.append(clipped(drawn, width));
   if (isCrowded(lines)) showBandOf(null, drawn);
   return withReading(svg, { lines, drawn, places: readingPlaces(places, [first, last]), words: wordsOf(across), digits: up.digits, x, y, width });
+}
+
+// The range of the axis up.
+function rangeOf(lines, across, up) {
+  const places = placesOf(lines), first = across.range?.[0] ?? places[0];
+  return up.range ?? axisRange(scaledValues(lines, across.unranked ? places[1] : first), up.fromZero);
+}
+
+// The widest interval of a chart, { name, place, low, high }, if it is more than half as high as the axis; else null.
+export function wideInterval({ lines, x: across, y: up }) {
+  const [bottom, top] = rangeOf(lines, across, up), unranked = across.unranked ? placesOf(lines)[0] : null;
+  const intervals = lines.flatMap(({ name, xs, low, high }) => (low && high ? xs : [])
+    .map((place, i) => ({ name, place, low: low[i], high: high[i] })))
+    .filter(({ place, low, high }) => low !== null && high !== null && place !== unranked);
+  const widthOf = ({ low, high }) => high - low;
+  const widest = intervals.sort((a, b) => widthOf(b) - widthOf(a))[0];
+  return widest && widthOf(widest) > (top - bottom) / 2 ? widest : null;
 }
 
 // Too many bands to distinguish: only the band of the line next to the pointer is drawn.

@@ -1,16 +1,24 @@
 // The content of a panel of the player: input, observed frame or forecasts of a moment; and the canvas of a panel.
 import { inSeconds, make } from "./drawing.js";
 import { cssColour, forecastColour, inputColour, MARK_COLOURS, markColour, markOf } from "./moment_cells.js";
-import { scoreText } from "./moments.js";
+import { contactsOf, FORESEEN, MISSED, NEEDLESS, robotsOf, robotWords, scoreText, TOUCHED } from "./moments.js";
 
 const OBJECT_COLOUR = "#0a7a4f";
+// Kinds of paths differ in form as well as in colour: dashes, and a disc or a ring at the contact.
+export const ROBOT_STYLES = {
+  [FORESEEN]: { colour: cssColour(MARK_COLOURS.hit), end: "disc", dash: [] },
+  [MISSED]: { colour: cssColour(MARK_COLOURS.miss), end: "ring", dash: [] },
+  [NEEDLESS]: { colour: cssColour(MARK_COLOURS["false alarm"]), end: "", dash: [2, 3] },
+  [TOUCHED]: { colour: "#4a4d52", end: "disc", dash: [] },
+};
 const cellBuffer = document.createElement("canvas");
 
 export class MomentDrawing {
   // The choices come from `player`, the content goes to `panel`, the cells come from the `planes` of the moment.
   constructor(player, panel, planes) {
-    const { data, moment, h, marks, boxes, split, shown } = player;
+    const { data, moment, h, marks, boxes, robots, split, shown } = player;
     Object.assign(this, { data, moment, h, marks, boxes, split, shown, panel, planes });
+    this.hasRobots = robots && h === data.robots_at;
     this.kept = data.moments[moment];
     this.ahead_s = data.horizons_s[h];
   }
@@ -27,6 +35,7 @@ export class MomentDrawing {
   target(colour, title) {
     const target = this.planes.target(this.h);
     this.panel.cells(this.data.size, (at) => colour(target[at]));
+    if (this.hasRobots) this.panel.robots(this.inWindow(contactsOf(this.data, this.moment)));
     this.panel.words(title, `${inSeconds(this.ahead_s)} later`);
   }
 
@@ -50,6 +59,7 @@ export class MomentDrawing {
       if (this.isMissing(tracker)) return this.panel.clear();
       this.cells(tracker);
       if (this.boxes) this.panel.objects(this.objectsOf(tracker), this.ahead_s);
+      if (this.hasRobots) this.panel.robots(this.inWindow(robotsOf(this.data, this.moment, tracker) ?? []));
     });
   }
 
@@ -66,12 +76,20 @@ export class MomentDrawing {
   }
 
   scoreOf(tracker) {
-    return this.isMissing(tracker) ? "no forecast here" : scoreText(this.data, this.moment, this.h, tracker);
+    if (this.isMissing(tracker)) return "no forecast here";
+    const contacts = this.hasRobots ? robotWords(this.data, this.moment, tracker) : "";
+    return `${scoreText(this.data, this.moment, this.h, tracker)}${contacts}`;
   }
 
   inCells([x, y]) {
     const { origin, cell_m: cell } = this.data;
     return [(x - origin[0]) / cell, (y - origin[1]) / cell];
+  }
+
+  // Paths of robots in cells, from their start to their end.
+  inWindow(paths) {
+    return paths.map(({ place: [x, y], velocity: [vx, vy], until_s, kind }) =>
+      ({ kind, from: this.inCells([x, y]), to: this.inCells([x + until_s * vx, y + until_s * vy]) }));
   }
 
   objectsOf(tracker) {
@@ -188,6 +206,27 @@ export class MomentCanvas {
       }
       this.box(then);
       this.label(then);
+    }
+  }
+
+  // Paths from `from` to `to`, in cells.
+  robots(paths) {
+    const context = this.context, scale = window.devicePixelRatio || 1;
+    for (const { from, to, kind } of paths) {
+      const { colour, end, dash } = ROBOT_STYLES[kind];
+      context.strokeStyle = context.fillStyle = colour;
+      context.lineWidth = 1.25 * scale;
+      context.setLineDash(dash.map((length) => length * scale));
+      context.beginPath();
+      context.moveTo(...this.at(...from));
+      context.lineTo(...this.at(...to));
+      context.stroke();
+      context.setLineDash([]);
+      if (!end) continue;
+      context.beginPath();
+      context.arc(...this.at(...to), 3 * scale, 0, 2 * Math.PI);
+      if (end === "ring") context.stroke();
+      else context.fill();
     }
   }
 

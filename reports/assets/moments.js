@@ -1,23 +1,21 @@
-// Moments: links to them, their scores, and the outstanding moments by score.
-// A link to a moment: #t=recording,seconds,horizon,tracker,... with each part escaped.
-export function linkOf({ recording, seconds, horizon, trackers }) {
-  return `#t=${[recording, seconds, horizon, ...trackers].map((part) => encodeURIComponent(part)).join(",")}`;
-}
+// Moments: their place in the address, their scores, and the outstanding moments by score.
+export const IN_ADDRESS = "t";
 
-// The moment of a link; null if the link has none.
-export function momentOfLink(hash) {
-  if (!hash.startsWith("#t=")) return null;
-  try {
-    const [recording, seconds, horizon, ...trackers] = hash.slice(3).split(",").map(decodeURIComponent);
-    const found = { recording, seconds: Number(seconds), horizon: Number(horizon), trackers };
-    return Number.isFinite(found.seconds) && Number.isFinite(found.horizon) ? found : null;
-  } catch {
-    return null;
-  }
+// The moment of the parts [recording, seconds, horizon, tracker, ...] of an address; null if they are none.
+export function momentOfParts(parts) {
+  const [recording, seconds, horizon, ...trackers] = parts ?? [];
+  const found = { recording, seconds: Number(seconds), horizon: Number(horizon), trackers };
+  return Number.isFinite(found.seconds) && Number.isFinite(found.horizon) ? found : null;
 }
 
 export function countsOf(player, moment, h, tracker) {
   return player.moments[moment].counts[h][tracker];
+}
+
+// The occupied cells in motion, which are the same for every tracker; 0 without a score.
+export function occupiedCells(player, moment, h) {
+  const [found, , missed] = player.moments[moment].counts[h].find((counts) => counts) ?? [0, 0, 0];
+  return found + missed;
 }
 
 // F1 of one moment; null without a score, or if no cell was occupied or called occupied.
@@ -36,10 +34,43 @@ export function scoreText(player, moment, h, tracker) {
   return `F1 ${f1 === null ? "–" : f1.toFixed(2)}: ${tp} hit, ${fp} false, ${fn} missed`;
 }
 
+// The paths of virtual robots of a moment by the alarms of a tracker, { place, velocity, until_s, kind }; null without
+// alarms. Kinds: FORESEEN and MISSED contacts, and NEEDLESS alarms on clear paths.
+export const FORESEEN = "contact foreseen", MISSED = "contact missed", NEEDLESS = "needless alarm", TOUCHED = "contact";
+
+export function robotsOf(player, moment, tracker) {
+  const { paths, alarms } = player.moments[moment].robots ?? { alarms: [] };
+  if (!alarms[tracker]) return null;
+  const kindOf = (contact, alarm) => (contact ? (alarm ? FORESEEN : MISSED) : alarm ? NEEDLESS : null);
+  return paths.map(([x, y, vx, vy, until_s, contact], i) =>
+    ({ place: [x, y], velocity: [vx, vy], until_s, kind: kindOf(contact, alarms[tracker][i] === "1") }))
+    .filter(({ kind }) => kind);
+}
+
+// The paths of a moment that end in a contact.
+export function contactsOf(player, moment) {
+  return (player.moments[moment].robots?.paths ?? []).filter((path) => path[5])
+    .map(([x, y, vx, vy, until_s]) => ({ place: [x, y], velocity: [vx, vy], until_s, kind: TOUCHED }));
+}
+
+// Numbers of paths by kind for a tracker; null without alarms.
+export function robotCounts(player, moment, tracker) {
+  const robots = robotsOf(player, moment, tracker);
+  const number = (kind) => robots.filter((one) => one.kind === kind).length;
+  return robots && { foreseen: number(FORESEEN), missed: number(MISSED), needless: number(NEEDLESS) };
+}
+
+export function robotWords(player, moment, tracker) {
+  const counts = robotCounts(player, moment, tracker);
+  if (!counts) return "";
+  const { foreseen, missed, needless } = counts;
+  return `; ${foreseen} of ${foreseen + missed} contacts foreseen, ${needless} needless`;
+}
+
 // Kinds of outstanding moments for the first `trackers` on screen, with a high `value`; null if a moment is of another
 // kind. Worst: the lowest F1 of moments with occupied cells. Different: the largest range of F1. Moments with few
 // occupied cells come last: F1 of one cell is 0 or 1 by chance.
-const FEW_CELLS = 5;
+export const FEW_CELLS = 5;
 const AFTER_ALL_OTHERS = 2;
 
 export const WORST = {

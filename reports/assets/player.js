@@ -1,20 +1,22 @@
 // The player of one recording: kept forecasts over time and horizon, one to four trackers side by side.
-import { inSeconds, make, meaning, nearest } from "./drawing.js";
+import { keepInAddress } from "./address.js";
+import { draw, inSeconds, make, meaning, nearest } from "./drawing.js";
 import { busiestCell, cameColour, cssColour, MARK_COLOURS, truthColour, unpackedMoment } from "./moment_cells.js";
-import { MomentCanvas, MomentDrawing } from "./moment_drawing.js";
-import { linkOf, MOST_DIFFERENT, outstandingMoment, WORST } from "./moments.js";
+import { MomentCanvas, MomentDrawing, ROBOT_STYLES } from "./moment_drawing.js";
+import { contactsOf, IN_ADDRESS, MOST_DIFFERENT, outstandingMoment, WORST } from "./moments.js";
 import { isShown } from "./shown_trackers.js";
 
 const MOST_PANELS = 4;
 const LEAST_CELL_PX = 4;
 const PLAY_MS = 700;
 const NONE = -1;
+const CLOSE_M = 4, NEAR_M = 1; // the side of the view of a person and its surroundings; contacts with one person
 
 export class Player {
   // `onward(kind)` goes to a moment of this kind of another recording; null if there is no other.
   constructor(element, data, onward) {
     Object.assign(this, { element, data, onward, moment: 0, h: data.decisive, zoom: 1, centre: null });
-    Object.assign(this, { marks: true, boxes: true, wipe: false, split: data.size / 2 });
+    Object.assign(this, { marks: true, boxes: true, robots: true, wipe: false, split: data.size / 2 });
     Object.assign(this, { timer: null, remark: "", unpacked: new Map() });
     this.chosen = Array.from({ length: MOST_PANELS }, (_, at) => (at < data.trackers.length ? at : NONE));
     this.build();
@@ -28,7 +30,6 @@ export class Player {
     this.menus = this.chosen.map((_, at) => this.trackerMenu(at));
     this.jumps = new Map([[WORST, "worst of the first"], [MOST_DIFFERENT, "most different of the first two"]]
       .map(([kind, words]) => [kind, button(words, () => this.jump(kind))]));
-    this.link = make("a", { href: "#" }, "link to this moment");
     this.wipeSlider = slider("wipe", this.data.size, (column) => this.go({ split: column }));
     this.why = make("output", { class: "why" });
     const zooms = [[1, "all that fits"], [2, "twice"], [4, "four times"]];
@@ -40,14 +41,16 @@ export class Player {
         ...this.jumps.values(), this.zoomMenu.element,
         check("hits and errors", true, (marks) => this.go({ marks })),
         check("boxes", true, (boxes) => this.go({ boxes })),
+        ...(this.data.robots_at === null ? [] : [check("virtual robots", true, (robots) => this.go({ robots }))]),
         check("wipe between the first two", false, (wipe) => this.go({ wipe })),
-        this.wipeSlider.element, this.link, this.why),
+        this.wipeSlider.element, this.why),
     );
     this.panels = make("div", { class: "moment-panels" });
     this.legend = markLegend(this.data.hidden_known);
+    this.robotLegend = robotsLegend();
     const left = this.data.kept - moments.length;
     const kept = left ? `${moments.length} of ${this.data.kept} kept moments fit on the page. ` : "";
-    this.element.append(this.panels, this.legend, make("p", { class: "note" }, kept,
+    this.element.append(this.panels, this.legend, this.robotLegend, make("p", { class: "note" }, kept,
       `Hits and errors: ${this.data.stratum || "visible"} cells. Arrow keys: time, horizon; space: play; click: zoom; shift and arrows move it. `,
       meaning("moments")));
     this.element.tabIndex = 0;
@@ -67,6 +70,7 @@ export class Player {
     return menu(`tracker ${at + 1}`, options, this.chosen[at], (value) => {
       this.chosen[at] = value;
       this.arrange();
+      this.keep();
     });
   }
 
@@ -111,7 +115,13 @@ export class Player {
     this.show();
   }
 
+  // A change by the user.
   go(change) {
+    this.change(change);
+    this.keep();
+  }
+
+  change(change) {
     const wiped = this.wipe;
     if ("moment" in change || "h" in change) this.remark = "";
     Object.assign(this, change);
@@ -146,7 +156,10 @@ export class Player {
   // To the most interesting moment.
   begin() {
     const found = [MOST_DIFFERENT, WORST].map((kind) => this.outstanding(kind)).find(({ moment }) => moment !== undefined);
-    if (found) this.go(found);
+    if (!found) return;
+    this.moment = found.moment;
+    this.approach();
+    this.change(found);
   }
 
   get ahead() {
@@ -211,6 +224,24 @@ export class Player {
     return { left: low(x), bottom: low(y), span };
   }
 
+  // The contact of the moment with the most others near it, in cells; null without one.
+  contactCell() {
+    const { data, moment } = this;
+    const ends = contactsOf(data, moment).map(({ place: [x, y], velocity: [vx, vy], until_s }) => [x + until_s * vx, y + until_s * vy]);
+    const near = ends.map(([x, y]) => ends.filter(([u, v]) => Math.hypot(u - x, v - y) < NEAR_M).length);
+    const end = ends[near.indexOf(Math.max(...near))];
+    return end ? end.map((at, axis) => (at - data.origin[axis]) / data.cell_m) : null;
+  }
+
+  // Near enough to the contacts of the moment to see a person; without contacts as before.
+  approach() {
+    const { size, cell_m: cell } = this.data;
+    if (!this.contactCell()) return;
+    this.centre = null;
+    this.zoom = [4, 2].find((zoom) => (size * cell) / zoom >= CLOSE_M) ?? 1;
+    this.zoomMenu.select.value = String(this.zoom);
+  }
+
   async planes(moment) {
     if (!this.unpacked.has(moment)) this.unpacked.set(moment, unpackedMoment(this.data, this.data.moments[moment]));
     return this.unpacked.get(moment);
@@ -221,7 +252,7 @@ export class Player {
     if (!this.element.clientWidth) return;
     const planes = await this.planes(moment);
     if (moment !== this.moment || h !== this.h) return;
-    this.centre ??= busiestCell(data, planes);
+    this.centre ??= this.contactCell() ?? busiestCell(data, planes);
     const view = this.view();
     for (const { panel, draw } of this.drawn) {
       panel.prepare(view);
@@ -234,10 +265,16 @@ export class Player {
     this.horizon.output.textContent = this.ahead;
     this.wipeSlider.input.value = this.split;
     this.legend.hidden = !this.marks;
+    this.robotLegend.hidden = !(this.robots && h === data.robots_at);
     this.why.textContent = `moment ${moment + 1} of ${data.moments.length}${this.remark}`;
-    const trackers = this.shown.map((tracker) => data.trackers[tracker]);
-    this.link.href = linkOf({ recording: data.recording, seconds: t, horizon: data.horizons_s[h], trackers });
     this.element.dataset.ready = `${moment} ${h}`;
+  }
+
+  // The moment on screen goes into the address.
+  keep() {
+    const { recording, trackers, horizons_s: horizons, moments } = this.data;
+    const labels = this.shown.map((tracker) => trackers[tracker]);
+    keepInAddress(IN_ADDRESS, [recording, moments[this.moment].t, horizons[this.h], ...labels]);
   }
 
   // The choices that carry over to another recording: the labels of trackers, and the horizon in seconds.
@@ -257,8 +294,10 @@ export class Player {
   open(link) {
     this.choose(link);
     this.moment = nearest(this.data.moments.map(({ t }) => t), link.seconds);
+    this.approach();
     this.arrange();
     this.element.scrollIntoView();
+    return this;
   }
 }
 
@@ -297,6 +336,16 @@ function markLegend(hidden) {
   return make("div", { class: "legend marks-legend" }, ...names.map((name) => {
     const key = make("i", { class: name.includes("miss") ? "key hollow" : "key" });
     key.style.backgroundColor = key.style.borderColor = cssColour(MARK_COLOURS[name]);
+    return make("span", {}, key, name);
+  }));
+}
+
+function robotsLegend() {
+  return make("div", { class: "legend robots-legend" }, ...Object.entries(ROBOT_STYLES).map(([name, { colour, end, dash }]) => {
+    const key = draw("svg", { class: "key", viewBox: "0 0 24 10", width: 24, height: 10, "aria-hidden": "true" },
+      draw("line", { x1: 1, y1: 5, x2: 18, y2: 5, "stroke-dasharray": dash.join(" ") }));
+    if (end) key.append(draw("circle", { class: end, cx: 18, cy: 5, r: 3 }));
+    key.style.stroke = key.style.color = colour;
     return make("span", {}, key, name);
   }));
 }

@@ -1,7 +1,9 @@
 // The players of all recordings; one is on screen.
+import { inAddress, whenAddressChanges } from "./address.js";
 import { make, nearest } from "./drawing.js";
 import { choice } from "./figure.js";
-import { momentOfLink, outstandingMoment } from "./moments.js";
+import { startMomentList } from "./moment_list.js";
+import { IN_ADDRESS, momentOfParts, outstandingMoment } from "./moments.js";
 import { pageData } from "./page_data.js";
 import { Player } from "./player.js";
 import { whenShownChange } from "./shown_trackers.js";
@@ -16,11 +18,12 @@ export function startPlayers() {
   recordings.hidden = names.length < 2;
   section.querySelector("h2").after(make("div", { class: "choices" }, recordings));
   const onward = names.length > 1 ? (kind) => show(recordingAfter(shown, kind)).arrive(kind) : null;
-  const players = new Map();
+  const players = new Map(), place = make("div", {});
+  section.append(place);
   let shown = null;
   const show = (recording) => {
     const isNew = !players.has(recording);
-    if (isNew) players.set(recording, playerOf(recording, section, onward));
+    if (isNew) players.set(recording, playerOf(recording, place, onward));
     const chosen = shown?.choice;
     shown?.leave();
     shown = players.get(recording);
@@ -32,16 +35,18 @@ export function startPlayers() {
     if (isNew) shown.begin();
     return shown;
   };
-  const follow = () => {
-    const wanted = momentOfLink(location.hash);
+  const open = (wanted) => show(wanted.recording).open(wanted);
+  const follow = (parts) => {
+    const wanted = momentOfParts(parts);
     if (!names.some(([name]) => name === wanted?.recording)) return false;
-    show(wanted.recording).open(wanted);
+    open(wanted);
     return true;
   };
   new ResizeObserver(() => shown?.show()).observe(section);
   whenShownChange(() => shown.arrange());
-  window.addEventListener("hashchange", follow);
-  if (!follow()) show(names[0][0]);
+  whenAddressChanges(IN_ADDRESS, follow);
+  if (!follow(inAddress(IN_ADDRESS))) show(names[0][0]);
+  startMomentList(section, momentsOf, (wanted) => open(wanted).keep());
 }
 
 // The legend of the recording on screen, with the words of templates/player.html.j2.
@@ -54,9 +59,9 @@ function fillLegend({ size, cell_m: cell, origin, moments }) {
   document.getElementById("moments-sensor").hidden = !moments.some(hasSensor);
 }
 
-function playerOf(recording, section, onward) {
+function playerOf(recording, place, onward) {
   const element = make("div", { class: "player" });
-  section.append(element);
+  place.append(element);
   return new Player(element, momentsOf(recording), onward);
 }
 

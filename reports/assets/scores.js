@@ -1,6 +1,6 @@
 // The scores of the page's data: estimates by recording, row, stratum, score, output and step.
-import { inSeconds } from "./drawing.js";
-import { isCrowded } from "./line_chart.js";
+import { inDigits, inSeconds } from "./drawing.js";
+import { isCrowded, wideInterval } from "./line_chart.js";
 import { pageData } from "./page_data.js";
 import { isShown } from "./shown_trackers.js";
 
@@ -92,7 +92,12 @@ export function scoreWords({ heading, better }) {
   return better === "lower" ? `${heading} (lower is better)` : heading;
 }
 
-export function bandWords({ lines }) {
+export function bandWords(chart) {
+  const { lines, x, y } = chart;
   if (!lines.some((one) => one.low?.some((v) => v !== null))) return "; without intervals";
-  return isCrowded(lines) ? "; a band, of the line next to the pointer, is a 95 % interval" : "; a band is a 95 % interval";
+  const band = isCrowded(lines) ? "; a band, of the line next to the pointer, is a 95 % interval" : "; a band is a 95 % interval";
+  const wide = wideInterval(chart);
+  if (!wide) return band;
+  const [low, high] = [wide.low, wide.high].map((value) => inDigits(value, Math.min(y.digits ?? 2, 2)));
+  return `${band}; it is wide, of ${wide.name} ${low} to ${high} at ${x.words?.(wide.place) ?? wide.place}: too few data to order such lines`;
 }

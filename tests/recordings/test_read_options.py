@@ -115,7 +115,7 @@ def test_many_ranges_that_may_be_no_return_are_a_warning(recording_with, value, 
     path = recording_with(value, share, range_max=30.0, **changes)
     shown, compared = open_recording(path).overview().warnings, open_stream(path).recording.warnings
     split = plan_split(str(path), None, Sampling(horizon_s=1.0, every_s=0.5))
-    assert list(shown) == compared == list(split.notices[: len(compared)])
+    assert list(shown) == compared == [f"{path}: {notice.text}" for notice in split.notices[: len(compared)]]
     assert len(shown) == (warning is not None)
     assert all(str(warning) in line for line in shown)
 

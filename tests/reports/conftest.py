@@ -19,6 +19,7 @@ from gridtrack.evaluation.runs.scorekeeper import Counter
 from gridtrack.evaluation.runs.summarise import summarise
 from gridtrack.evaluation.runs.sums import SumsWriter
 from gridtrack.evaluation.runs.trial_record import ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.scores.contact_foresight import robots_of
 from gridtrack.evaluation.scores.definition import TrialFacts
 from gridtrack.evaluation.scores.registry import built_in
 from gridtrack.evaluation.scores.thresholds import Thresholds, bins_of
@@ -105,13 +106,19 @@ LATENCY = Latency(
 )
 
 
-def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", reason="", chosen_on="crossing@0s-15s"):
-    """Score `forecast` on the first `scored` frames and leave the trial's folder, as the referee does."""
+def write_trial(
+    run, label, tracker, forecast, scored=EXPECTED, outcome="ok", reason="", chosen_on="crossing@0s-15s", robots=False
+):
+    """Score `forecast` on the first `scored` frames and leave the trial's folder, as the referee does.
+
+    `robots`: whether its samples have the paths of robots; those of earlier runs have none.
+    """
     folder = run / f"{label}@{RECORDING}"
     folder.mkdir(parents=True)
     values = np.full((STEPS + 1, len(STRATA)), 0.375 if chosen_on else 0.5)
     thresholds = Thresholds(bins_of(values), chosen_on)
-    counter = Counter(built_in(), TrialFacts(GRID.cell_m, STEPS, STRATA, thresholds))
+    facts = TrialFacts(GRID.cell_m, STEPS, STRATA, thresholds, period_s=PERIOD_S)
+    counter = Counter(built_in(), facts)
     with (
         SumsWriter(folder, counter.layouts, STEPS) as sums,
         SampleWriter(folder / SAMPLES, GRID, PERIOD_S, STEPS) as samples,
@@ -121,7 +128,7 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
             one = ScoredForecast(Forecast(forecast(t)), targets, MOMENTS[t].region_maps, JUST_SEEN)
             for score, counted in counter.count(one).items():
                 sums.add(one.stamp_ns, f"{t:032x}", score, counted)
-            samples.add(one)
+            samples.add(one, robots_of(one, facts, GRID.origin) if robots else None)
     record = TrialRecord(
         schema=3,
         label=label,
@@ -140,11 +147,11 @@ def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", re
     return record, folder
 
 
-def write_run(run, trackers=None, broken=(), notices=(), chosen_on="crossing@0s-15s"):
+def write_run(run, trackers=None, broken=(), notices=(), chosen_on="crossing@0s-15s", robots=False):
     """A whole run's folder; `broken` are (label, scored, outcome, reason) of trials that did not finish."""
     trials = []
     for label, (tracker, forecast) in (TRACKERS if trackers is None else trackers).items():
-        record, folder = write_trial(run, label, tracker, forecast, chosen_on=chosen_on)
+        record, folder = write_trial(run, label, tracker, forecast, chosen_on=chosen_on, robots=robots)
         trials.append(FinishedTrial(record, folder, tracker, {}, ""))
     for label, scored, outcome, reason in broken:
         record, folder = write_trial(run, label, label, blurred_future(1.0), scored, outcome, reason, chosen_on)

@@ -29,7 +29,7 @@ def hostile_run(run_folder, tmp_path_factory):
     run = shutil.copytree(run_folder, tmp_path_factory.mktemp("hostile") / "run")
     summary = json.loads((run / "summary.json").read_text())
     summary["trackers"][HOSTILE.replace("/", "∕")] = summary["trackers"].pop("good")  # no label has a slash
-    summary["notices"] = [HOSTILE]
+    summary["notices"] = [{"text": HOSTILE}]
     (run / "summary.json").write_text(json.dumps(summary))
     return run
 

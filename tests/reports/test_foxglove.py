@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import math
 import re
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import foxglove.messages as official
+import numpy as np
 import pytest
 from foxglove import layouts
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
@@ -18,11 +20,11 @@ from mcap_protobuf.decoder import DecoderFactory
 from typer.testing import CliRunner
 
 from gridtrack.cli import app
-from gridtrack.evaluation.referee.samples import SAMPLES, read_samples
+from gridtrack.evaluation.referee.samples import SAMPLES, RobotPaths, read_samples
 from gridtrack.recordings import RecordingInfo, write_native
 
 from scenes import truth_scene
-from scenes.drawn_samples import STAMP_NS, write_samples
+from scenes.drawn_samples import ROBOTS, STAMP_NS, write_samples
 
 TOPIC_SETTINGS = {
     "foxglove.Grid": layouts.BaseRendererGridTopicSettings,
@@ -119,6 +121,21 @@ def test_a_track_is_a_box_with_an_arrow_as_long_as_it_moves_in_a_second(samples:
     assert arrow.shaft_length + arrow.head_length == pytest.approx(1.0)
     assert min(arrow.head_length, arrow.head_diameter) > 0  # not given, a viewer takes 0 and draws no head
     assert 2 * math.atan2(arrow.pose.orientation.z, arrow.pose.orientation.w) == pytest.approx(math.atan2(-0.8, 0.6))
+
+
+def test_the_paths_of_robots_are_points_with_the_values_of_each(samples: Path) -> None:
+    cloud = message_at(samples, "/robots")
+    names = [field.name for field in cloud.fields]
+    assert names == ["x", "y", "vx", "vy", "until_s", "contact", "risk"]
+    assert (cloud.frame_id, len(cloud.data)) == ("grid", 3 * cloud.point_stride)
+    first = struct.unpack_from("<7f", cloud.data)
+    assert dict(zip(names, first, strict=True)) == {
+        "x": -0.5, "y": 2.25, "vx": 0.5, "vy": 0.0, "until_s": 0.5, "contact": 1.0, "risk": 0.25,
+    }  # fmt: skip
+    with_robots, without = read_samples(samples)
+    assert without.robots is None
+    for name in RobotPaths.__slots__:
+        assert np.array_equal(getattr(with_robots.robots, name), getattr(ROBOTS, name), equal_nan=True)
 
 
 def test_a_track_that_ended_is_not_drawn_on(samples: Path) -> None:

@@ -130,3 +130,17 @@ def test_the_figure_of_degraded_input_names_the_only_kind(browser, run_folder, t
         figure = page.locator("#conditions")
         assert figure.locator("text.axis-name").all_text_contents() == ["beams without a return", "F1"]
         assert "beams without a return: input degraded" in figure.locator(".note").inner_text()
+
+
+@pytest.mark.parametrize(("high", "words"), [(0.57, "it is wide, of good 0.03 to 0.57 at 0.5 s ahead"), (0.1, "")])
+def test_an_interval_over_most_of_a_figure_is_said_below_it(browser, run_folder, tmp_path, high, words):
+    run = shutil.copytree(run_folder, tmp_path / "run")
+    summary = json.loads((run / "summary.json").read_text())
+    area = summary["trackers"]["good"]["recordings"]["crossing"]["strata"]["in-motion"]["pr_auc"]["area"]
+    area["low"], area["high"] = ([0.03] * len(area["value"]) for _ in range(2))
+    area["high"][4] = high
+    (run / "summary.json").write_text(json.dumps(summary))
+    with page_opened(browser, render_report([run])) as page:
+        note = page.locator("#curves .note").inner_text()
+    assert words in note
+    assert ("it is wide" in note) == bool(words)

@@ -147,7 +147,7 @@ def test_hostile_names_are_text_and_nothing_else(make_run, run_folder, tmp_path)
     run = shutil.copytree(run_folder, tmp_path / "run")
     path = run / "summary.json"
     summary = json.loads(path.read_text())
-    summary["notices"] = [HOSTILE]
+    summary["notices"] = [{"text": HOSTILE}]
     summary["trackers"]["good"]["points"] = HOSTILE
     summary["trackers"]["unlucky"]["recordings"]["crossing"]["reason"] = HOSTILE
     summary["trackers"]["unlucky"]["recordings"]["crossing"]["outcome"] = HOSTILE

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from gridtrack.common.notices import Notice
 from gridtrack.evaluation.runs.summary import NO_ESTIMATE, PairFamily, PairTest, read_summary
 from gridtrack.reports import terminal
 from gridtrack.reports.answer import answer_of
@@ -22,7 +23,8 @@ from gridtrack.reports.differences import difference_table, groups_of
 from gridtrack.reports.formats import pull_request_markdown
 from gridtrack.reports.markdown import escaped
 from gridtrack.reports.notices import notices_of
-from gridtrack.reports.run import read_runs
+from gridtrack.reports.page import render_page
+from gridtrack.reports.run import chosen_runs, read_runs
 from gridtrack.reports.table import headline_markdown, headline_tables, main_tables
 
 from scenes.edited_run import edit, put
@@ -248,18 +250,37 @@ def test_the_floor_that_no_tracker_beats_is_better_or_not(changed):
     assert "There is no evidence between it and the floor, persistence (0.900): " in lead
 
 
-def test_failures_stand_first_and_texts_of_several_recordings_are_one_notice(changed):
-    everywhere = [f"{name}: no validation stretch, so thresholds are 0.5" for name in RECORDINGS]
-    continued = [f"good on {name} continued after 1 failure inside it" for name in RECORDINGS[:2]]
-    notices = [*everywhere, *continued, f"good on {RECORDINGS[3]} continued after 2 failures inside it"]
-    runs = changed(lambda summary: summary.update(notices=notices))
-    texts = [notice.text for notice in notices_of(runs, headline_tables(runs))]
-    assert texts == [
-        "unlucky: crashed on 1 of 20 recordings; 76 of 80 frames scored, not ranked",
-        "all 20 recordings: no validation stretch, so thresholds are 0.5",
-        "good on seed-00 and seed-01 continued after 1 failure inside it",
-        "good on seed-03 continued after 2 failures inside it",
+def with_notices(changed, *notices):
+    listed = [notice.model_dump(mode="json") for notice in notices]
+    return changed(lambda summary: summary.update(notices=listed))
+
+
+def test_failures_stand_first_and_notices_of_a_kind_are_one_with_its_list(changed):
+    card = "thresholds from the cards"
+    everywhere = [Notice(text=f"{card}: {name} has no other", recording=name, kind=card) for name in RECORDINGS]
+    kind = "{} % of the ranges are invalid"
+    shares = zip(RECORDINGS[:10], range(22, 80, 6), strict=True)
+    invalid = [Notice(text=f"{one}.0% invalid", recording=name, kind=kind, values=(one,)) for name, one in shares]
+    runs = with_notices(changed, *everywhere, *invalid)
+    found = [(one.text, one.members[:1], len(one.members)) for one in notices_of(runs, headline_tables(runs))]
+    assert found == [
+        ("unlucky: crashed on 1 of 20 recordings; 76 of 80 frames scored, not ranked", (), 0),
+        (f"all 20 recordings: {card}", (f"seed-00: {card}: seed-00 has no other",), 20),
+        ("10 of 20 recordings: 22 to 76 % of the ranges are invalid", ("seed-00: 22.0% invalid",), 10),
     ]
+    assert "- 10 of 20 recordings: 22 to 76 % of the ranges are invalid\n" in pull_request_markdown(
+        runs, exported_tables(runs)[:1]
+    )
+    page = render_page(runs)
+    assert "<details><summary>10 of 20 recordings: 22 to 76 % of the ranges are invalid</summary><ul>" in page
+    assert "<li>seed-09: 76.0% invalid</li>" in page
+
+
+def test_a_notice_of_a_recording_that_is_not_chosen_is_not_shown(changed):
+    notices = [Notice(text="is short", recording=name) for name in (*RECORDINGS[:2], "another file")]
+    runs = chosen_runs(with_notices(changed, *notices), RECORDINGS[1])
+    texts = [notice.text for notice in notices_of(runs, headline_tables(runs))]
+    assert "seed-01 and another file: is short" in texts
 
 
 def test_the_answer_says_why_a_row_failed_in_few_words_and_how_far_forecasts_reach(changed):

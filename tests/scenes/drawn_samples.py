@@ -11,7 +11,7 @@ import numpy as np
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.referee.referee import ScoredForecast
-from gridtrack.evaluation.referee.samples import SampleWriter
+from gridtrack.evaluation.referee.samples import RobotPaths, SampleWriter
 from gridtrack.evaluation.referee.strata import region_maps_of
 from gridtrack.evaluation.referee.targets import Target
 from gridtrack.trackers.contract import Forecast, TrackedObject
@@ -25,6 +25,14 @@ LATER = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 0]], bool)
 STATE = np.array([[0, 0, 2], [1, 0, 3], [4, 4, 4]], np.uint8)
 FORECAST = np.array([[0, 0.25, 0], [1, 0.5, 0], [0, 0, 0.2]], np.float32)
 BOX, VELOCITY = np.array([-0.5, 2.5, 0.5, 0.8, 0.4], np.float32), np.array([0.6, -0.8], np.float32)
+ROBOTS = RobotPaths(
+    places=np.array([[-0.5, 2.25], [0.25, 3.0], [0.0, 2.5]], np.float32),
+    velocities=np.array([[0.5, 0.0], [0.0, -1.0], [0.0, 0.0]], np.float32),
+    until_s=np.array([0.5, 1.0, 1.0], np.float32),
+    contact=np.array([1, 0, 0], np.float32),
+    risks=np.array([0.25, 0.75, np.nan], np.float32),
+)
+"""A contact, a clear path, and one whose risk is not known."""
 WALKER = TrackedObject(7, BOX, VELOCITY, np.eye(4, dtype=np.float32))
 
 
@@ -49,4 +57,4 @@ def write_samples(path: Path, seconds: tuple[int, ...] = (0, 1)) -> None:
     """The samples at these seconds; the walker is in that of second 0."""
     with SampleWriter(path, GRID, 0.1, 10) as writer:
         for second in seconds:
-            writer.add(scored(second, () if second else (WALKER,)))
+            writer.add(scored(second, () if second else (WALKER,)), None if second else ROBOTS)

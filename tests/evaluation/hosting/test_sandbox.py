@@ -248,5 +248,5 @@ def test_without_bubblewrap_one_line_says_what_to_install(monkeypatch):
 def test_a_plugin_beside_gridtrack_is_named_by_a_notice(settings, burglar, monkeypatch):
     """Its package is imported by no process of gridtrack, but `.pth` files run in every interpreter."""
     confined = settings("burglar", "persistence", limits=Limits(sandbox=True))
-    (notice,) = (one for one in resolve(confined).notices if "--sandbox" in one)
+    (notice,) = (one for one in map(str, resolve(confined).notices) if "--sandbox" in one)
     assert notice.startswith("burglar: --sandbox confines its process, but its package is installed beside gridtrack")

@@ -16,6 +16,8 @@ from gridtrack.evaluation.referee.strata import CELL_KINDS, region_maps_of
 from gridtrack.evaluation.referee.targets import Target
 from gridtrack.trackers.contract import Forecast, TrackedObject
 
+from scenes.drawn_samples import write_samples
+
 GRID = GridSpec(12, 0.25, (-1.0, 2.0))
 STEPS, PERIOD_S = 15, 0.1
 ORIGINS = np.array([[0.5, 2.25], [-0.75, 3.0]], np.float32)
@@ -122,6 +124,29 @@ def test_a_run_shorter_than_every_sample_horizon_keeps_its_input(tmp_path):
     (sample,) = read_samples(tmp_path / SAMPLES)
     assert sample.horizons_s == ()
     assert sample.forecast.shape == (0, 12, 12)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda cloud: setattr(cloud, "point_stride", 24), "robots with other fields than x, y, vx"),
+        (lambda cloud: cloud.fields.pop(), "robots with other fields than x, y, vx"),
+        (lambda cloud: setattr(cloud, "data", cloud.data[:-4]), "cannot be read as samples"),
+        (lambda cloud: setattr(cloud, "data", b"\xff" * len(cloud.data)), "a time that is not finite"),
+    ],
+)
+def test_paths_of_robots_of_another_form_are_refused_in_one_line(tmp_path, monkeypatch, change, why):
+    written_message = samples_module._robots_message
+
+    def changed(*arguments):
+        message = written_message(*arguments)
+        change(message)
+        return message
+
+    monkeypatch.setattr(samples_module, "_robots_message", changed)
+    write_samples(tmp_path / SAMPLES)
+    with pytest.raises(SamplesError, match=why):
+        list(read_samples(tmp_path / SAMPLES))
 
 
 @pytest.mark.parametrize("kept", [0.2, 0.6, 0.95])

@@ -12,7 +12,9 @@ from gridtrack.evaluation.runs.recipe import Recipe
 from gridtrack.evaluation.runs.run_record import description_of
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.train import train_tracker
-from gridtrack.recordings import import_recording, packaged_recording
+from gridtrack.recordings import import_recording, open_recording, packaged_recording
+from gridtrack.recordings.formats.native import NativeRecording
+from gridtrack.recordings.recording_info import NO_MOTION
 from gridtrack.trackers.training.card import Card, TrainingData
 from gridtrack.trackers.training.weights import save_weights
 
@@ -33,7 +35,7 @@ def test_a_recording_without_named_stretches_is_tested_whole_at_one_half(record)
     split = plan_split(str(record(stretches={})), None, SECOND)
     assert len(split.test) == 200
     assert split.validation is None
-    assert "the thresholds of a tracker come from its weights' card" in split.notices[0]
+    assert "the thresholds of a tracker come from its weights' card" in split.notices[0].text
 
 
 def test_a_range_is_part_of_the_name_of_its_split(record):
@@ -46,7 +48,10 @@ def test_thresholds_are_never_chosen_on_frames_that_are_tested(record):
     path = record()
     split = plan_split(f"{path}@8s-20s", None, SECOND)
     assert split.validation is None
-    assert "shares frames with its validation room.mcap@validation, so the thresholds of a tracker" in split.notices[0]
+    assert (
+        "shares frames with its validation room.mcap@validation, so the thresholds of a tracker"
+        in split.notices[0].text
+    )
     with pytest.raises(ConfigurationError, match=r"shares frames with its validation room\.mcap@0s-8\.5s: name"):
         plan_split(f"{path}@8s-20s", f"{path}@0s-8.5s", SECOND)
 
@@ -55,7 +60,7 @@ def test_a_validation_stretch_that_is_too_short_gives_a_notice(record):
     stretches = {"validation": (0.0, 2.5), "test": (9.0, None)}
     split = plan_split(str(record(stretches=stretches)), None, SECOND)
     assert split.validation is None
-    assert "25 frames leave nothing to score" in split.notices[0]
+    assert "25 frames leave nothing to score" in split.notices[0].text
     with pytest.raises(ConfigurationError, match="name another --validation"):
         plan_split(str(record()), f"{record()}@0s-2.5s", SECOND)
 
@@ -71,8 +76,8 @@ def test_a_short_validation_stretch_is_forecast_from_more_often_than_the_test(re
 @pytest.mark.parametrize(
     ("seconds", "every", "forecasts", "says"),
     [
-        (4, 1, 10, "made.mcap: 10 forecasts, one every 0.1 s (--every)"),
-        (12, 3, 30, "made.mcap: 30 forecasts, one every 0.3 s (--every)"),
+        (4, 1, 10, "made: 10 forecasts, one every 0.1 s (--every)"),
+        (12, 3, 30, "made: 30 forecasts, one every 0.3 s (--every)"),
         (40, 10, 37, ""),
     ],
 )
@@ -82,8 +87,24 @@ def test_by_default_there_is_a_forecast_a_second_and_more_of_them_on_a_short_rec
     path = str(record("made", seconds=seconds, stretches={}))
     split = plan_split(path, None, Sampling(horizon_s=1.0, every_s=None))
     assert (split.every, split.schedule.expected) == (every, forecasts)
-    assert [line for line in split.notices if "--every" in line] == [says] * bool(says)
+    assert [line for line in map(str, split.notices) if "--every" in line] == [says] * bool(says)
     assert plan_split(path, None, Sampling(horizon_s=1.0, every_s=1.0)).every == 10
+
+
+@pytest.mark.parametrize(
+    ("poses", "kinds"),
+    [
+        ("odom -> laser; from /tf; longest gap 0.05 s", []),
+        ("at rest", []),
+        (f"map -> laser; from /tf; {NO_MOTION}", [f"poses: {NO_MOTION}"]),
+        ("kiss-icp: scans of 'scan' matched", ["poses: from matching the scans"]),
+    ],
+)
+def test_poses_that_are_recorded_are_no_notice(record, monkeypatch, poses, kinds):
+    path = record()
+    info = open_recording(path).info.model_copy(update={"poses": poses})
+    monkeypatch.setattr(NativeRecording, "info", info)
+    assert [notice.kind for notice in plan_split(str(path), None, SECOND).notices] == kinds
 
 
 def test_another_recording_can_be_the_validation(record):
@@ -317,16 +338,16 @@ def test_weights_of_a_site_that_do_not_fit_grid_or_rate_give_way_to_general_ones
     }
     plan = resolve(CompareSettings(trackers=("kalman", "site=kalman:card=site"), **chosen))
     assert [trial.weights.kind for trial in plan.trials] == ["general", "site"]
-    said = (
-        f"kalman, leg_tracker@114s-124s: its weights of the site 'leg_tracker' are {why}; general weights are used, as"
-    )
-    assert [line.startswith(said) for line in plan.notices if "as with card=general" in line] == [True]
+    said = f"kalman on leg_tracker@114s-124s: its weights of the site 'leg_tracker' are {why}; general weights are"
+    assert [line.startswith(said) for line in map(str, plan.notices) if "as with card=general" in line] == [True]
 
 
 def test_a_large_cost_is_estimated_before_anything_runs(tmp_path):
     demo = str(packaged_recording("leg_tracker"))
     chosen = {"recordings": (f"{demo}@114s-124s",), "trackers": ("blank",), "no_floors": True}
     chosen["out"] = tmp_path / "run"
-    (said,) = [line for line in resolve(CompareSettings(grid="2000x0.01", **chosen)).notices if "scoring" in line]
+    (said,) = [
+        line for line in map(str, resolve(CompareSettings(grid="2000x0.01", **chosen)).notices) if "scoring" in line
+    ]
     assert "forecasts, the largest of 26 steps on 2000 x 2000 cells, takes about 14 minutes" in said
-    assert not any("scoring" in line for line in resolve(CompareSettings(**chosen)).notices)
+    assert not any("scoring" in line for line in map(str, resolve(CompareSettings(**chosen)).notices))

@@ -295,7 +295,7 @@ def test_nobody_is_compared_by_classes_where_only_one_row_gives_them_or_frames_d
     pair = [*alone, class_trial(tmp_path, "latent", 0, EXTRA["latent"], delivered="f")]
     summary = summary_of(pair, RECORDINGS[:1], classes=CLASSES)
     assert class_differences(summary) == []
-    assert any("latent on seed-00 was delivered other frames" in notice for notice in summary.notices)
+    assert any("latent on seed-00: was delivered other frames" in notice for notice in map(str, summary.notices))
 
 
 ROWS = {

@@ -76,7 +76,7 @@ def test_a_timed_tracker_has_the_requests_of_one_that_is_scored(compare, record,
 def test_a_tracker_that_is_fast_only_where_it_is_timed_is_a_notice(compare, record, tmp_path):
     path, starts = record("plain", stretches={}, seconds=8), tmp_path / "starts"
     summary = compare(f"staged:sleep_s=0.03,starts={starts},sleeps=first", recordings=(str(path),), latency=True)
-    (notice,) = (one for one in summary.notices if "when it was timed alone" in one)
+    (notice,) = (one for one in map(str, summary.notices) if "when it was timed alone" in one)
     assert notice.startswith("staged on plain: an update took 3")
 
 
@@ -110,7 +110,7 @@ def test_a_tracker_that_keeps_the_frames_in_a_file_is_marked_and_an_honest_one_i
     assert hostile.robustness.kinds["beam_dropout"][-1].f1["dynamic"][5] > 0.9
     assert "which is more than chance" in hostile.memory
     assert honest.memory == ""
-    assert [notice for notice in summary.notices if "--sandbox prevents it" in notice] == [
+    assert [notice for notice in map(str, summary.notices) if "--sandbox prevents it" in notice] == [
         f"keeps-a-file on room: {hostile.memory}: the tracker may remember the recording; --sandbox prevents it"
     ]
 
@@ -123,7 +123,8 @@ def test_a_tracker_that_fails_in_the_deadline_pass_keeps_its_score_with_a_notice
     assert (ended.outcome, ended.deadline) == ("ok", None)
     assert other.deadline is not None
     assert any(
-        "staged@plain: no measurement of deadlines" in notice and "crashed" in notice for notice in summary.notices
+        "staged on plain: no measurement of deadlines" in notice and "crashed" in notice
+        for notice in map(str, summary.notices)
     )
 
 

@@ -42,7 +42,7 @@ def test_the_poses_are_taken_from_the_scans_once(drive: Path) -> None:
     assert split.test.recording.survey.moves
     assert not open_recording(drive).survey.moves
     assert split.test.recorded.source_sha256 == sha256_of(drive)
-    assert any("poses: kiss-icp: scans of 'front_scan' matched" in notice for notice in plan.notices)
+    assert any("poses: kiss-icp: scans of 'front_scan' matched" in notice.text for notice in plan.notices)
     assert planned(split.path, notes).splits[0].path == split.path
 
 

@@ -56,7 +56,7 @@ def test_a_floor_of_another_package_is_added_and_left_out_in_a_line_where_its_ex
     install("lost-floor", {"lost": "drift:Drift"}, requires=needed, group=group)
     plan = resolve(settings("blank", no_floors=False))
     assert "lost" not in {trial.label for trial in plan.trials}
-    assert "lost, a floor, is left out: it needs pip install 'lost-floor[lost]'" in plan.notices
+    assert "lost: a floor that is left out: it needs pip install 'lost-floor[lost]'" in map(str, plan.notices)
 
 
 def test_a_tracker_that_is_registered_as_a_floor_says_so_itself(install):

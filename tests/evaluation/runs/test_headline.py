@@ -25,7 +25,7 @@ def summary(folder, recordings, frames, scores=WITH_CONTACTS, headline="", every
 
 
 def too_few(found):
-    return [notice for notice in found.notices if "too few contacts" in notice]
+    return [notice.text for notice in found.notices if "too few contacts" in notice.text]
 
 
 def test_contacts_lead_where_twenty_units_have_one(tmp_path):

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from gridtrack.common.notices import Notice
 from gridtrack.evaluation.runs.passes import CallTimes
 from gridtrack.evaluation.runs.result_files import RunError, json_of
 from gridtrack.evaluation.runs.run_record import MAX_RUN_BYTES, read_run_record
@@ -27,7 +28,7 @@ def folder(tmp_path):
         synthetic.write_trial(tmp_path, label, "room", 0.6, seed=0, frames=2) for label in ("persistence", "good")
     ]
     recordings = {"room": synthetic.description()}
-    summarise(recordings, trials, ["a notice"], False).write(tmp_path)
+    summarise(recordings, trials, [Notice(text="a notice")], False).write(tmp_path)
     synthetic.write_run_record(tmp_path, recordings)
     trials[1].record.write(tmp_path)
     return tmp_path

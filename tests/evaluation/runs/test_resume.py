@@ -68,7 +68,7 @@ def test_a_run_is_continued_with_more_trackers_and_recordings_and_not_with_fewer
 def test_trials_kept_from_other_versions_are_reported_in_every_further_run(compare, monkeypatch):
     def notices(versions, *trackers):
         monkeypatch.setattr(run_folder, "versions", lambda: versions)
-        return [notice for notice in compare(*trackers, resume=True).notices if "trials kept" in notice]
+        return [notice for notice in map(str, compare(*trackers, resume=True).notices) if "trials kept" in notice]
 
     first, later = {"gridtrack": "0.1.0", "numpy": "2.1", "mcap": "1"}, {"gridtrack": "0.2.0", "mcap": "1"}
     notice = "trials kept from a run with gridtrack 0.1.0, numpy 2.1: 1; now gridtrack 0.2.0, no numpy"
@@ -86,7 +86,7 @@ def test_a_trial_with_missing_sums_runs_again_and_is_not_kept_from_other_version
     monkeypatch.setattr(run_folder, "versions", lambda: {"gridtrack": "0.2.0"})
     summary = compare("blank", resume=True)
     assert curve(trial_of(summary, "blank"), "visible", "f1.f1") == (0.0,) * 11
-    assert not [notice for notice in summary.notices if "trials kept" in notice]
+    assert not [notice for notice in map(str, summary.notices) if "trials kept" in notice]
 
 
 def test_a_run_that_was_scored_by_other_rules_is_not_continued(compare, monkeypatch):

@@ -34,7 +34,7 @@ def test_a_run_with_learned_weights_names_them_without_the_folders_of_the_machin
     result = trial_of(summary, "static-map")
     assert result.outcome == "ok"
     assert min(curve(result, "static", "f1.f1")) > 0.9
-    assert not [notice for notice in summary.notices if "learned from" in notice]
+    assert not [notice for notice in map(str, summary.notices) if "learned from" in notice]
     kept = json.loads((tmp_path / "run" / "run.json").read_text())["weights"]
     assert kept["static-map@room"]["name"] == "static-map/room.toml"
     assert set(kept["static-map@room"]) == {"name", "sha256", "labelled_scans"}
@@ -61,7 +61,7 @@ def test_each_row_has_the_weights_of_its_own_folder_and_no_others(settings, trai
         resolve(settings(f"static-map:weights={tmp_path / 'empty'}", weights=tmp_path / "first"))
     card.write_text(card.read_text().replace('interrupted = ""', 'interrupted = "update 3 of 9"'))
     (notice,) = resolve(settings("static-map", weights=tmp_path / "first")).notices
-    assert notice == "static-map: static-map/room.toml is of a training that was interrupted at update 3 of 9"
+    assert str(notice) == "static-map: static-map/room.toml is of a training that was interrupted at update 3 of 9"
 
 
 def test_weights_exchanged_in_mid_run_are_not_used(settings, record, train, tmp_path, progress):

@@ -96,8 +96,8 @@ def test_a_tracker_that_received_other_frames_is_reported(compare, monkeypatch):
     monkeypatch.setattr(trial.TrialRun, "__init__", tampering)
     summary = compare("persistence", "blank", "odd=blank")
     assert summary.recordings["room"].parity is False
-    assert [notice for notice in summary.notices if "other frames" in notice] == [
-        "odd on room was delivered other frames than the rest: its scores are not comparable"
+    assert [notice for notice in map(str, summary.notices) if "other frames" in notice] == [
+        "odd on room: was delivered other frames than the rest: its scores are not comparable"
     ]
 
 
@@ -125,7 +125,7 @@ def test_recoveries_of_a_tracker_are_in_its_outcome_and_give_a_notice(compare, t
     assert recovers.recoveries == read_trial_record(tmp_path / "run" / "recovers@room").recoveries
     assert recovers.recoveries in {1, 2}  # once in each stretch that it was shown
     assert persistence.recoveries == 0
-    assert [notice for notice in summary.notices if notice.startswith("recovers on room continued after ")]
+    assert [notice for notice in map(str, summary.notices) if notice.startswith("recovers on room: continued after ")]
     assert (invalid.outcome, "'recoveries' is -1" in invalid.reason) == ("invalid-output", True)
 
 

@@ -159,7 +159,7 @@ def test_recordings_of_unlike_periods_are_scored_together_at_equal_times_and_not
     assert pooled.estimate("dynamic", "f1", "f1").value == pytest.approx(2 * tp / (2 * tp + fp + fn), abs=1e-6)
     lengths = {len(curve) for _, curve in pooled.curves()}
     assert lengths == {6}
-    (notice,) = [notice for notice in summary.notices if "rate" in notice]
+    (notice,) = [notice for notice in map(str, summary.notices) if "rate" in notice]
     assert notice.endswith("given every 0.5 s; of each recording the nearest step counts, at most 53 ms away")
 
 
@@ -177,7 +177,7 @@ def test_recordings_slower_than_the_common_horizons_are_not_scored_together_with
     summary = summarise(described, trials, [], False)
     assert summary.trackers["persistence"].pooled is None
     assert summary.pooled_horizons_s == ()
-    assert any("no scores are pooled" in notice for notice in summary.notices)
+    assert any("no scores are pooled" in notice for notice in map(str, summary.notices))
 
 
 def test_cells_of_unlike_size_are_counted_together_with_a_notice(tmp_path):
@@ -185,7 +185,7 @@ def test_cells_of_unlike_size_are_counted_together_with_a_notice(tmp_path):
     described = {"a": synthetic.description(), "b": synthetic.description(grid="50x0.4")}
     summary = summarise(described, trials, [], False)
     assert summary.trackers["persistence"].pooled.frames_scored == 6
-    assert any("differ in the size of their cells" in notice for notice in summary.notices)
+    assert any("differ in the size of their cells" in notice for notice in map(str, summary.notices))
 
 
 def test_a_tracker_that_completed_fewer_recordings_is_partial_with_the_reason(twenty):
@@ -350,7 +350,7 @@ def test_recordings_pooled_have_shares_of_their_own_and_hidden_cells_a_gap():
 def test_a_floor_without_which_no_share_is_known_is_a_notice(tmp_path):
     skills = {"persistence": 0.6, "good": 0.8, "oracle": 1.0}
     summary = summary_of(write_rows(tmp_path, skills, ["a"], persistence=3), ["a"])
-    assert "no share of the oracle: persistence, a floor, is not complete" in summary.notices
+    assert "persistence: a floor that is not complete: no share of the oracle" in map(str, summary.notices)
 
 
 def reversed_lines(rows, description=None):
@@ -366,7 +366,7 @@ def reversed_lines(rows, description=None):
         trial = TrialSummary(outcome=known["outcome"], frames_scored=9, frames_expected=9, strata=strata)
         trackers[label] = TrackerSummary(tracker=known["tracker"], recordings={"crossing": trial})
     run = type("Run", (), {"pools": False, "recordings": described})
-    return list(_reversed_rankings(run, trackers, (F1, PR_AUC)))
+    return list(map(str, _reversed_rankings(run, trackers, (F1, PR_AUC))))
 
 
 def test_a_ranking_that_reverses_names_both_rows_the_stratum_the_horizon_and_all_four_scores():

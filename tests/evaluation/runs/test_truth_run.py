@@ -154,9 +154,9 @@ def test_classes_are_scored_over_the_wire_by_name_at_every_step(complete):
 
 def test_a_class_that_a_tracker_lacks_gives_a_notice_and_counts_as_misclassified(complete):
     summary, folder = complete
-    assert [notice for notice in summary.notices if "stranger" in notice] == [
-        "stranger does not forecast the classes cyclist, static of room: their cells count as misclassified,"
-        " with probability 0"
+    assert [notice for notice in map(str, summary.notices) if "stranger" in notice] == [
+        "stranger on room: does not forecast the classes cyclist, static: their cells count as misclassified, with"
+        " probability 0"
     ]
     confusion = confusion_at(folder, "stranger", "visible", 0)
     cyclist, static = truth_scene.CLASSES.index("cyclist"), truth_scene.CLASSES.index("static")

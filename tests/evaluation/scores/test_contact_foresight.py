@@ -11,13 +11,28 @@ from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
 from gridtrack.evaluation.referee.strata import PARTS, STRATA
 from gridtrack.evaluation.referee.targets import HIDDEN_FREE, HIDDEN_OCCUPIED, NOT_SCORED, Target
-from gridtrack.evaluation.scores.cells import CALIBRATION_BINS, CALIBRATION_EDGES, CLIP, PROBABILITY_EDGES
-from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT, LEAST_PATHS, _first_at, _last_at, paths_of
+from gridtrack.evaluation.scores.cells import (
+    CALIBRATION_BINS,
+    CALIBRATION_EDGES,
+    CLIP,
+    PROBABILITY_BINS,
+    PROBABILITY_EDGES,
+)
+from gridtrack.evaluation.scores.contact_foresight import (
+    CONTACT_FORESIGHT,
+    LEAST_PATHS,
+    ROBOTS_AHEAD_S,
+    _first_at,
+    _last_at,
+    alarm_risk,
+    paths_of,
+    robots_of,
+)
 from gridtrack.evaluation.scores.contact_paths import NEVER, PATHS, draw_paths, events_of, paths_along, risks_of
 from gridtrack.evaluation.scores.definition import Sums
 from gridtrack.evaluation.scores.robot import CAR, SMALL_ROBOT, Robot, parse_robot
 
-from scenes.scored_cells import DYNAMIC_CELL, STATIC_CELL, facts_of, frame, region_maps, scored, values
+from scenes.scored_cells import DYNAMIC_CELL, STATIC_CELL, counted, facts_of, frame, region_maps, scored, values
 
 STEPS, SIZE, PERIOD_S = 8, 40, 0.25
 ROBOT = Robot(radius=1.5, speed=4.8)
@@ -340,3 +355,38 @@ def test_strata_are_of_the_contact():
     with_truth = facts_of(forecast, has_truth=True, classes=("car", "person"))
     assert CONTACT_FORESIGHT.strata(with_truth)[3:] == ("occluded dynamic", "dynamic car", "dynamic person")
     assert set(CONTACT_FORESIGHT.strata(facts_of(forecast))) <= set(STRATA)
+
+
+def test_the_paths_that_are_kept_have_the_contacts_and_the_alarms_of_the_score():
+    forecast = random_scene(3)
+    known = {"robot": ROBOT, "period_s": PERIOD_S}
+    strata, sums = counted(CONTACT_FORESIGHT, forecast, **known)
+    step = round(ROBOTS_AHEAD_S / PERIOD_S)
+    contacts, clears = (sums.block(name)[step, strata.index("dynamic")] for name in ("contacts", "clears"))
+    robots = robots_of(forecast, facts_of(forecast, **known), (-2.0, 5.0))
+    met = robots.contact == 1
+    assert (met.sum(), (~met).sum()) == (contacts.sum(), clears.sum())
+    assert robots.until_s[~met].tolist() == [ROBOTS_AHEAD_S] * int((~met).sum())
+    assert set((robots.until_s[met] / PERIOD_S).tolist()) <= set(range(1, step + 1))
+    alarm = robots.risks >= alarm_risk(clears)
+    assert 0.02 < alarm[~met].mean() <= 0.05
+    foreseen = values(CONTACT_FORESIGHT, sums)["foreseen"][step, strata.index("dynamic")]
+    assert alarm[met].mean() == pytest.approx(foreseen, abs=0.05)
+
+
+def test_the_paths_that_are_kept_lie_in_the_window_in_metres():
+    forecast = random_scene(3)
+    facts = facts_of(forecast, robot=Robot(radius=0.75, speed=2.4), period_s=PERIOD_S, cell_m=0.5)
+    robots, paths = robots_of(forecast, facts, (-2.0, 5.0)), paths_of(forecast, facts)
+    first = np.flatnonzero(np.all(np.isclose(paths.starts * 0.5 + (-2.0, 5.0), robots.places[0]), axis=1))
+    assert len(first) == 1
+    assert robots.velocities[0] == pytest.approx(paths.strides[first[0]] * 0.5 / PERIOD_S)
+
+
+def test_without_a_clear_path_only_a_certain_risk_is_an_alarm():
+    assert alarm_risk(np.zeros(PROBABILITY_BINS)) == 1.0
+
+
+def test_no_paths_are_kept_beyond_the_horizon_of_the_run():
+    forecast = random_scene(3)
+    assert robots_of(forecast, facts_of(forecast, robot=ROBOT, period_s=0.1), (0.0, 0.0)) is None
