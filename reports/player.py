@@ -165,22 +165,36 @@ def player_of(
 def opening_of(players: Sequence[Player], table: HeadlineTable) -> dict[str, Any] | None:
     """The moment of the first screen: where the best two trackers differ most, or the only one and a floor.
 
-    Of all recordings, by F1 at the decisive step; moments with fewer than FEW_CELLS occupied cells come last. None
-    without a moment of both.
+    Of all recordings; None without a moment of both.
     """
     labels = [row.label for group in ("ranked", "floor") for row in table.rows_in(group)][:2]
-    best, found = (False, -1.0, 0), None
-    for data in (player.data for player in players if set(labels) <= set(player.data["trackers"])):
-        places = [data["trackers"].index(label) for label in labels]
-        for at, moment in enumerate(data["moments"]):
-            counts = [moment["counts"][data["decisive"]][place] for place in places]
-            scores = [FrameScore(*one) for one in counts if one]
-            if len(scores) == 2:
-                occupied = scores[0].occupied
-                telling = occupied >= FEW_CELLS, abs(scores[0].f1 - scores[1].f1), occupied
-                if telling > best:
-                    best, found = telling, {"recording": data["recording"], "moment": at, "trackers": labels}
-    return found
+    found = {
+        _difference(data, moment, labels): {"recording": data["recording"], "moment": at, "trackers": labels}
+        for data in (player.data for player in players if set(labels) <= set(player.data["trackers"]))
+        for at, moment in enumerate(data["moments"])
+    }
+    return found[max(found)] if found else None
+
+
+def _difference(data: Mapping[str, Any], moment: Mapping[str, Any], labels: Sequence[str]) -> tuple[float, ...]:
+    """How much two rows differ in a moment, as a key: in contacts foreseen less needless alarms, then in F1 at the
+    decisive step, where less than FEW_CELLS occupied cells come last."""
+    one, other = (data["trackers"].index(label) for label in labels)
+    alarms = moment["robots"]["alarms"] if moment["robots"] else []
+    gains = [
+        sum(
+            (1 if path[5] else -1)
+            for path, alarm in zip(moment["robots"]["paths"], alarms[at], strict=True)
+            if alarm == "1"
+        )
+        for at in (one, other)
+        if alarms and alarms[at] is not None
+    ]
+    scores = [FrameScore(*counts) for at in (one, other) if (counts := moment["counts"][data["decisive"]][at])]
+    contacts = abs(gains[0] - gains[1]) if len(gains) == 2 else 0
+    if len(scores) < 2:
+        return contacts, 0.0, 0.0, 0
+    return contacts, scores[0].occupied >= FEW_CELLS, abs(scores[0].f1 - scores[1].f1), scores[0].occupied
 
 
 def _clock(described: RecordingIdentity, first_ns: int) -> Callable[[int], float]:

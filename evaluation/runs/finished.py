@@ -19,7 +19,7 @@ from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.run_record import RecordingDescription
 from gridtrack.evaluation.runs.sums import KeptRows, ScoredFrames, TrialSums
 from gridtrack.evaluation.runs.trial_record import TrialRecord
-from gridtrack.evaluation.scores.definition import HORIZONS_S, Ratio
+from gridtrack.evaluation.scores.definition import LEADING_HORIZONS_S, Ratio
 from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.statistics.units import (
     UnitRule,
@@ -79,7 +79,7 @@ def common_strata(trials: Sequence[FinishedTrial]) -> tuple[str, ...]:
     return tuple(name for name in trials[0].strata if all(name in other.strata for other in trials))
 
 
-def headline_steps(horizons_s: Sequence[float], at_s: Sequence[float] = HORIZONS_S) -> list[tuple[float, int]]:
+def headline_steps(horizons_s: Sequence[float], at_s: Sequence[float] = LEADING_HORIZONS_S) -> list[tuple[float, int]]:
     """Horizon of the step, and step, of the tests of a score that leads at `at_s`, as far as the run forecasts.
 
     Each nearest step once.

@@ -12,7 +12,7 @@ from gridtrack.evaluation.runs.finished import DETAIL_HORIZON_S, FinishedTrial, 
 from gridtrack.evaluation.scores.definition import RareEvents, ScoreDefinition
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
-LEAST_FORECASTS = 50
+ENOUGH_FORECASTS = 50
 """So many forecasts with an event, each a horizon after the last, are enough without LEAST_UNITS units with one."""
 
 
@@ -40,10 +40,10 @@ def _too_few(run: RunTrials, score: ScoreDefinition, events: RareEvents) -> Noti
         found = [_events_of(run, trial, score, events) for trial in _scored_in_full(run, names)]
         forecasts = sum(_apart(stamps_ns[has_event], DETAIL_HORIZON_S) for stamps_ns, has_event in found)
         units = _number(run, names, [has_event for _, has_event in found])
-        if units < LEAST_UNITS and forecasts < LEAST_FORECASTS:
+        if units < LEAST_UNITS and forecasts < ENOUGH_FORECASTS:
             text = (
                 f"too few {events.name}: {forecasts} separate forecasts and {units} units have any, and"
-                f" {LEAST_FORECASTS} forecasts or {LEAST_UNITS} units are needed for {score.title} to lead"
+                f" {ENOUGH_FORECASTS} forecasts or {LEAST_UNITS} units are needed for {score.title} to lead"
             )
             return Notice(text=text, recording=names[0] if len(run.groups) > 1 else "")
     return None

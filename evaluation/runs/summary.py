@@ -14,7 +14,7 @@ from gridtrack.evaluation.runs.passes import Deadline, Latency, Robustness
 from gridtrack.evaluation.runs.result_files import Curve, Number, ResultModel, read_model, write_model
 from gridtrack.evaluation.runs.run_record import LONGEST_S, RecordingSummary, refuse_unordered
 from gridtrack.evaluation.runs.trial_record import Times
-from gridtrack.evaluation.scores.definition import HORIZONS_S, Output, ScoreDefinition
+from gridtrack.evaluation.scores.definition import LEADING_HORIZONS_S, Output, ScoreDefinition
 from gridtrack.evaluation.scores.registry import output_named
 from gridtrack.trackers.contract import ComparedPart, Role
 
@@ -65,7 +65,9 @@ class ScoreDescription(ResultModel):
     """Whether its values depend on the threshold that was chosen."""
     stratum: str = "in-motion"
     """The stratum in which it leads."""
-    horizons_s: Annotated[tuple[Annotated[float, Field(gt=0.0, le=LONGEST_S)], ...], Field(max_length=10)] = HORIZONS_S
+    horizons_s: Annotated[tuple[Annotated[float, Field(gt=0.0, le=LONGEST_S)], ...], Field(max_length=10)] = (
+        LEADING_HORIZONS_S
+    )
     """The horizons at which it leads, seconds."""
     outputs: Annotated[tuple[OutputDescription, ...], Field(min_length=1, max_length=100)]
     """The first one leads."""

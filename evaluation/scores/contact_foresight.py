@@ -51,7 +51,7 @@ from gridtrack.evaluation.scores.pr_auc import area_under_precision_recall
 
 ROBOTS_AHEAD_S = 1.0
 """The horizon of the paths that are kept to be shown, seconds."""
-LONGEST_S = 2.0
+LONGEST_PATH_S = 2.0
 """The longest horizon, seconds."""
 LEAST_PATHS = 50
 """A forecast with fewer paths is left out."""
@@ -83,7 +83,7 @@ def contact_strata(facts: TrialFacts) -> tuple[str, ...]:
 
 def longest(facts: TrialFacts) -> int:
     """The last step that has this score."""
-    return min(facts.steps, round(LONGEST_S / facts.period_s))
+    return min(facts.steps, round(LONGEST_PATH_S / facts.period_s))
 
 
 @dataclass(slots=True)
@@ -375,5 +375,5 @@ CONTACT_FORESIGHT = ScoreDefinition(
     new_memory=lambda facts: [],
     events=RareEvents("contacts", lambda sums: sums.block("contacts").sum(axis=-1)),
     stratum=_SLICES[0],
-    horizons_s=(0.5, 1.0, LONGEST_S),
+    horizons_s=(0.5, 1.0, LONGEST_PATH_S),
 )

@@ -17,9 +17,9 @@ from gridtrack.common.grid import Mask, Shift
 from gridtrack.evaluation.referee.targets import NOT_SCORED
 from gridtrack.evaluation.scores.definition import Floats
 
-PATHS = 400
+MOST_PATHS = 400
 """Paths of a forecast, where so many are found."""
-TRIES = 10 * PATHS
+MOST_DRAWN = 10 * MOST_PATHS
 """Paths that are drawn at most."""
 NEVER = int(np.iinfo(np.int16).max)
 """The step of an event that does not occur."""
@@ -62,14 +62,14 @@ class Events:
 
 
 def draw_paths(seed: int, free: Mask, passable: Mask, radius: float, longest_stride: float, steps: int) -> Paths:
-    """Up to PATHS paths of a disc with `radius`, in cells.
+    """Up to MOST_PATHS paths of a disc with `radius`, in cells.
 
     The whole disc starts on `free` cells (M, M), and for `steps` steps it stays in the window and on `passable` cells
     (M, M). Starts are uniform over the window, directions uniform, strides uniform up to the longest one. The numbers
     follow from `seed` (64 bits) alone, by operations that are exact on every machine.
     """
-    drawn = np.empty((PATHS, 4))
-    found = _draw(np.uint64(seed), free, passable, radius, longest_stride, steps, TRIES, drawn)
+    drawn = np.empty((MOST_PATHS, 4))
+    found = _draw(np.uint64(seed), free, passable, radius, longest_stride, steps, MOST_DRAWN, drawn)
     return paths_along(drawn[:found, :2].copy(), drawn[:found, 2:].copy(), radius, steps, len(free))
 
 

@@ -29,7 +29,7 @@ Relation = Callable[
 ]
 CurvesByStratum = Mapping[str, Floats]
 """Values (S,) by stratum."""
-HORIZONS_S = (0.5, 1.0, 2.5)
+LEADING_HORIZONS_S = (0.5, 1.0, 2.5)
 """Horizons at which a score leads, seconds; the last is the longest of the paper."""
 
 
@@ -179,7 +179,7 @@ class ScoreDefinition:
     figure: Callable[[Sums], dict[str, Floats | Ratio]] | None = None
     events: RareEvents | None = None
     stratum: str = "in-motion"
-    horizons_s: tuple[float, ...] = HORIZONS_S
+    horizons_s: tuple[float, ...] = LEADING_HORIZONS_S
     needed: str = ""
     compared_with: ComparedPart = "occupancy"
     thresholded: bool = False

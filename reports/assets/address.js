@@ -29,6 +29,12 @@ export function whenAddressChanges(key, follower) {
   followers.set(key, follower);
 }
 
+// Keeps the parts of a key, and calls its follower.
+export function openInAddress(key, parts) {
+  keepInAddress(key, parts);
+  followers.get(key)?.(inAddress(key));
+}
+
 window.addEventListener("hashchange", () => {
   const now = viewOf(location.hash), before = view;
   if (!now.size) return; // a place on the page

@@ -1,5 +1,6 @@
 // Moments: their place in the address, their scores, and the outstanding moments by score.
 export const IN_ADDRESS = "t";
+const ONE_PERSON_M = 1; // contacts nearer to each other are with one person
 
 // The moment of the parts [recording, seconds, horizon, tracker, ...] of an address; null if they are none.
 export function momentOfParts(parts) {
@@ -51,6 +52,14 @@ export function robotsOf(player, moment, tracker) {
 export function contactsOf(player, moment) {
   return (player.moments[moment].robots?.paths ?? []).filter((path) => path[5])
     .map(([x, y, vx, vy, until_s]) => ({ place: [x, y], velocity: [vx, vy], until_s, kind: TOUCHED }));
+}
+
+// The contact with the most others near it, [x, y] in cells; null without one.
+export function contactCell(player, moment) {
+  const ends = contactsOf(player, moment).map(({ place: [x, y], velocity: [vx, vy], until_s }) => [x + until_s * vx, y + until_s * vy]);
+  const near = ends.map(([x, y]) => ends.filter(([u, v]) => Math.hypot(u - x, v - y) < ONE_PERSON_M).length);
+  const end = ends[near.indexOf(Math.max(...near))];
+  return end ? end.map((at, axis) => (at - player.origin[axis]) / player.cell_m) : null;
 }
 
 // Numbers of paths by kind for a tracker; null without alarms.

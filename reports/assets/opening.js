@@ -1,13 +1,14 @@
 // The moving picture of the first screen: one telling moment, horizon by horizon: the input, two forecasts, what came.
+import { openInAddress } from "./address.js";
 import { inSeconds, make, meaning } from "./drawing.js";
 import { busiestCell, cameColour, unpackedMoment } from "./moment_cells.js";
 import { MomentCanvas, MomentDrawing } from "./moment_drawing.js";
-import { linkOf } from "./moments.js";
+import { contactCell, IN_ADDRESS } from "./moments.js";
 import { pageData } from "./page_data.js";
 import { momentsOf } from "./players.js";
 
 const FRAME_MS = 900;
-const SHOWN_M = 12;
+const SHOWN_M = 8;
 
 export async function startOpening() {
   const { opening } = pageData, section = document.getElementById("opening");
@@ -16,9 +17,9 @@ export async function startOpening() {
   const data = momentsOf(opening.recording), trackers = opening.trackers.map((label) => data.trackers.indexOf(label));
   const planes = await unpackedMoment(data, data.moments[opening.moment]);
   const span = Math.min(data.size, Math.max(20, Math.round(SHOWN_M / data.cell_m)));
-  const [left, bottom] = busiestCell(data, planes)
+  const [left, bottom] = (contactCell(data, opening.moment) ?? busiestCell(data, planes))
     .map((middle) => Math.round(Math.min(Math.max(middle - span / 2, 0), data.size - span)));
-  const state = { data, moment: opening.moment, h: data.decisive, marks: true, boxes: false, split: 0, shown: trackers };
+  const state = { data, moment: opening.moment, h: data.robots_at ?? data.decisive, marks: true, boxes: false, robots: true, split: 0, shown: trackers };
   const drawn = [
     [new MomentCanvas("input"), (drawing) => drawing.input()],
     [new MomentCanvas("observed"), (drawing) => drawing.target(cameColour, "observed")],
@@ -29,15 +30,13 @@ export async function startOpening() {
     panel.prepare({ left, bottom, span });
     draw(new MomentDrawing(state, panel, planes));
   });
-  const link = make("a", { href: "#moments" }, "open this moment");
   const button = make("button", { type: "button" }, "play");
+  const open = make("button", { type: "button" }, "open this moment");
   const words = make("output", {});
   const go = (h) => {
     state.h = h;
     show();
-    const seconds = data.moments[state.moment].t;
     words.textContent = `+${inSeconds(data.horizons_s[h])}`;
-    link.href = linkOf({ recording: data.recording, seconds, horizon: data.horizons_s[h], trackers: opening.trackers });
   };
   let timer = null;
   const play = (playing) => {
@@ -46,9 +45,11 @@ export async function startOpening() {
     button.textContent = playing ? "pause" : "play";
   };
   button.addEventListener("click", () => play(!timer));
+  open.addEventListener("click", () =>
+    openInAddress(IN_ADDRESS, [data.recording, data.moments[state.moment].t, data.horizons_s[state.h], ...opening.trackers]));
   section.append(
     make("div", { class: "moment-panels" }, ...drawn.map(([panel]) => panel.element)),
-    make("p", { class: "note" }, button, " ", words, ` ${data.recording}. `, link, ". ", meaning("a-moment")));
+    make("p", { class: "note" }, button, " ", open, " ", words, ` ${data.recording}. `, meaning("a-moment")));
   new ResizeObserver(show).observe(section);
   go(state.h);
   play(!matchMedia("(prefers-reduced-motion: reduce)").matches);

@@ -3,14 +3,14 @@ import { keepInAddress } from "./address.js";
 import { draw, inSeconds, make, meaning, nearest } from "./drawing.js";
 import { busiestCell, cameColour, cssColour, MARK_COLOURS, truthColour, unpackedMoment } from "./moment_cells.js";
 import { MomentCanvas, MomentDrawing, ROBOT_STYLES } from "./moment_drawing.js";
-import { contactsOf, IN_ADDRESS, MOST_DIFFERENT, outstandingMoment, WORST } from "./moments.js";
+import { contactCell, IN_ADDRESS, MOST_DIFFERENT, outstandingMoment, WORST } from "./moments.js";
 import { isShown } from "./shown_trackers.js";
 
 const MOST_PANELS = 4;
 const LEAST_CELL_PX = 4;
 const PLAY_MS = 700;
 const NONE = -1;
-const CLOSE_M = 4, NEAR_M = 1; // the side of the view of a person and its surroundings; contacts with one person
+const CLOSE_M = 4; // the side of the view of a person and its surroundings
 
 export class Player {
   // `onward(kind)` goes to a moment of this kind of another recording; null if there is no other.
@@ -224,19 +224,10 @@ export class Player {
     return { left: low(x), bottom: low(y), span };
   }
 
-  // The contact of the moment with the most others near it, in cells; null without one.
-  contactCell() {
-    const { data, moment } = this;
-    const ends = contactsOf(data, moment).map(({ place: [x, y], velocity: [vx, vy], until_s }) => [x + until_s * vx, y + until_s * vy]);
-    const near = ends.map(([x, y]) => ends.filter(([u, v]) => Math.hypot(u - x, v - y) < NEAR_M).length);
-    const end = ends[near.indexOf(Math.max(...near))];
-    return end ? end.map((at, axis) => (at - data.origin[axis]) / data.cell_m) : null;
-  }
-
   // Near enough to the contacts of the moment to see a person; without contacts as before.
   approach() {
     const { size, cell_m: cell } = this.data;
-    if (!this.contactCell()) return;
+    if (!contactCell(this.data, this.moment)) return;
     this.centre = null;
     this.zoom = [4, 2].find((zoom) => (size * cell) / zoom >= CLOSE_M) ?? 1;
     this.zoomMenu.select.value = String(this.zoom);
@@ -252,7 +243,7 @@ export class Player {
     if (!this.element.clientWidth) return;
     const planes = await this.planes(moment);
     if (moment !== this.moment || h !== this.h) return;
-    this.centre ??= this.contactCell() ?? busiestCell(data, planes);
+    this.centre ??= contactCell(data, moment) ?? busiestCell(data, planes);
     const view = this.view();
     for (const { panel, draw } of this.drawn) {
       panel.prepare(view);

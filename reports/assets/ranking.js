@@ -72,7 +72,7 @@ function drawRow(row, { value, low, high }, x, place, end, output) {
 function caption(chosen) {
   const tests = testsOf(chosen);
   const lower = scoreWords(outputNamed(chosen.score));
-  if (!tests) return `${lower}. The order is not tested: ${recordingNamed(chosen.recording).untested}.`;
+  if (!tests) return `${lower}. Not tested: ${recordingNamed(chosen.recording).untested}.`;
   return `${lower}. A bar joins rows that do not differ significantly: ${tests.pairs} pairs, ${tests.units} units, Holm, p < 0.05. ${manyRankings(chosen)}`;
 }
 

@@ -48,7 +48,7 @@ def test_a_heading_sorts_and_sorts_back(listed):
         times = [float(one) for one in column(moments, 2)]
         assert times == sorted(times, reverse=order)
         assert page.evaluate("document.activeElement.textContent") == "time, s", "the focus stays"
-    page.get_by_role("button", name="recording", exact=True).click()
+    page.get_by_role("region", name="All kept moments").get_by_role("button", name="recording", exact=True).click()
     assert column(moments, 1) == ["again"] * 20 + ["crossing"] * 20
 
 

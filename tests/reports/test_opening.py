@@ -38,7 +38,7 @@ def test_the_moment_moves_until_it_is_stopped_and_opens_in_the_player(browser, r
         page.wait_for_function("(first) => document.querySelector('#opening output').textContent !== first", arg=first)
         page.locator("#opening").get_by_role("button", name="pause").click()
         assert page.locator("#opening").get_by_role("button", name="play").count() == 1
-        page.get_by_role("link", name="open this moment").click()
+        page.locator("#opening").get_by_role("button", name="open this moment").click()
         assert page.evaluate("location.hash").startswith("#t=crossing,")
         page.get_by_role("button", name="fair", exact=True).click()
         assert page.locator(PANELS, has_text="fair").is_hidden()

@@ -31,10 +31,10 @@ def test_the_keyboard_alone_scrubs_and_plays(opened):
     page.keyboard.press("ArrowDown")
     shows(page, 1, 1)
     page.keyboard.press(" ")
-    assert page.get_by_role("button", name="pause").count() == 1
+    assert player.get_by_role("button", name="pause").count() == 1
     shows(page, 3, 1)
     page.keyboard.press(" ")
-    assert page.get_by_role("button", name="play", exact=True).count() == 1
+    assert player.get_by_role("button", name="play", exact=True).count() == 1
 
 
 def test_sliders_and_buttons_have_names_and_work(opened):
@@ -166,7 +166,7 @@ def test_a_box_lies_where_the_object_is_now_and_where_its_velocity_takes_it(open
         "gridtrack.reports.player.read_samples", lambda path: (replace(s, objects=(body,)) for s in read_samples(path))
     )
     page, _ = opened(report=render_report([run_folder], tmp_path))
-    panels = page.locator(".moment-panel canvas")
+    panels = page.locator(".player .moment-panel canvas")
     across, down = panels.nth(0).evaluate(BOX_COLOURS)
     assert across[0] == pytest.approx(11 - 1.25, abs=0.3)
     assert down[1] == pytest.approx(32 - 2.5, abs=0.3)

@@ -28,7 +28,7 @@ from gridtrack.evaluation.scores.contact_foresight import (
     paths_of,
     robots_of,
 )
-from gridtrack.evaluation.scores.contact_paths import NEVER, PATHS, draw_paths, events_of, paths_along, risks_of
+from gridtrack.evaluation.scores.contact_paths import MOST_PATHS, NEVER, draw_paths, events_of, paths_along, risks_of
 from gridtrack.evaluation.scores.definition import Sums
 from gridtrack.evaluation.scores.robot import CAR, SMALL_ROBOT, Robot, parse_robot
 
@@ -158,7 +158,7 @@ def test_paths_start_safe_and_stay_in_the_window_and_off_static_cells_and_ring()
     free, passable = np.ones((SIZE, SIZE), bool), kinds == DYNAMIC_CELL
     free[:, :10] = False
     paths = draw_paths(7, free & passable, passable, 1.5, 1.2, STEPS)
-    assert len(paths) == PATHS
+    assert len(paths) == MOST_PATHS
     assert np.hypot(*paths.strides.T).max() <= 1.2
     for start, stride in zip(paths.starts[:40], paths.strides[:40], strict=True):
         ends = np.stack([start, start + STEPS * stride])
