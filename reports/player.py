@@ -170,7 +170,9 @@ def opening_of(players: Sequence[Player], table: HeadlineTable) -> dict[str, Any
     labels = [row.label for group in ("ranked", "floor") for row in table.rows_in(group)][:2]
     found = {
         _difference(data, moment, labels): {"recording": data["recording"], "moment": at, "trackers": labels}
-        for data in (player.data for player in players if set(labels) <= set(player.data["trackers"]))
+        for data in (
+            player.data for player in players if len(labels) == 2 and set(labels) <= set(player.data["trackers"])
+        )
         for at, moment in enumerate(data["moments"])
     }
     return found[max(found)] if found else None

@@ -4,6 +4,7 @@ import pytest
 
 from gridtrack.reports.page import render_report
 
+from scenes.edited_run import edited
 from scenes.report_page import data_of, moments_of, opened
 
 PANELS = "#opening .moment-panel"
@@ -27,6 +28,14 @@ def test_the_moment_of_the_first_screen_is_the_one_in_which_the_best_two_differ_
         return abs(f1[0] - f1[1])
 
     assert difference(data["moments"][opening["moment"]]) == max(map(difference, data["moments"]))
+
+
+def test_a_single_row_has_no_moment_on_the_first_screen(run_folder, tmp_path):
+    def only_good(summary):
+        summary["trackers"] = {"good": summary["trackers"]["good"]}
+
+    page = render_report([edited(run_folder, tmp_path / "run", only_good)]).read_text("utf-8")
+    assert data_of(page)["opening"] is None
 
 
 def test_the_moment_moves_until_it_is_stopped_and_opens_in_the_player(browser, report):
