@@ -75,11 +75,11 @@ NO_TRACKERS: dict[str, Callable[[GridFrame, Plane], Plane]] = {
     "everything occupied": lambda frame, last: np.ones_like(last),
     "constant 0.1": lambda frame, last: np.full_like(last, 0.1),
     **{f"persistence dilated by {n}": dilated(n) for n in (1, 2, 3)},
-    "unseen cells at 0.9": lambda frame, last: np.where(frame.visible, frame.occupied, 0.9).astype(np.float32),
     "nearness to the last return": nearness,
 }
 """Forecasts (M, M) for every step, from the newest frame and the last observed state of each cell."""
-UNSEEN_RAISED = "kalman, unseen cells at 0.9"
+RAISED = {name: f"{name}, unseen cells at 0.9" for name in (REFERENCE, "kalman")}
+"""Trackers, and the rows of their forecasts with at least 0.9 in each cell that is not visible."""
 
 
 class AllTrackers:
@@ -108,9 +108,10 @@ class AllTrackers:
         last = found[REFERENCE].occupancy[-1]
         for name, plane in NO_TRACKERS.items():
             found[name] = Forecast(np.repeat(plane(self._frame, last)[None], steps + 1, axis=0))
-        if "kalman" in found:
-            unseen = np.where(self._frame.visible, np.float32(0.0), np.float32(0.9))
-            found[UNSEEN_RAISED] = Forecast(np.maximum(found["kalman"].occupancy, unseen))
+        unseen = np.where(self._frame.visible, np.float32(0.0), np.float32(0.9))
+        for name, row in RAISED.items():
+            if name in found:
+                found[row] = Forecast(np.maximum(found[name].occupancy, unseen))
         self.made.append(found)
         return found[REFERENCE]
 
@@ -197,7 +198,7 @@ def section_of(units: Sequence[Unit], command: str) -> ResultSection:
     """The tables of trackers and of other forecasts, and the pairs of trackers with another order."""
     rows = {kind: pooled(units, kind, "foreseen") for kind in (TRUTH, OBSERVED)}
     by_value = sorted(rows[TRUTH], key=lambda row: -float(rows[TRUTH][row].value))
-    others = (*NO_TRACKERS, UNSEEN_RAISED)
+    others = (*NO_TRACKERS, *RAISED.values())
     trackers, gaming = ([row for row in by_value if (row in others) == other] for other in (False, True))
     pairs = dict(reversed_pairs(rows, trackers))
     contacts = CONTACT_FORESIGHT.value(joined(units, TRUTH, REFERENCE)[1])["contacts"]
@@ -212,6 +213,11 @@ def section_of(units: Sequence[Unit], command: str) -> ResultSection:
             "another order": str(len(pairs)),
             "one difference is significant": "; ".join(pair for pair, told in pairs.items() if told) or "none",
             "both differences are significant": "; ".join(pair for pair, told in pairs.items() if told == 2) or "none",
+            **{
+                f"{row}, gain": text_of(difference(rows[OBSERVED][row], rows[OBSERVED][name]), signed=True)
+                for name, row in RAISED.items()
+                if row in gaming
+            },
         },
     )
 

@@ -250,8 +250,10 @@ def _follow(
         gone = round(since_s / facts.period_s)
         if gone < len(occupancy):
             shift = shift_between(approach.window, forecast.targets[0].frame.world_T_grid, facts.cell_m)
+            ahead, risks = approach.contact >= gone, np.zeros_like(approach.risks[0])
+            risks[ahead] = risks_of(approach.paths, approach.met[ahead], occupancy, gone, shift)[0]
             approach.since_s.append(since_s)
-            approach.risks.append(risks_of(approach.paths, approach.met, occupancy, gone, shift)[0])
+            approach.risks.append(risks)
             continue
         memory.remove(approach)
         ends_s = approach.contact * facts.period_s
