@@ -85,7 +85,8 @@ class _Decision:
         if not self._top:
             yield self._why_none()
             return
-        if self._column.better > 0 and not any(self._number(rows) for rows in (self._top, self._floor) if rows):
+        shown = (row.cells[self._at].text for row in (*self._top, *self._floor))
+        if self._column.better > 0 and not any(map(float, shown)):
             yield f"Every tracker has {self._column.title_with_article} of {self._text(self._top)} {self._place}."
             return
         yield self._best_score()
@@ -102,7 +103,7 @@ class _Decision:
         return f"on {self._column.stratum} cells {self._column.heading} ahead"
 
     def _number(self, rows: Sequence[TableRow]) -> float:
-        return float(rows[0].cells[self._at].text)
+        return rows[0].cells[self._at].value or 0.0
 
     def _text(self, rows: Sequence[TableRow]) -> str:
         """The score of equal rows, as the sentence has it."""
@@ -115,7 +116,10 @@ class _Decision:
 
     def _best_score(self) -> str:
         """The best score: of a tracker, or of the floor if no tracker has a better one."""
-        beaten = self._floor and self._column.better * (self._number(self._top) - self._number(self._floor)) <= 0
+        of_tracker, of_floor = (
+            float(rows[0].cells[self._at].text) if rows else 0.0 for rows in (self._top, self._floor)
+        )
+        beaten = self._floor and self._column.better * (of_tracker - of_floor) <= 0
         if beaten:
             alone = len(self.table.rows_in("ranked")) == 1
             best = _names(self._top) if alone else f"the best tracker, {_names(self._top)},"
@@ -151,10 +155,13 @@ class _Decision:
         for words, test in tested:
             if test is None:
                 yield f"{words[:1].upper()}{words[1:]}, was not tested against it."
-        detectable = [test.detectable for _, test in tested if test is not None and test.detectable is not None]
-        if detectable:
+        known = [test for _, test in tested if test is not None and test.detectable is not None]
+        open_ones = [test for test in known if not test.decided]
+        if known:
+            which = " between them" if open_ones else ""
+            least = self._amount(max(test.detectable or 0.0 for test in open_ones or known))
             of = " of 100" if self._column.output.saying else ""
-            yield f"The smallest difference that this run can show is {self._amount(max(detectable))}{of}."
+            yield f"The smallest difference{which} that this run can show is {least}{of}."
 
     def _decided(self, tested: Sequence[tuple[str, _Test]]) -> Iterator[str]:
         better, worse = (

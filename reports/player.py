@@ -179,21 +179,17 @@ def opening_of(players: Sequence[Player], table: HeadlineTable) -> dict[str, Any
 
 
 def _difference(data: Mapping[str, Any], moment: Mapping[str, Any], labels: Sequence[str]) -> tuple[float, ...]:
-    """How much two rows differ in a moment, as a key: in contacts foreseen less needless alarms, then in F1 at the
-    decisive step, where less than FEW_CELLS occupied cells come last."""
+    """How much two rows differ in a moment, as a key: in contacts foreseen, then in F1 at the decisive step, where less
+    than FEW_CELLS occupied cells come last."""
     one, other = (data["trackers"].index(label) for label in labels)
-    alarms = moment["robots"]["alarms"] if moment["robots"] else []
-    gains = [
-        sum(
-            (1 if path[5] else -1)
-            for path, alarm in zip(moment["robots"]["paths"], alarms[at], strict=True)
-            if alarm == "1"
-        )
+    paths, alarms = (moment["robots"][name] for name in ("paths", "alarms")) if moment["robots"] else ((), ())
+    foreseen = [
+        sum(alarm == "1" and bool(path[5]) for path, alarm in zip(paths, alarms[at], strict=True))
         for at in (one, other)
         if alarms and alarms[at] is not None
     ]
     scores = [FrameScore(*counts) for at in (one, other) if (counts := moment["counts"][data["decisive"]][at])]
-    contacts = abs(gains[0] - gains[1]) if len(gains) == 2 else 0
+    contacts = abs(foreseen[0] - foreseen[1]) if len(foreseen) == 2 else 0
     if len(scores) < 2:
         return contacts, 0.0, 0.0, 0
     return contacts, scores[0].occupied >= FEW_CELLS, abs(scores[0].f1 - scores[1].f1), scores[0].occupied

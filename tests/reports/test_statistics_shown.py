@@ -183,11 +183,11 @@ MISSING = "(about [0-9]+ more recordings?|more than ten times as much data) of t
         ({}, "It is better than FLOOR, and than NEXT. CAN_SHOW"),
         (
             {"persistence": ALIKE},
-            "It is better than NEXT. There is no evidence between it and FLOOR: MISSING. CAN_SHOW",
+            "It is better than NEXT. There is no evidence between it and FLOOR: MISSING. BETWEEN",
         ),
         (
             {"<b>even": ALIKE},
-            "It is better than FLOOR. There is no evidence between it and NEXT: MISSING. CAN_SHOW",
+            "It is better than FLOOR. There is no evidence between it and NEXT: MISSING. BETWEEN",
         ),
         ({"<b>even": UNTESTED}, "It is better than FLOOR. NEXT was not tested against it. CAN_SHOW"),
         (
@@ -221,6 +221,7 @@ def test_the_lead_decides_between_the_best_tracker_the_floor_and_the_next_one(ch
     pattern = re.escape(f"good has the highest F1 on in-motion cells 1 s ahead, {best}. {words}")
     pattern = pattern.replace("MISSING", f"{MISSING} would decide a difference as large as the one seen")
     pattern = pattern.replace("CAN_SHOW", r"The smallest difference that this run can show is 0\.\d{3}\.")
+    pattern = pattern.replace("BETWEEN", r"The smallest difference between them that this run can show is 0\.\d{3}\.")
     runs = changed(judge)
     (lead,) = answer_of(runs[0]).leads
     assert re.fullmatch(pattern, lead), lead
