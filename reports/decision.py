@@ -172,14 +172,14 @@ class _Decision:
             ]
             for is_better in (True, False)
         )
-        subject = "It is" if len(self._top) == 1 else "Each is"
+        subject, who = ("It is", "it") if len(self._top) == 1 else ("Each is", "them")
         if better:
             yield f"{subject} better than {', and than '.join(better)}."
         if worse:
             yield f"{subject} worse than {', and than '.join(worse)}."
         for words, test in tested:
             if not test.decided:
-                yield f"There is no evidence between it and {words}: {self._missing(test)}."
+                yield f"There is no evidence between {who} and {words}: {self._missing(test)}."
 
     def _gain(self, test: _Test) -> float:
         """The score of the best row less the other's."""
@@ -191,10 +191,10 @@ class _Decision:
         would = "would decide a difference as large as the one seen"
         if test.times_missing > MOST_TIMES:
             return f"more than ten times as much data of this kind {would}"
-        described = [self._runs[0].summary.recordings[name] for name in self._runs[0].recordings]
-        sources = len(
-            {one.source_sha256 or name for name, one in zip(self._runs[0].recordings, described, strict=True)}
-        )
+        run = self._runs[0]
+        names = run.recordings if self.table.pooled else (self.table.recording,)
+        described = [run.summary.recordings[name] for name in names]
+        sources = len({one.source_sha256 or name for name, one in zip(names, described, strict=True)})
         if test.family.units == sources > 1:
             recordings = math.ceil(test.times_missing * sources)
             return f"about {recordings} more recording{'s' * (recordings != 1)} of this kind {would}"
