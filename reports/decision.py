@@ -172,14 +172,20 @@ class _Decision:
             ]
             for is_better in (True, False)
         )
-        subject, who = ("It is", "it") if len(self._top) == 1 else ("Each is", "them")
+        subject, who = ("It is", "it is") if len(self._top) == 1 else ("Each is", "each is")
         if better:
             yield f"{subject} better than {', and than '.join(better)}."
         if worse:
             yield f"{subject} worse than {', and than '.join(worse)}."
         for words, test in tested:
             if not test.decided:
-                yield f"There is no evidence between {who} and {words}: {self._missing(test)}."
+                yield f"There is no evidence that {who} better than {words}{self._nor(words)}: {self._missing(test)}."
+
+    def _nor(self, words: str) -> str:
+        """The further trackers from which the best rows do not differ, after the `words` for the next one."""
+        rest = [row for row in self.table.rows_in("ranked") if row not in self._top and row not in self._next]
+        alike = [row for row in rest if (test := self._weakest([row])) is not None and not test.decided]
+        return f", or than {_names(alike)}" if alike and words.startswith("the next tracker") else ""
 
     def _gain(self, test: _Test) -> float:
         """The score of the best row less the other's."""

@@ -35,13 +35,15 @@ class Fact:
 
 
 def title_of(runs: Sequence[ReportedRun]) -> str:
-    """The title of the page: the number of trackers and the recording, or the names of the runs."""
+    """The title of the page: the numbers of trackers and floors and the recording, or the names of the runs."""
     if len(runs) > 1:
         return " and ".join(run.name for run in runs) + " side by side"
     recordings = runs[0].recordings
-    rows = sum(not entry.ceiling for entry in runs[0].summary.trackers.values())
-    trackers = f"{rows} tracker{'s' * (rows != 1)}"
-    return f"{trackers} on {recordings[0] if len(recordings) == 1 else f'{len(recordings)} recordings'}"
+    rows = [entry for entry in runs[0].summary.trackers.values() if not entry.ceiling]
+    floors = sum(entry.floor for entry in rows)
+    counts = ((len(rows) - floors, "tracker"), (floors, "floor"))
+    named = " and ".join(f"{number} {name}{'s' * (number != 1)}" for number, name in counts if number)
+    return f"{named} on {recordings[0] if len(recordings) == 1 else f'{len(recordings)} recordings'}"
 
 
 def run_facts(run: ReportedRun, recordings: Collection[str]) -> tuple[Fact, ...]:

@@ -39,9 +39,10 @@ export class MomentDrawing {
     this.panel.words(title, `${inSeconds(this.ahead_s)} later`);
   }
 
-  forecast(tracker) {
+  // `words`: in place of the score.
+  forecast(tracker, words = null) {
     this.columns(tracker, 0, this.data.size);
-    this.panel.words(this.data.names[tracker], this.scoreOf(tracker));
+    this.panel.words(this.data.names[tracker], words ?? this.scoreOf(tracker));
   }
 
   // Two forecasts, each on its side of the split.

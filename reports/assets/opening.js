@@ -3,7 +3,7 @@ import { openInAddress } from "./address.js";
 import { inSeconds, make, meaning } from "./drawing.js";
 import { busiestCell, cameColour, unpackedMoment } from "./moment_cells.js";
 import { MomentCanvas, MomentDrawing } from "./moment_drawing.js";
-import { contactCell, IN_ADDRESS } from "./moments.js";
+import { contactCell, IN_ADDRESS, robotCounts } from "./moments.js";
 import { pageData } from "./page_data.js";
 import { momentsOf } from "./players.js";
 
@@ -19,11 +19,15 @@ export async function startOpening() {
   const span = Math.min(data.size, Math.max(20, Math.round(SHOWN_M / data.cell_m)));
   const [left, bottom] = (contactCell(data, opening.moment) ?? busiestCell(data, planes))
     .map((middle) => Math.round(Math.min(Math.max(middle - span / 2, 0), data.size - span)));
+  const foreseenOf = (tracker) => {
+    const counts = robotCounts(data, opening.moment, tracker);
+    return counts && `${counts.foreseen} of ${counts.foreseen + counts.missed} contacts foreseen`;
+  };
   const state = { data, moment: opening.moment, h: data.robots_at ?? data.decisive, marks: true, boxes: false, robots: true, split: 0, shown: trackers };
   const drawn = [
     [new MomentCanvas("input"), (drawing) => drawing.input()],
     [new MomentCanvas("observed"), (drawing) => drawing.target(cameColour, "observed")],
-    ...trackers.map((tracker) => [new MomentCanvas(""), (drawing) => drawing.forecast(tracker)]),
+    ...trackers.map((tracker) => [new MomentCanvas(""), (drawing) => drawing.forecast(tracker, foreseenOf(tracker))]),
   ];
   drawn.slice(2).forEach(([panel], at) => { panel.element.dataset.tracker = opening.trackers[at]; });
   const show = () => drawn.forEach(([panel, draw]) => {
@@ -49,7 +53,7 @@ export async function startOpening() {
     openInAddress(IN_ADDRESS, [data.recording, data.moments[state.moment].t, data.horizons_s[state.h], ...opening.trackers]));
   section.append(
     make("div", { class: "moment-panels" }, ...drawn.map(([panel]) => panel.element)),
-    make("p", { class: "note" }, button, " ", open, " ", words, ` ${data.recording}. `, meaning("a-moment")));
+    make("p", { class: "note" }, button, " ", open, " ", words, ` ${data.recording}. `, meaning("where-two-trackers-differ-most")));
   new ResizeObserver(show).observe(section);
   go(state.h);
   play(!matchMedia("(prefers-reduced-motion: reduce)").matches);

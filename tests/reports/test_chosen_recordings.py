@@ -68,14 +68,14 @@ def test_a_page_with_room_for_all_leaves_nothing_out(run):
 def test_a_user_names_the_recordings_of_a_page_and_of_other_formats(run, room_for_three):
     page = render_page(chosen_runs(read_runs([run]), "street-*"))
     assert recordings_on(page) == ["street-1", "street-2"]
-    assert "2 trackers on 2 recordings" in page
+    assert "1 tracker and 1 floor on 2 recordings" in page
     assert "hall" not in page.partition("<h2>Setup</h2>")[0], "neither the result nor a notice is of another"
     assert "not on this page" not in page
     rows = csv.DictReader(io.StringIO(render_as("csv", [run], recordings="hall-1, street-2").decode()))
     assert [row["recording"] for row in rows] == ["hall-1"] * 2 + ["street-2"] * 2
     markdown = render_as("markdown", [run], recordings="hall-2").decode()
     assert "all recordings" not in markdown, "scores of all recordings are no scores of those"
-    assert markdown.startswith("## gridtrack: 2 trackers on hall-2\n")
+    assert markdown.startswith("## gridtrack: 1 tracker and 1 floor on hall-2\n")
 
 
 def test_an_unknown_recording_is_refused_in_one_line(run):

@@ -183,11 +183,11 @@ MISSING = "(about [0-9]+ more recordings?|more than ten times as much data) of t
         ({}, "It is better than FLOOR, and than NEXT. CAN_SHOW"),
         (
             {"persistence": ALIKE},
-            "It is better than NEXT. There is no evidence between it and FLOOR: MISSING. BETWEEN",
+            "It is better than NEXT. There is no evidence that it is better than FLOOR: MISSING. BETWEEN",
         ),
         (
             {"<b>even": ALIKE},
-            "It is better than FLOOR. There is no evidence between it and NEXT: MISSING. BETWEEN",
+            "It is better than FLOOR. There is no evidence that it is better than NEXT: MISSING. BETWEEN",
         ),
         ({"<b>even": UNTESTED}, "It is better than FLOOR. NEXT was not tested against it. CAN_SHOW"),
         (
@@ -248,7 +248,7 @@ def test_the_floor_that_no_tracker_beats_is_better_or_not(changed):
 
     (lead,) = answer_of(changed(of_two)[0]).leads
     assert lead.startswith("No tracker beats the floors: persistence has an F1 of 0.900 on in-motion cells 1 s ahead; ")
-    assert "There is no evidence between it and the floor, persistence (0.900): " in lead
+    assert "There is no evidence that it is better than the floor, persistence (0.900): " in lead
 
 
 def with_notices(changed, *notices):
