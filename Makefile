@@ -14,9 +14,9 @@ HALL_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tra
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
 INSTALL := $(BIN)/pip install --constraint constraints.txt $(if $(TORCH_CPU),--extra-index-url https://download.pytorch.org/whl/cpu )--editable
-# one worker more than processors, because many tests wait for processes that they start; with bytecode, whatever the
+# two workers more than processors, because many tests wait for processes that they start; with bytecode, whatever the
 # environment says, because hundreds of processes import the package
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 2) --dist worksteal --durations=10
 # with general weights: they have seen no recording of a site
 GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
@@ -41,15 +41,14 @@ demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minut
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS)) --out runs/junction
 
 test: $(VENV)/.installed-dev ## run lint, types and all tests
-	$(MAKE) --jobs 2 lint compiled
-	$(MAKE) pytest
+	$(MAKE) --jobs 2 lint pytest
 
-# else each of the workers compiles all kernels for itself in its first minute
+# else each of the workers of pytest compiles all kernels for itself in its first minute
 compiled: $(VENV)/.installed-dev
 	rm -rf runs/compiled
 	$(COMPARE) $(HALL)@114s-119s $(call chosen,kalman factor-graph dogma) --horizon 1s --jobs 1 --out runs/compiled
 
-pytest: $(VENV)/.installed-dev
+pytest: $(VENV)/.installed-dev compiled
 	$(PYTEST)
 
 check: $(VENV)/.installed-dev | .link/gridtrack ## lint and test what changed since the last commit, for a minute (SINCE=main: since that revision)
