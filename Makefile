@@ -14,9 +14,9 @@ HALL_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tra
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
 INSTALL := $(BIN)/pip install --constraint constraints.txt $(if $(TORCH_CPU),--extra-index-url https://download.pytorch.org/whl/cpu )--editable
-# two workers more than processors, because many tests wait for processes that they start; with bytecode, whatever the
+# one worker more than processors, because many tests wait for processes that they start; with bytecode, whatever the
 # environment says, because hundreds of processes import the package
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 2) --dist worksteal --durations=10
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
 # with general weights: they have seen no recording of a site
 GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))

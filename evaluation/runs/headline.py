@@ -25,7 +25,8 @@ def leading_scores(run: RunTrials, scores: Sequence[ScoreDefinition]) -> tuple[l
     counted = {name for trial in run.all if trial.complete for name in run.sums(trial).scores}
     may_lead, too_few = [], []
     for score in (one for one in scores if one.lead.tested and one.lead.direction > 0):
-        if counted and score.name not in counted:
+        applies = score.name in counted if counted else score.events is None  # where nothing is scored, none has events
+        if not applies:
             continue
         missing = _too_few(run, score, score.events) if score.events else None
         too_few += [missing] if missing else []

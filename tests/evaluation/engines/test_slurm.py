@@ -127,7 +127,7 @@ def test_an_interrupt_leaves_no_job_and_keeps_the_scores(settings, tmp_path):
     """One trial is complete; its job has claimed the last task. Another is running, and one still waits for a node."""
     words = ["compare", *settings().recordings, "--horizon", "1s", "--every", "0.5s", "--out", str(tmp_path / "run")]
     words += ["--engine", "slurm", "--slurm", "partition=low,timeout_min=5,mem_gb=0.5", "--no-floors"]
-    words += ["--tracker", "persistence"]
+    words += ["--tracker", "persistence", "--update-timeout", "300s", "--predict-timeout", "300s"]
     for label in ("a", "b", "c"):
         words += ["--tracker", f"{label}=staged:crash_at=60,how=hangs"]
     host = subprocess.Popen([sys.executable, "-m", "gridtrack.cli", *words])

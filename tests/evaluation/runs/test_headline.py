@@ -7,10 +7,12 @@ from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.summarise import summarise
 from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT
+from gridtrack.evaluation.scores.f1 import F1
+from gridtrack.evaluation.scores.pr_auc import PR_AUC
 
-from scenes.synthetic_run import SCORES, description, write_trial
+from scenes.synthetic_run import description, write_trial
 
-WITH_CONTACTS = (CONTACT_FORESIGHT, *SCORES)
+WITH_CONTACTS = (CONTACT_FORESIGHT, F1, PR_AUC)
 
 
 def summary(folder, recordings, frames, scores=WITH_CONTACTS, headline="", every_s=1, **drawn):
@@ -56,3 +58,9 @@ def test_a_headline_by_which_trackers_are_not_compared_is_refused(tmp_path):
     settings = CompareSettings(recordings=("none.mcap",), headline="brier", out=tmp_path / "run")
     with pytest.raises(ConfigurationError, match="--headline: trackers are not compared by 'brier'"):
         resolve(settings)
+
+
+def test_where_nothing_is_scored_no_notice_counts_contacts(tmp_path):
+    described = {"seed-00": description(period_s=0.5, steps=5)}
+    failed = write_trial(tmp_path, "good", "seed-00", 0.8, seed=0, frames=4, scored=2, steps=5, scores=WITH_CONTACTS)
+    assert not too_few(summarise(described, [failed], [], False))
