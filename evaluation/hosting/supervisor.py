@@ -365,12 +365,17 @@ def allocated(path: str) -> dict[tuple[int, int], int]:
 
 
 def used(folder: str) -> dict[tuple[int, int], int]:
-    """Device and size of all files of the file system at `folder`, bytes; nothing if it is gone."""
+    """Device and size of all files of the file system at `folder`, bytes; nothing if it is gone.
+
+    Both are of one opened folder: a sandbox that starts mounts its own file systems at the paths of the host's.
+    """
     try:
-        system = os.statvfs(folder)
-        return {(pathlib.Path(folder).stat().st_dev, 0): system.f_frsize * (system.f_blocks - system.f_bfree)}
+        opened = os.open(folder, os.O_PATH)
     except OSError:
         return {}
+    system, device = os.fstatvfs(opened), os.fstat(opened).st_dev
+    os.close(opened)
+    return {(device, 0): system.f_frsize * (system.f_blocks - system.f_bfree)}
 
 
 def link_target(path: str) -> str:

@@ -8,6 +8,7 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from gridtrack.evaluation.hosting import sandbox
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.sandbox import check_sandbox, code_folders, confine, copies_of
+from gridtrack.evaluation.hosting.supervisor import used
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.trackers.contract import StreamSpec
@@ -197,6 +199,30 @@ def test_files_in_its_memory_count_as_memory(attack, folder):
     with pytest.raises(TrialEnded, match=f"more than {MEMORY_MB} MB of resident memory"):
         attack(("fills", folder))
     assert not Path(folder, "burglar").exists()
+
+
+def test_files_of_the_host_do_not_count_while_the_sandbox_mounts_its_own(tmp_path):
+    """Once in some thousand starts the size was that of the host's /tmp, and the device that of the sandbox's."""
+    place, other = tmp_path / "place", tmp_path / "other"
+    ended = threading.Event()
+    ((disk, _), on_disk), *_ = used("/").items()
+
+    def mounts() -> None:
+        while not ended.is_set():
+            for folder in ("/", "/dev/shm"):
+                other.symlink_to(folder)
+                other.replace(place)
+
+    mounting = threading.Thread(target=mounts)
+    mounting.start()
+    try:
+        found = [used(str(place)) for _ in range(5000)]
+    finally:
+        ended.set()
+        mounting.join()
+    in_memory = [size for one in found for (device, _), size in one.items() if device != disk]
+    assert in_memory
+    assert max(in_memory) < on_disk / 2
 
 
 def test_scores_are_equal_with_and_without_the_sandbox(compare, tmp_path):
