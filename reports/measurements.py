@@ -1,14 +1,13 @@
-"""Measurements beside the scores, for the page's data: times of the calls, and F1 under other conditions."""
+"""Measurements beside the scores, for the page's data: times of the calls, and scores under other conditions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gridtrack.evaluation.runs.passes import CallTimes, Quantiles
 from gridtrack.evaluation.runs.result_files import Curves
 from gridtrack.evaluation.runs.summary import TrialSummary
-from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.reports.table import MAIN_STRATUM, HeadlineTable
 
 CONDITION_STRATA = (MAIN_STRATUM, "dynamic", "visible")
@@ -70,31 +69,37 @@ def condition_texts(tables: Sequence[HeadlineTable]) -> dict[str, dict[str, str]
     meaning = "input degraded, scored against undegraded frames"
     found = {kind: {"name": name, "unit": unit, "meaning": meaning} for kind, (name, unit) in texts.items()}
     if any(trial.deadline for trial in trials):
-        late = "a frame without a forecast in time is not scored; ×2 is twice the rate of frames"
+        late = "every cell is free until the first forecast in time; ×2 is twice the rate of frames"
         found = {RATE: {"name": "rate of frames", "unit": "", "meaning": late}} | found
     return found
 
 
-def conditions_of(trial: TrialSummary, step: int) -> dict[str, dict[str, Any]]:
-    """For each condition its `values`, the F1 at each value by stratum at `step`, and notes of missed frames."""
+def conditions_of(trial: TrialSummary, leads: Mapping[str, str], step: int) -> dict[str, dict[str, Any]]:
+    """For each condition its `values`, the `scores` at each value by score and stratum, and notes of missed frames.
+
+    `leads`: the leading output of each score. Scores are those at `step`.
+    """
     found: dict[str, dict[str, Any]] = {}
     if trial.deadline:
-        own = {name: trial.estimate(name, F1.name, F1.lead.name) for name in CONDITION_STRATA}
-        untimed = {name: estimate.value for name, estimate in own.items() if estimate is not None}
         missed = [f"{100 * at.missed / max(at.frames, 1):.0f} % of frames missed" for at in trial.deadline.rates]
         found[RATE] = {
             "values": [0.0, *(at.rate for at in trial.deadline.rates)],
-            "f1": _at_step([untimed, *(at.f1 for at in trial.deadline.rates)], step),
+            "scores": _at_step([trial.leading(leads), *(at.scores for at in trial.deadline.rates)], step),
             "notes": ["no deadline", *missed],
         }
     for kind, points in trial.robustness.kinds.items() if trial.robustness else ():
-        found[kind] = {"values": [p.value for p in points], "f1": _at_step([p.f1 for p in points], step)}
+        found[kind] = {"values": [p.value for p in points], "scores": _at_step([p.scores for p in points], step)}
     return found
 
 
-def _at_step(curves: list[Curves], step: int) -> dict[str, list[float | None]]:
+def _at_step(points: Sequence[Mapping[str, Curves]], step: int) -> dict[str, dict[str, list[float | None]]]:
+    """The values (P,) at `step` of P `points`, by score and stratum: of the scores that the last point has."""
+    by_score = {score: [point.get(score, {}) for point in points] for score in points[-1]}
     return {
-        stratum: [curve[stratum][step] if stratum in curve else None for curve in curves]
-        for stratum in CONDITION_STRATA
-        if any(stratum in curve for curve in curves)
+        score: {
+            stratum: [curves[stratum][step] if stratum in curves else None for curves in own]
+            for stratum in CONDITION_STRATA
+            if any(stratum in curves for curves in own)
+        }
+        for score, own in by_score.items()
     }

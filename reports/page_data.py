@@ -66,6 +66,7 @@ def _recording(
     grid = grids.pop() if len(grids) == 1 else ""
     period_ms = round((table.horizons_s[1] - table.horizons_s[0]) * 1e3, 3)
     step = next(column.step for column in table.columns if column.key == table.headline)
+    leads = {score.name: score.lead.name for score in table.scores}
     return {
         "name": table.recording,
         "pooled": table.pooled,
@@ -85,7 +86,7 @@ def _recording(
                 "strata": _strata(row, len(table.horizons_s)),
                 "figures": figures.get((table.recording, row.name), {}),
                 "latency": times_of(row.trial, period_ms),
-                "conditions": conditions_of(row.trial, step),
+                "conditions": conditions_of(row.trial, leads, step),
                 "label_budget": _label_budget(runs, table, row),
             }
             for row in table.rows

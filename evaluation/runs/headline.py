@@ -19,12 +19,12 @@ ENOUGH_FORECASTS = 50
 def leading_scores(run: RunTrials, scores: Sequence[ScoreDefinition]) -> tuple[list[ScoreDefinition], list[Notice]]:
     """The scores that may lead the run, the headline score first, and a notice of each that has too few events.
 
-    A score may lead if trackers are compared by it and higher values are better. In a run without intervals scores with
+    In a run without intervals scores with
     a threshold come last, because few frames determine a threshold poorly. Raises ScoresError.
     """
     counted = {name for trial in run.all if trial.complete for name in run.sums(trial).scores}
     may_lead, too_few = [], []
-    for score in (one for one in scores if one.lead.tested and one.lead.direction > 0):
+    for score in (one for one in scores if one.may_lead):
         applies = score.name in counted if counted else score.events is None  # where nothing is scored, none has events
         if not applies:
             continue

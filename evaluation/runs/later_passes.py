@@ -13,6 +13,7 @@ from gridtrack.common.notices import Notice
 from gridtrack.evaluation.runs.finished import HEADLINE_STRATA
 from gridtrack.evaluation.runs.result_files import Curves
 from gridtrack.evaluation.runs.summary import PairFamily, TrackerSummary, TrialSummary
+from gridtrack.evaluation.scores.f1 import F1
 
 BEYOND = 0.1
 """Without an interval, a rise of F1 above this is more than chance."""
@@ -63,17 +64,16 @@ def _later(trial: TrialSummary) -> Iterator[tuple[str, Curves]]:
     for kind, points in trial.robustness.kinds.items() if trial.robustness else ():
         for point in points:
             if point.strength:
-                yield f"{kind} {point.value:g}", point.f1
+                yield f"{kind} {point.value:g}", point.scores.get(F1.name, {})
     for at in trial.deadline.rates if trial.deadline else ():
-        yield f"deadlines at {at.rate:g} times the rate", at.f1
+        yield f"deadlines at {at.rate:g} times the rate", at.scores.get(F1.name, {})
 
 
 def _rises(trial: TrialSummary, condition: str, later: Curves) -> Iterator[tuple[float, float, float, str]]:
     """The rises of F1 beyond chance at each step: the rise, F1 of both passes, and the place in words."""
     for stratum in HEADLINE_STRATA:
-        scores = trial.strata.get(stratum, {}).get("f1", {})
-        for step, now in enumerate(later.get(stratum, ()) if scores else ()):
-            first = scores["f1"].at(step)
+        for step, now in enumerate(later.get(stratum, ())):
+            first = trial.at(stratum, F1.name, F1.lead.name, step)
             if first.value is None or now is None:
                 continue
             if now > (first.interval[1] if first.interval else first.value + BEYOND):

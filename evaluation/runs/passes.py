@@ -85,7 +85,8 @@ class AtRate(ResultModel):
     """Frames that the tracker is not given, because it is busy."""
     age_frames: Quantiles
     """Age of the newest forecast at each frame, in frames."""
-    f1: Curves
+    scores: dict[str, Curves]
+    """By the name of each score that may lead, its leading value."""
 
 
 class Deadline(ResultModel):
@@ -128,11 +129,12 @@ class AtStrength(ResultModel):
     """The degradation itself, in its unit of measurement."""
     delivered: str
     """Hash of the degraded frames; empty for strength 0."""
-    f1: Curves
+    scores: dict[str, Curves]
+    """As of a rate."""
 
 
 class Robustness(ResultModel):
-    """F1 under each kind of degradation by itself, in the order of its strength."""
+    """Scores under each kind of degradation by itself, in the order of its strength."""
 
     degradation: Degradation
     """As requested, at strength 1."""

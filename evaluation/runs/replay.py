@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
-
-import numpy as np
 
 from gridtrack.evaluation.referee.referee import Moment, TrackerLike, scored_forecasts
 from gridtrack.evaluation.runs.plan import Trial
-from gridtrack.evaluation.runs.result_files import Curves
+from gridtrack.evaluation.runs.result_files import Curves, rounded_curve
+from gridtrack.evaluation.runs.scorekeeper import Counter, facts_of
 from gridtrack.evaluation.runs.trial_record import ThresholdsUsed
-from gridtrack.evaluation.scores.cells import Tally, count_cells
-from gridtrack.evaluation.scores.f1 import f1_of
-from gridtrack.evaluation.scores.thresholds import bins_of
+from gridtrack.evaluation.scores.definition import Floats, Sums, value_of
+from gridtrack.evaluation.scores.registry import scores
 
 
-def replayed_f1(tracker: TrackerLike, frames: Iterable[Moment], trial: Trial, thresholds: ThresholdsUsed) -> Curves:
-    """F1 per stratum and step of `tracker` on the trial's `frames`, at the frames that the trial scored."""
-    tally = Tally.empty(trial.split.steps, trial.split.strata)
+def replayed(
+    tracker: TrackerLike, frames: Iterable[Moment], trial: Trial, thresholds: ThresholdsUsed
+) -> dict[str, Curves]:
+    """The leading values of the scores that may lead, by score and stratum, of `tracker` on the trial's `frames`.
+
+    Forecasts are made at the frames that the trial scored.
+    """
+    leading = [score for score in scores(trial.scores) if score.may_lead]
+    facts = facts_of(trial.split, thresholds.thresholds(), trial.robot)
+    counter, sums = Counter(leading, facts), dict[str, Floats]()
     for scored in scored_forecasts(tracker, frames, trial.split.schedule, trial.seed):
-        tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
-    values = np.array([thresholds.values[name] for name in tally.strata]).T
-    f1 = f1_of(tally.confusion(bins_of(values)))
-    return {
-        name: tuple(None if math.isnan(value) else round(value, 6) for value in f1[:, k].tolist())
-        for k, name in enumerate(tally.strata)
-    }
+        for name, own in counter.count(scored).items():
+            sums[name] = sums[name] + own if name in sums else own
+    found = {}
+    for score in leading:
+        if score.name in sums:
+            layout = counter.layouts[score.name]
+            values = value_of(score.value(Sums(sums[score.name], layout.parts))[score.lead.name])
+            found[score.name] = {name: rounded_curve(values[:, k]) for k, name in enumerate(layout.strata)}
+    return found

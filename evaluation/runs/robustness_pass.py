@@ -12,7 +12,7 @@ from gridtrack.evaluation.referee.referee import Delivery, TrackerLike, moments
 from gridtrack.evaluation.referee.splits import SplitRegions
 from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.plan import Trial
-from gridtrack.evaluation.runs.replay import replayed_f1
+from gridtrack.evaluation.runs.replay import replayed
 from gridtrack.evaluation.runs.trial_record import ThresholdsUsed
 from gridtrack.recordings.degradation import Degradation, degrader
 from gridtrack.trackers.contract import Forecast
@@ -66,8 +66,8 @@ class RobustnessRun:
             self._process.kill()
         with self._process as process:
             tracker = _DegradedInput(process, degraded)
-            f1 = replayed_f1(tracker, undegraded, trial, thresholds)
-        return AtStrength(strength=strength, value=getattr(degradation, kind), delivered=degraded.digest, f1=f1)
+            scores = replayed(tracker, undegraded, trial, thresholds)
+        return AtStrength(strength=strength, value=getattr(degradation, kind), delivered=degraded.digest, scores=scores)
 
 
 class _DegradedInput:

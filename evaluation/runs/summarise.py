@@ -155,8 +155,15 @@ class _Summary:
         )
         if record.frames_scored:
             summary = self._scored(summary, [trial], self._run.unit_rule([record.recording]))
-        degraded = record.robustness and _with_undegraded(record.robustness, summary.strata)
+        degraded = record.robustness and self._with_undegraded(record.robustness, summary)
         return summary.model_copy(update={"robustness": degraded})
+
+    def _with_undegraded(self, robustness: Robustness, trial: TrialSummary) -> Robustness:
+        """The scores under each kind by its strength; at strength 0 they are those of `trial`."""
+        own = trial.leading({score.name: score.lead.name for score in self._scores if score.may_lead})
+        undegraded = AtStrength(strength=0.0, value=0.0, delivered="", scores=own)
+        kinds = {kind: (undegraded, *points) for kind, points in robustness.kinds.items()}
+        return Robustness(degradation=robustness.degradation, kinds=kinds)
 
     def _pooled(self, label: str, trials: Sequence[FinishedTrial]) -> PooledSummary:
         """One tracker over all recordings that it completed, together.
@@ -203,14 +210,6 @@ def _why_partial(trials: Sequence[FinishedTrial], recordings: int) -> str:
     complete = f"{len(trials) - len(missing)} of {recordings} recordings complete"
     shown = "; ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
     return f"{complete} ({shown})" if missing else complete
-
-
-def _with_undegraded(robustness: Robustness, strata: Mapping[str, Estimates]) -> Robustness:
-    """F1 of each kind by its strength; at strength 0 it is the trial's own, of `strata`."""
-    own = {name: scores["f1"]["f1"].value for name, scores in strata.items() if "f1" in scores}
-    undegraded = AtStrength(strength=0.0, value=0.0, delivered="", f1=own)
-    kinds = {kind: (undegraded, *points) for kind, points in robustness.kinds.items()}
-    return Robustness(degradation=robustness.degradation, kinds=kinds)
 
 
 def _scopes(row: TrackerSummary) -> Iterator[ScopeSummary]:

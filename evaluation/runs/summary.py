@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from gridtrack.common.notices import Line, Notice
 from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.passes import Deadline, Latency, Robustness
-from gridtrack.evaluation.runs.result_files import Curve, Number, ResultModel, read_model, write_model
+from gridtrack.evaluation.runs.result_files import Curve, Curves, Number, ResultModel, read_model, write_model
 from gridtrack.evaluation.runs.run_record import LONGEST_S, RecordingSummary, refuse_unordered
 from gridtrack.evaluation.runs.trial_record import Times
 from gridtrack.evaluation.scores.definition import LEADING_HORIZONS_S, Output, ScoreDefinition
@@ -194,14 +194,21 @@ class TrialSummary(ScopeSummary):
     times: Times = Times()
     peak_rss_mb: Number = None
 
+    def leading(self, outputs: Mapping[str, str]) -> dict[str, Curves]:
+        """The values of one of the `outputs` of each score, by score and stratum."""
+        return {
+            score: {own: found.value for own in self.strata if (found := self.estimate(own, score, output))}
+            for score, output in outputs.items()
+        }
+
     def curves(self) -> Iterator[tuple[str, Curve]]:
         """Every curve, those under other conditions included."""
         yield from super().curves()
         for at in self.deadline.rates if self.deadline else ():
-            yield from at.f1.items()
+            yield from _all_of(at.scores)
         for points in self.robustness.kinds.values() if self.robustness else ():
             for point in points:
-                yield from point.f1.items()
+                yield from _all_of(point.scores)
 
 
 class PooledSummary(ScopeSummary):
@@ -403,6 +410,11 @@ def curves_of(strata: Mapping[str, Estimates]) -> Iterator[tuple[str, Curve]]:
         for outputs in scores.values():
             for estimate in outputs.values():
                 yield from ((stratum, curve) for curve in estimate.curves())
+
+
+def _all_of(scores: Mapping[str, Curves]) -> Iterator[tuple[str, Curve]]:
+    for curves in scores.values():
+        yield from curves.items()
 
 
 def _refuse_other_lengths(where: str, curves: Iterator[tuple[str, Sequence[float | None]]], steps: int) -> None:

@@ -20,7 +20,7 @@ from gridtrack.evaluation.referee.referee import WARM_UP, Delivery
 from gridtrack.evaluation.referee.splits import SplitRegions
 from gridtrack.evaluation.runs.passes import AtRate, CallTimes, Deadline, Latency, Quantiles, RoundTrips
 from gridtrack.evaluation.runs.plan import Trial
-from gridtrack.evaluation.runs.replay import replayed_f1
+from gridtrack.evaluation.runs.replay import replayed
 from gridtrack.evaluation.runs.result_files import Curves
 from gridtrack.evaluation.runs.trial_record import ThresholdsUsed, TrialRecord
 
@@ -138,16 +138,16 @@ def _at_every_rate(
 ) -> tuple[AtRate, ...]:
     """Scores at each rate; rates with the same timeline share one pass over the stream."""
     schedule, period_ms = trial.split.schedule, trial.test.period_s * 1e3
-    f1_of: dict[bytes, Curves] = {}
+    scores_of: dict[bytes, dict[str, Curves]] = {}
     results = []
     for rate in RATES:
         clock = timeline(schedule.frames, period_ms / rate, costs)
         key = clock.accepted.tobytes() + clock.newest.tobytes()
-        if key not in f1_of:
+        if key not in scores_of:
             frames = Delivery(trial.test, lambda: None, regions.test)
             with trial.tracker_process(log) as process:
                 tracker = DeadlineTracker(process, clock, schedule, reach, trial.test.grid.cell_m)
-                f1_of[key] = replayed_f1(tracker, frames, trial, thresholds)
+                scores_of[key] = replayed(tracker, frames, trial, thresholds)
         results.append(
             AtRate(
                 rate=rate,
@@ -155,7 +155,7 @@ def _at_every_rate(
                 frames=schedule.frames,
                 missed=clock.missed,
                 age_frames=_exact_quantiles(_ages(clock)),
-                f1=f1_of[key],
+                scores=scores_of[key],
             )
         )
     return tuple(results)

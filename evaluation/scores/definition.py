@@ -194,6 +194,11 @@ class ScoreDefinition:
         return {output.name: output for output in self.outputs}[name]
 
     @property
+    def may_lead(self) -> bool:
+        """Whether the score may lead a run: trackers are compared by it, and higher values are better."""
+        return self.lead.tested and self.lead.direction > 0
+
+    @property
     def tested(self) -> tuple[Output, ...]:
         """The outputs by which trackers are compared."""
         return tuple(output for output in self.outputs if output.tested)

@@ -121,12 +121,12 @@ const rowsUnder = ({ recording, kind }) =>
   recordingNamed(recording).rows.filter((row) => isShown(row.label) && row.conditions[kind]).toReversed();
 
 function conditionChart(chosen) {
-  const { kind, stratum } = chosen;
+  const { kind, score, stratum } = chosen;
   const { name, unit } = pageData.conditions[kind];
   const axis = unit ? `${name},${unit}` : name;
   const lines = rowsUnder(chosen).map((row) => {
-    const { values: xs, f1, notes } = row.conditions[kind];
-    return lineOf(row, { xs, values: f1[stratum] ?? xs.map(() => null), notes });
+    const { values: xs, scores, notes } = row.conditions[kind];
+    return lineOf(row, { xs, values: scores[score]?.[stratum] ?? xs.map(() => null), notes });
   });
   const places = [...new Set(lines.flatMap((one) => one.xs))].sort((a, b) => a - b);
   const isUntimed = (value) => kind === "rate" && value === 0;
@@ -138,28 +138,34 @@ function conditionChart(chosen) {
       name: axis, ticks: places.map((place) => [place, text(place)]), words: (place) => `${name} ${text(place)}`,
       written: (value) => (isUntimed(value) ? text(value) : value),
     },
-    y: { name: "F1", fromZero: true },
+    y: axisOf(score),
   };
 }
+
+const scoresUnder = (recording, kind) => [...new Set(recording.rows.flatMap((row) => Object.keys(row.conditions[kind]?.scores ?? {})))]
+  .filter(outputNamed);
+const strataUnder = (recording, kind, score) =>
+  [...new Set(recording.rows.flatMap((row) => Object.keys(row.conditions[kind]?.scores[score] ?? {})))];
 
 function startConditions() {
   const listed = recordingOptions((recording) => kindsOf(recording).length);
   if (!listed.length) return;
-  const [recording] = listed[0];
+  const [recording] = listed[0], [kind] = kindsOf(recordingNamed(recording)), scores = scoresUnder(recordingNamed(recording), kind);
+  const score = scores.includes(pageData.headline.score) ? pageData.headline.score : scores[0];
   startFigure({
     id: "conditions",
     title: "Deadline and degraded input",
-    chosen: { recording, kind: kindsOf(recordingNamed(recording))[0], stratum: pageData.headline.stratum },
+    chosen: { recording, kind, score, stratum: pageData.headline.stratum },
     choices: (now) => {
-      const kinds = kindsOf(recordingNamed(now.recording));
-      const row = recordingNamed(now.recording).rows.find((one) => one.conditions[now.kind]);
-      return [["recording", "Recording", listed], ["kind", "Condition", kinds.map((kind) => [kind, pageData.conditions[kind].name])],
-        ["stratum", "Cells", Object.keys(row?.conditions[now.kind].f1 ?? {}).map((name) => [name, `${name} cells`])]];
+      const own = recordingNamed(now.recording);
+      return [["recording", "Recording", listed], ["kind", "Condition", kindsOf(own).map((one) => [one, pageData.conditions[one].name])],
+        ["score", "Score", scoresUnder(own, now.kind).map((one) => [one, outputNamed(one).heading])],
+        ["stratum", "Cells", strataUnder(own, now.kind, now.score).map((name) => [name, `${name} cells`])]];
     },
     chart: conditionChart,
-    fixed: (now) => ({ score: "f1", "horizon, s": recordingNamed(now.recording).conditions_ahead_s }),
-    line: ({ recording: name, kind }) =>
-      `F1 ${inSeconds(recordingNamed(name).conditions_ahead_s)} ahead; ${pageData.conditions[kind].name}: ${pageData.conditions[kind].meaning}.`,
+    fixed: (now) => ({ "horizon, s": recordingNamed(now.recording).conditions_ahead_s }),
+    line: ({ recording: name, kind, score }) =>
+      `${scoreWords(outputNamed(score))} ${inSeconds(recordingNamed(name).conditions_ahead_s)} ahead; ${pageData.conditions[kind].name}: ${pageData.conditions[kind].meaning}.`,
   });
 }
 

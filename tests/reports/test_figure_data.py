@@ -31,8 +31,8 @@ STEPS = 20
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-def constant(value):
-    return {name: [value] * (STEPS + 1) for name in STRATA}
+def f1(value):
+    return {"f1": {name: [value] * (STEPS + 1) for name in STRATA}}
 
 
 TIMES = {"p50": 41.0, "p95": 44.0, "p99": 46.5}
@@ -44,15 +44,15 @@ DEADLINE = {
     "highest_rate_hz": 21.505,
     "forecast_steps": 22,
     "rates": [
-        {"rate": 1.0, "rate_hz": 8.0, "frames": 120, "missed": 0, "age_frames": AGES, "f1": constant(0.413)},
-        {"rate": 4.0, "rate_hz": 32.0, "frames": 120, "missed": 60, "age_frames": AGES, "f1": constant(0.217)},
+        {"rate": 1.0, "rate_hz": 8.0, "frames": 120, "missed": 0, "age_frames": AGES, "scores": f1(0.413)},
+        {"rate": 4.0, "rate_hz": 32.0, "frames": 120, "missed": 60, "age_frames": AGES, "scores": f1(0.217)},
     ],
 }
 ROBUSTNESS = {
     "degradation": {"range_noise": 0.1},
     "kinds": {
         "range_noise": [
-            {"strength": s, "value": 0.1 * s, "delivered": "", "f1": constant(0.4 - 0.1 * s)} for s in (0.0, 0.5, 1.0)
+            {"strength": s, "value": 0.1 * s, "delivered": "", "scores": f1(0.4 - 0.1 * s)} for s in (0.0, 0.5, 1.0)
         ]
     },
 }
@@ -80,7 +80,7 @@ def test_every_rate_has_its_f1_beside_the_untimed_one_and_its_missed_frames(good
     untimed = value_of(trial_of(summary_of(run_folder), "good"), "in-motion", "f1.f1", 4)
     rate = row["conditions"]["rate"]
     assert rate["values"] == [0.0, 1.0, 4.0]
-    assert rate["f1"]["in-motion"] == [pytest.approx(untimed), 0.413, 0.217]
+    assert rate["scores"]["f1"]["in-motion"] == [pytest.approx(untimed), 0.413, 0.217]
     assert rate["notes"] == ["no deadline", "0 % of frames missed", "50 % of frames missed"]
     assert data["recordings"][0]["conditions_ahead_s"] == 0.5
     assert row["latency"]["highest_hz"] == 21.5
@@ -88,15 +88,15 @@ def test_every_rate_has_its_f1_beside_the_untimed_one_and_its_missed_frames(good
 
 def test_a_stratum_that_was_not_scored_leaves_a_gap(good_of):
     deadline = copy.deepcopy(DEADLINE)
-    del deadline["rates"][1]["f1"]["in-motion"]
-    assert good_of(deadline=deadline)[0]["conditions"]["rate"]["f1"]["in-motion"][1:] == [0.413, None]
+    del deadline["rates"][1]["scores"]["f1"]["in-motion"]
+    assert good_of(deadline=deadline)[0]["conditions"]["rate"]["scores"]["f1"]["in-motion"][1:] == [0.413, None]
 
 
 def test_degraded_input_has_its_f1_at_every_value_with_name_and_unit(good_of):
     row, data = good_of(robustness=ROBUSTNESS)
     noise = row["conditions"]["range_noise"]
     assert noise["values"] == pytest.approx([0.0, 0.05, 0.1])
-    assert noise["f1"]["visible"] == pytest.approx([0.4, 0.35, 0.3])
+    assert noise["scores"]["f1"]["visible"] == pytest.approx([0.4, 0.35, 0.3])
     assert (data["conditions"]["range_noise"]["name"], data["conditions"]["range_noise"]["unit"]) == (
         "range noise",
         " m",
@@ -112,7 +112,7 @@ def test_without_other_conditions_there_are_none(good_of):
 def test_invalid_conditions_are_refused_in_one_line(good_of, damage):
     deadline, robustness = copy.deepcopy(DEADLINE), copy.deepcopy(ROBUSTNESS)
     if damage == "short":
-        deadline["rates"][0]["f1"]["in-motion"] = [0.5]
+        deadline["rates"][0]["scores"]["f1"]["in-motion"] = [0.5]
     elif damage == "backwards":
         robustness["kinds"]["range_noise"].reverse()
     else:

@@ -104,9 +104,10 @@ def class_sums(recording: str, made: Made, parts: tuple[str, ...]) -> np.ndarray
 def robustness_of(made: Made) -> Robustness | None:
     if not made.degradations:
         return None
-    f1 = {"visible": (0.5,) * (STEPS + 1)}
+    scores = {"f1": {"visible": (0.5,) * (STEPS + 1)}}
     points = [
-        AtStrength(strength=float(n), value=value, delivered="", f1=f1) for n, value in enumerate(made.degradations)
+        AtStrength(strength=float(n), value=value, delivered="", scores=scores)
+        for n, value in enumerate(made.degradations)
     ]
     return Robustness(
         degradation=Degradation(beam_dropout=made.degradations[-1]), kinds={"beam-dropout": tuple(points)}

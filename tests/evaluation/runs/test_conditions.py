@@ -11,6 +11,7 @@ from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
 from gridtrack.evaluation.runs.summarise import _mismatched_degradations
 from gridtrack.evaluation.runs.trial_record import TRIAL_SCHEMA, TrialRecord
+from gridtrack.evaluation.scores.registry import built_in
 from gridtrack.recordings.degradation import Degradation
 
 from scenes.room import curve, trial_of
@@ -18,8 +19,8 @@ from scenes.room import curve, trial_of
 pytestmark = pytest.mark.usefixtures("staged", "trackers_here")
 
 
-def f1_of(result):
-    return {name: curve(result, name, "f1.f1") for name in result.strata}
+LEADING = {score.name: score.lead.name for score in built_in() if score.may_lead}
+"""The leading output of each score that may lead."""
 
 
 @pytest.fixture
@@ -42,7 +43,7 @@ def test_a_tracker_without_delay_scores_as_without_a_clock(compare, costing):
     assert [at.rate_hz for at in result.deadline.rates] == [5.0, 10.0, 20.0, 40.0]
     for at in result.deadline.rates:
         assert (at.missed, at.frames, at.age_frames.p99) == (0, 110, 0.0)
-        assert at.f1 == f1_of(result)
+        assert at.scores == result.leading(LEADING)
 
 
 def test_a_timed_tracker_has_the_requests_of_one_that_is_scored(compare, record, monkeypatch):
@@ -88,8 +89,9 @@ def test_a_busy_tracker_misses_frames_and_scores_less(compare, costing):
     assert own.age_frames.p50 in {2.0, 3.0}
     assert result.deadline.highest_rate_hz == pytest.approx(1000 / 150)
     # persistence's forecast of the step 0 is a copy: two or three frames late it is one of two or three frames ago
-    assert own.f1["dynamic"][0] < half.f1["dynamic"][0] < curve(result, "dynamic", "f1.f1")[0] == 1.0
-    assert own.f1["static"][0] > 0.9
+    f1_at_half, f1 = half.scores["f1"], own.scores["f1"]
+    assert f1["dynamic"][0] < f1_at_half["dynamic"][0] < curve(result, "dynamic", "f1.f1")[0] == 1.0
+    assert f1["static"][0] > 0.9
 
 
 @pytest.mark.usefixtures("bad_trackers")
@@ -99,7 +101,7 @@ def test_frames_kept_over_a_reset_are_useless_in_another_condition(compare):
     one, other = (trial_of(summary, label) for label in (honest, hostile))
     assert other.robustness.kinds["beam_dropout"][1:] == one.robustness.kinds["beam_dropout"][1:]
     for rate in other.deadline.rates:
-        assert rate.f1["dynamic"][-1] < 0.9
+        assert rate.scores["f1"]["dynamic"][-1] < 0.9
 
 
 @pytest.mark.usefixtures("bad_trackers")
@@ -107,7 +109,7 @@ def test_a_tracker_that_keeps_the_frames_in_a_file_is_marked_and_an_honest_one_i
     trackers = f"keeps-a-file:file={tmp_path / 'kept.npy'}", "staged"
     summary = compare(*trackers, deadline=True, degrade=Degradation(beam_dropout=0.5))
     hostile, honest = (trial_of(summary, label) for label in ("keeps-a-file", "staged"))
-    assert hostile.robustness.kinds["beam_dropout"][-1].f1["dynamic"][5] > 0.9
+    assert hostile.robustness.kinds["beam_dropout"][-1].scores["f1"]["dynamic"][5] > 0.9
     assert "which is more than chance" in hostile.memory
     assert honest.memory == ""
     assert [notice for notice in map(str, summary.notices) if "--sandbox prevents it" in notice] == [
@@ -146,21 +148,24 @@ def test_degraded_input_is_the_same_for_all_and_is_scored_against_the_undegraded
     for name, full in (("beam_dropout", 0.5), ("frame_drop", 1.0)):
         assert [point.strength for point in curves[name]] == [0.0, 0.25, 0.5, 1.0]
         assert [point.value for point in curves[name]] == [0.0, 0.25 * full, 0.5 * full, full]
-        assert curves[name][0].f1 == f1_of(result)
-        at_step_0 = [point.f1["visible"][0] for point in curves[name]]
+        assert curves[name][0].scores == result.leading(LEADING)
+        at_step_0 = [point.scores["f1"]["visible"][0] for point in curves[name]]
         # copying a frame of which a part was lost is no copy of the whole
         assert at_step_0[0] == 1.0 > at_step_0[1] > at_step_0[2] > at_step_0[3]
         digests = [[point.delivered for point in one.robustness.kinds[name]] for one in (result, blank)]
         assert digests[0] == digests[1]
         assert len(set(digests[0])) == 4
     # at 1 every frame is lost, and persistence calls no unseen cell occupied
-    assert curves["frame_drop"][-1].f1["visible"] == (0.0,) * 11
+    undegraded, *_, lost = (point.scores for point in curves["frame_drop"])
+    assert lost["f1"]["visible"] == (0.0,) * 11
+    # paths and contacts are those of the undegraded frames, and equal risks foresee as many contacts as clear paths
+    assert lost["contact_foresight"]["dynamic"][5] == 0.05 < undegraded["contact_foresight"]["dynamic"][5]
     assert summary.recordings["room"].parity is True
 
 
 def test_mismatched_degraded_frames_are_detected():
     def record(label, digest, value=0.1):
-        points = tuple(AtStrength(strength=s, value=s * value, delivered=digest, f1={}) for s in (0.3, 1.0))
+        points = tuple(AtStrength(strength=s, value=s * value, delivered=digest, scores={}) for s in (0.3, 1.0))
         robustness = Robustness(degradation=Degradation(range_noise=value), kinds={"range_noise": points})
         return TrialRecord(
             schema=TRIAL_SCHEMA, label=label, recording="room", outcome="ok", steps=1, robustness=robustness

@@ -26,7 +26,7 @@ def trackers(later: float, high: float | None):
     """A tracker with F1 0.5 on dynamic cells in the first pass, and `later` with half of the beams."""
     first = Estimate(value=(0.5,), low=(0.4,), high=(high,)) if high else Estimate(value=(0.5,))
     points = tuple(
-        AtStrength(strength=strength, value=strength / 2, delivered="", f1={"dynamic": (f1,)})
+        AtStrength(strength=strength, value=strength / 2, delivered="", scores={"f1": {"dynamic": (f1,)}})
         for strength, f1 in ((0.0, 0.5), (1.0, later))
     )
     robustness = Robustness(degradation=Degradation(beam_dropout=0.5), kinds={"beam_dropout": points})
