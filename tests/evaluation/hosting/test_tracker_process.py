@@ -45,7 +45,7 @@ def _leaves_no_process(bad_trackers: None) -> Iterator[None]:
     descriptors = psutil.Process().num_fds()
     yield
     assert set(psutil.Process().children(recursive=True)) <= before
-    assert psutil.Process().num_fds() == descriptors
+    assert psutil.Process().num_fds() <= descriptors  # the garbage of an earlier test may go meanwhile
 
 
 def run(name: str, log: Path, limits: Limits = LIMITS, **options: object) -> TrackerProcess:
