@@ -316,16 +316,21 @@ def _wholes(settings: CompareSettings, note: Callable[[str], None]) -> tuple[Eva
 
 
 def _large_cost(trials: Sequence[Trial]) -> Iterator[Notice]:
-    """A notice if scoring will take long: an estimate before anything runs."""
-    splits = [trial.split for trial in trials]
-    forecasts = [s.schedule.expected + (s.validation_schedule.expected if s.validation else 0) for s in splits]
-    cells = sum(n * (s.steps + 1) * s.test.grid.size**2 for n, s in zip(forecasts, splits, strict=True))
+    """A notice if scoring will take long: an estimate before anything runs.
+
+    The trials of a row share the thresholds of a validation stretch, so that its forecasts count once.
+    """
+    scored = [(trial.split, trial.split.schedule) for trial in trials]
+    validated = {(trial.label, own.name): trial.split for trial in trials if (own := trial.split.validation)}
+    scored += [(split, split.validation_schedule) for split in validated.values()]
+    forecasts = sum(schedule.expected for _, schedule in scored)
+    cells = sum(schedule.expected * (split.steps + 1) * split.test.grid.size**2 for split, schedule in scored)
     minutes = cells / SCORED_CELLS_PER_S / 60
     if minutes > LONG_MINUTES:
-        largest = max(splits, key=lambda split: (split.steps + 1) * split.test.grid.size**2)
+        largest = max((split for split, _ in scored), key=lambda split: (split.steps + 1) * split.test.grid.size**2)
         size = largest.test.grid.size
         yield Notice(
-            text=f"scoring {sum(forecasts)} forecasts, the largest of {largest.steps + 1} steps on {size} x {size}"
+            text=f"scoring {forecasts} forecasts, the largest of {largest.steps + 1} steps on {size} x {size}"
             f" cells, takes about {minutes:.0f} minutes of processor time, besides the trackers' own: fewer cells"
             " (--grid), a shorter --horizon or a longer --every take less"
         )

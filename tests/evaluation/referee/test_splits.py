@@ -344,10 +344,15 @@ def test_weights_of_a_site_that_do_not_fit_grid_or_rate_give_way_to_general_ones
 
 def test_a_large_cost_is_estimated_before_anything_runs(tmp_path):
     demo = str(packaged_recording("leg_tracker"))
-    chosen = {"recordings": (f"{demo}@114s-124s",), "trackers": ("blank",), "no_floors": True}
-    chosen["out"] = tmp_path / "run"
-    (said,) = [
-        line for line in map(str, resolve(CompareSettings(grid="2000x0.01", **chosen)).notices) if "scoring" in line
-    ]
-    assert "forecasts, the largest of 26 steps on 2000 x 2000 cells, takes about 14 minutes" in said
-    assert not any("scoring" in line for line in map(str, resolve(CompareSettings(**chosen)).notices))
+
+    def said(grid: str, *stretches: str, **other: str) -> list[str]:
+        recordings = tuple(f"{demo}@{stretch}" for stretch in stretches)
+        chosen = {"recordings": recordings, "trackers": ("blank",), "no_floors": True, "out": tmp_path / "run"}
+        plan = resolve(CompareSettings(**chosen, grid=grid, **other))
+        return [line for line in map(str, plan.notices) if "scoring" in line]
+
+    (line,) = said("2000x0.01", "114s-124s")
+    assert "scoring 160 forecasts, the largest of 26 steps on 2000 x 2000 cells, takes about 14 minutes" in line
+    (line,) = said("2000x0.01", "114s-124s", "104s-114s", validation=f"{demo}@75s-85s")
+    assert "scoring 480 forecasts" in line, "thresholds are chosen once for both recordings"
+    assert said("60x0.2", "114s-124s") == []
