@@ -354,5 +354,5 @@ def test_a_large_cost_is_estimated_before_anything_runs(tmp_path):
     (line,) = said("2000x0.01", "114s-124s")
     assert "scoring 160 forecasts, the largest of 26 steps on 2000 x 2000 cells, takes about 14 minutes" in line
     (line,) = said("2000x0.01", "114s-124s", "104s-114s", validation=f"{demo}@75s-85s")
-    assert "scoring 480 forecasts" in line, "thresholds are chosen once for both recordings"
+    assert "scoring 165 forecasts" in line, "thresholds are chosen once for both recordings"
     assert said("60x0.2", "114s-124s") == []
