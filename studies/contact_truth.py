@@ -26,7 +26,7 @@ from gridtrack.evaluation.referee.referee import Delivery, ScoredForecast, score
 from gridtrack.evaluation.referee.splits import EvaluationSplit, Sampling, plan_split
 from gridtrack.evaluation.referee.targets import NOT_SCORED
 from gridtrack.evaluation.runs.scorekeeper import facts_of
-from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT, LONGEST_PATH_S
+from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT, HORIZONS_S
 from gridtrack.evaluation.scores.definition import Floats, Sums
 from gridtrack.evaluation.scores.robot import SMALL_ROBOT, parse_robot
 from gridtrack.evaluation.scores.thresholds import half
@@ -135,7 +135,7 @@ def sums_of(split: EvaluationSplit, names: Sequence[str], robot: str) -> Unit:
     """The sums (P,) of contacts within HORIZON_S in one recording, by TRUTH or OBSERVED and row."""
     facts = facts_of(split, half(split.steps, split.strata), parse_robot(robot) if robot else SMALL_ROBOT)
     known = {TRUTH: facts, OBSERVED: replace(facts, has_truth=False, classes=())}
-    step = nearest_step(HORIZON_S, split.test.period_s)
+    at = CONTACT_FORESIGHT.steps(facts).index(nearest_step(HORIZON_S, split.test.period_s))
     trackers = AllTrackers(split.test, names)
     found: dict[tuple[str, str], Floats] = {}
     memories: dict[tuple[str, str], Any] = {}
@@ -147,7 +147,7 @@ def sums_of(split: EvaluationSplit, names: Sequence[str], robot: str) -> Unit:
                 memory = memories.setdefault((kind, row), CONTACT_FORESIGHT.new_memory(facts))
                 counted = CONTACT_FORESIGHT.count(replace(own, forecast=forecast), known[kind], memory)
                 assert counted is not None
-                found[kind, row] = found.get((kind, row), 0.0) + counted[step, 0]
+                found[kind, row] = found.get((kind, row), 0.0) + counted[at, 0]
     parts = CONTACT_FORESIGHT.parts(facts)
     return {key: Sums(sums, parts) for key, sums in found.items()}
 
@@ -233,7 +233,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     torch.set_num_threads(1)
     names, units = tuple(dict.fromkeys((REFERENCE, *(given.tracker or TRACKERS)))), []
     for path in PLACES[given.place]()[: given.recordings]:
-        split = plan_split(f"{path}@{given.stretch}", None, Sampling(LONGEST_PATH_S, every_s=EVERY_S))
+        split = plan_split(f"{path}@{given.stretch}", None, Sampling(HORIZONS_S[-1], every_s=EVERY_S))
         units.append(sums_of(split, names, given.robot))
         print(f"{split.name}: done", flush=True)
     section = section_of(units, f"{COMMAND} --place {given.place}{' --robot ' * bool(given.robot)}{given.robot}")

@@ -28,13 +28,13 @@ PARTS = ("open", "standing", "in-motion")
 """Parts of the dynamic cells of an observed frame; an array `motion` (M, M) uint8 holds indices into this, and 0 for
 cells of other kinds."""
 
-_RANGE_NAMES = ("to 5 m", "5-10 m", "over 10 m")
+RANGE_NAMES = ("to 5 m", "5-10 m", "over 10 m")
 _AGE_NAMES = ("to 0.5 s", "0.5-1 s", "1-2 s", "2-4 s", "over 4 s")
 _STATIC, _DYNAMIC = range(2)
 _DYNAMIC_PARTS = tuple(f"dynamic {part}" for part in PARTS)
 _SEEN_KINDS = (*CELL_KINDS[:-1], *_DYNAMIC_PARTS)
-SEEN_REGIONS = tuple(product(_SEEN_KINDS, _RANGE_NAMES))
-RANGES = len(_RANGE_NAMES)
+SEEN_REGIONS = tuple(product(_SEEN_KINDS, RANGE_NAMES))
+RANGES = len(RANGE_NAMES)
 """Number of bands of distance to the nearest sensor."""
 HIDDEN_REGIONS = tuple(product((_STATIC, _DYNAMIC), _AGE_NAMES))
 REGIONS = len(SEEN_REGIONS) + len(HIDDEN_REGIONS)
@@ -42,7 +42,7 @@ REGIONS = len(SEEN_REGIONS) + len(HIDDEN_REGIONS)
 age. Strata are sums of regions."""
 
 
-def _seen(kinds: Iterable[str] = _SEEN_KINDS, ranges: Iterable[str] = _RANGE_NAMES) -> list[int]:
+def _seen(kinds: Iterable[str] = _SEEN_KINDS, ranges: Iterable[str] = RANGE_NAMES) -> list[int]:
     return [SEEN_REGIONS.index(region) for region in product(kinds, ranges)]
 
 
@@ -59,7 +59,7 @@ _REGIONS_OF: Mapping[str, list[int]] = {
     "static": _seen(["static"]),
     "in-motion": _seen(["dynamic open", "dynamic in-motion"]),
     "standing": _seen(["dynamic standing"]),
-    **{f"visible {name}": _seen(ranges=[name]) for name in _RANGE_NAMES},
+    **{f"visible {name}": _seen(ranges=[name]) for name in RANGE_NAMES},
     OCCLUDED: _hidden(),
     "occluded dynamic": _hidden([_DYNAMIC]),
     **{f"occluded {name}": _hidden(ages=[name]) for name in _AGE_NAMES},

@@ -156,7 +156,7 @@ class Comparisons:
         self, names: Sequence[str], trials: Sequence[FinishedTrial], score: ScoreDefinition
     ) -> tuple[Place, ...]:
         """Strata and steps of the tests of a score that all `trials` have."""
-        layouts = [self._run.sums(trial).layouts.get(score.name, Layout((), ())) for trial in trials]
+        layouts = [self._run.sums(trial).layouts.get(score.name, Layout((), (), ())) for trial in trials]
         order = dict.fromkeys((score.stratum, *HEADLINE_STRATA))
         strata = [name for name in order if all(name in one.strata for one in layouts)]
         steps = headline_steps(self._run.horizons_of(names), score.horizons_s)

@@ -8,16 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
 from gridtrack.evaluation.runs.finished import FinishedTrial, RunTrials, common_strata
 from gridtrack.evaluation.runs.result_files import rounded_curve, rounded_p_curve
 from gridtrack.evaluation.runs.summary import Estimate, Estimates
-from gridtrack.evaluation.scores.definition import Floats, Scale, ScoreDefinition, Sums, value_of
+from gridtrack.evaluation.scores.definition import Floats, Ratio, Scale, ScoreDefinition, Sums, value_of
 from gridtrack.evaluation.statistics import jackknife
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS, Replicates, interval
 from gridtrack.evaluation.statistics.units import UnitRule
 
 KEPT_BYTES = 512 << 20
 """Sums of units that are kept while a score is estimated; more of them are read twice."""
+_ORDER = {name: place for place, name in enumerate(STRATA_WITH_TRUTH)}
+"""Strata of cells come first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,22 +63,43 @@ def estimated(run: RunTrials, chosen: Selected, score: ScoreDefinition) -> Estim
     if len(layouts) < len(sums) or not layouts or len({one.parts for one in layouts}) > 1:
         return None
     strata = tuple(name for name in layouts[0].strata if all(name in one.strata for one in layouts))
+    steps_of = list(zip(*(trial.steps for trial in chosen.trials), strict=True))
+    at = [i for i, own in enumerate(steps_of) if all(n in one.steps for n, one in zip(own, layouts, strict=True))]
 
     def groups() -> Iterator[Sums]:
         for first, group in _groups(chosen):
             units = [np.where(own >= 0, own - first, -1) for own in (chosen.units[i] for i in group)]
             found = [
-                sums[i].by_unit(score.name, own, chosen.trials[i].steps, strata)
+                sums[i].by_unit(score.name, own, [steps_of[n][i] for n in at], strata)
                 for i, own in zip(group, units, strict=True)
             ]
             yield _added(found)
 
-    kept = list(groups()) if _bytes(chosen, strata, layouts[0].parts) <= KEPT_BYTES else None
+    size = 8 * chosen.number * len(at) * len(strata) * len(layouts[0].parts)
+    kept = list(groups()) if size <= KEPT_BYTES else None
     again: Callable[[], Iterator[Sums]] = groups if kept is None else lambda: iter(kept)
     total = _total(again())
     values = {name: value_of(found) for name, found in score.value(total).items()}
     replicates = jackknife.replicates(score.value, again, total) if chosen.number >= LEAST_UNITS else {}
-    return Estimated(strata, values, replicates)
+    return _at_all_steps(Estimated(strata, values, replicates), at, len(steps_of))
+
+
+def _at_all_steps(found: Estimated, at: Sequence[int], number: int) -> Estimated:
+    """A score of some steps, `at`, as one of all `number` steps: undefined at the others."""
+    if len(at) == number:
+        return found
+
+    def spread(own: Floats, missing: float) -> Floats:
+        every = np.full((*own.shape[:-2], number, own.shape[-1]), missing)
+        every[..., at, :] = own
+        return every
+
+    def all_of(own: Replicates) -> Replicates:
+        ratio = own.ratio and Ratio(spread(own.ratio.part, 0), spread(own.ratio.whole, 0), counted=own.ratio.counted)
+        return Replicates(spread(own.value, np.nan), spread(own.without, np.nan), spread(own.size, 0), ratio)
+
+    values = {name: spread(own, np.nan) for name, own in found.values.items()}
+    return Estimated(found.strata, values, {name: all_of(own) for name, own in found.replicates.items()})
 
 
 def _groups(chosen: Selected) -> Iterator[tuple[int, list[int]]]:
@@ -111,14 +135,10 @@ def _total(groups: Iterator[Sums]) -> Sums:
     return Sums(total, first.parts)
 
 
-def _bytes(chosen: Selected, strata: Sequence[str], parts: Sequence[str]) -> int:
-    return 8 * chosen.number * len(chosen.trials[0].steps) * len(strata) * len(parts)
-
-
 def estimates_of(found: Mapping[str, Estimated], scores: Sequence[ScoreDefinition]) -> dict[str, Estimates]:
     """The estimates of a scope as the summary holds them: by stratum, score and output."""
-    by_strata = sorted(found.values(), key=lambda one: -len(one.strata))  # a score of all strata has their order
-    strata: dict[str, Estimates] = {name: {} for one in by_strata for name in one.strata}
+    named = dict.fromkeys(name for one in found.values() for name in one.strata)
+    strata: dict[str, Estimates] = {name: {} for name in sorted(named, key=lambda name: _ORDER.get(name, len(_ORDER)))}
     for score in scores:
         if (one := found.get(score.name)) is not None:
             for output in score.outputs:

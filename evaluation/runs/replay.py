@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
+
 from gridtrack.evaluation.referee.referee import Moment, TrackerLike, scored_forecasts
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.result_files import Curves, rounded_curve
@@ -30,6 +32,7 @@ def replayed(
     for score in leading:
         if score.name in sums:
             layout = counter.layouts[score.name]
-            values = value_of(score.value(Sums(sums[score.name], layout.parts))[score.lead.name])
+            values = np.full((facts.steps + 1, len(layout.strata)), np.nan)
+            values[list(layout.steps)] = value_of(score.value(Sums(sums[score.name], layout.parts))[score.lead.name])
             found[score.name] = {name: rounded_curve(values[:, k]) for k, name in enumerate(layout.strata)}
     return found

@@ -47,8 +47,9 @@ class Counter:
 
     @property
     def layouts(self) -> dict[str, Layout]:
-        """Strata and parts of each score that applies to the trial."""
-        return {score.name: Layout(score.strata(self._facts), score.parts(self._facts)) for score in self._scores}
+        """Strata, parts and steps of each score that applies to the trial."""
+        facts = self._facts
+        return {one.name: Layout(one.strata(facts), one.parts(facts), one.steps(facts)) for one in self._scores}
 
     def count(self, forecast: ScoredForecast) -> dict[str, Any]:
         """The sums (S, K, P) of each score that the forecast has something to count for."""

@@ -2,7 +2,7 @@
 
 A row is one scored frame, step, stratum and score; `part` and `value` list the sums that are not 0. `delivered` is the
 hash of every frame delivered up to the last step: equal for two trackers that received the same frames. The metadata of
-the table names the strata and parts of each score.
+the table names the strata, parts and steps of each score.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Self
@@ -26,7 +26,7 @@ from gridtrack.common.files import atomic_write
 from gridtrack.evaluation.scores.definition import Floats, Sums
 
 SUMS_FILE = "sums.parquet"
-SUMS_VERSION: Final = 1
+SUMS_VERSION: Final = 2
 ROW_GROUP = 64
 """Scored frames that are kept in memory before they are written."""
 MAX_VALUES = 1 << 26
@@ -53,21 +53,27 @@ class ScoresError(GridtrackError):
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The strata (K) and parts (P) of a score in a trial."""
+    """The strata (K), parts (P) and steps (S) of a score in a trial."""
 
     strata: tuple[str, ...]
     parts: tuple[str, ...]
+    steps: tuple[int, ...]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of a frame."""
+        return len(self.steps) * len(self.strata)
 
 
 class SumsWriter:
     """Writes the sums of one trial; on leaving the file is complete, however the trial ended."""
 
     def __init__(self, folder: Path, layouts: Mapping[str, Layout], steps: int) -> None:
-        self._layouts, self._steps = layouts, steps
+        self._layouts = layouts
         described = {
             "version": SUMS_VERSION,
             "steps": steps,
-            "scores": {name: {"strata": one.strata, "parts": one.parts} for name, one in layouts.items()},
+            "scores": {name: asdict(one) for name, one in layouts.items()},
         }
         fields = [(name, kind) for name, (kind, _) in COLUMNS.items()]
         self._schema = pa.schema(fields, metadata={_METADATA: json.dumps(described)})
@@ -94,18 +100,19 @@ class SumsWriter:
 
     def _flush(self, score: str) -> None:
         """Write the waiting frames of a score as a row group of its own, so that scores are read one by one."""
-        frames, strata = self._waiting[score], self._layouts[score].strata
+        frames, layout = self._waiting[score], self._layouts[score]
         if not frames:
             return
-        sums = np.stack([own for _, _, own in frames]).reshape(-1, len(self._layouts[score].parts))
+        sums = np.stack([own for _, _, own in frames]).reshape(-1, len(layout.parts))
         row, part = np.nonzero(sums)
         ends = np.searchsorted(row, np.arange(len(sums) + 1)).astype(np.int32)
-        step, stratum = np.indices((self._steps + 1, len(strata)), np.int16).reshape(2, -1)
+        step = np.repeat(np.array(layout.steps, np.int16), len(layout.strata))
+        stratum = np.tile(np.arange(len(layout.strata), dtype=np.int16), len(layout.steps))
         columns = [
             np.repeat([stamp for stamp, _, _ in frames], step.size),
             np.repeat([digest for _, digest, _ in frames], step.size),
             np.tile(step, len(frames)),
-            pa.DictionaryArray.from_arrays(np.tile(stratum, len(frames)), list(strata)),
+            pa.DictionaryArray.from_arrays(np.tile(stratum, len(frames)), list(layout.strata)),
             pa.DictionaryArray.from_arrays(np.zeros(len(sums), np.int16), [score]),
             pa.ListArray.from_arrays(ends, pa.array(part, pa.uint16())),
             pa.ListArray.from_arrays(ends, pa.array(sums[row, part])),
@@ -186,17 +193,17 @@ class TrialSums:
     ) -> Sums:
         """The sums (U, S, K, P) of the units from 0 to the highest in `units` (F,); frames in unit -1 are left out.
 
-        At these steps, strata and `parts` (none: all), each in its order.
+        At these steps, strata and `parts` (none: all), each in its order; 0 at a step that the score does not have.
         """
-        layout = self.layouts.get(score, Layout((), ()))
+        layout = self.layouts.get(score, Layout((), (), ()))
         parts = tuple(parts) or layout.parts
         if not {*strata} <= {*layout.strata} or not {*parts} <= {*layout.parts}:
             raise ScoresError(f"{self.path}: no sums of {score} in {', '.join(strata)}; run it again")
         number, shape = int(units.max(initial=-1)) + 1, (len(steps), len(strata))
         place = np.full((self.steps + 1, len(layout.strata)), -1)
-        place[np.ix_(steps, [layout.strata.index(name) for name in strata])] = np.arange(shape[0] * shape[1]).reshape(
-            shape
-        )
+        chosen = np.ix_(steps, [layout.strata.index(name) for name in strata])
+        place[chosen] = np.arange(shape[0] * shape[1]).reshape(shape)
+        place = place[list(layout.steps)]
         column = np.full(len(layout.parts), -1)
         places = {part: at for at, part in enumerate(layout.parts)}
         column[[places[part] for part in parts]] = np.arange(len(parts))
@@ -229,7 +236,7 @@ class TrialSums:
     def _refuse_large(self, group: int, layout: Layout) -> None:
         """Raise ScoresError for a row group that is larger than the writer's: a small file can unpack to gigabytes."""
         found = self._metadata.row_group(group)
-        rows = ROW_GROUP * (self.steps + 1) * len(layout.strata)
+        rows = ROW_GROUP * layout.rows
         values = max(found.column(column).num_values for column in range(found.num_columns))
         if found.num_rows > rows or values > min(MAX_VALUES, rows * max(1, len(layout.parts))):
             raise ScoresError(
@@ -257,7 +264,7 @@ class TrialSums:
     def _read(self, group: int, layout: Layout) -> _Rows:
         with _opened(self.path, self._metadata) as file:
             table = file.read_row_group(group, columns=list(COLUMNS))
-        return _rows(self.path, table, layout, (self.steps + 1) * len(layout.strata), self.steps)
+        return _rows(self.path, table, layout)
 
     def _require_parts(self, rows: _Rows, layout: Layout) -> None:
         if rows.entries[1].max(initial=0) >= len(layout.parts):
@@ -279,25 +286,27 @@ class _Rows:
         return sum(own.nbytes for own in (self.stamps_ns, self.delivered, *self.entries))
 
 
-def _rows(path: Path, table: Any, layout: Layout, rows_of_frame: int, steps: int) -> _Rows:
+def _rows(path: Path, table: Any, layout: Layout) -> _Rows:
     """The rows of a row group, checked: every frame has all steps, each with all strata in order."""
-    table = table.combine_chunks()
+    table, rows_of_frame = table.combine_chunks(), layout.rows
     columns = {name: table.column(name).combine_chunks() for name in COLUMNS}
     frames = len(table) // rows_of_frame if rows_of_frame else 0
     if any(column.null_count for column in columns.values()) or len(table) != frames * rows_of_frame:
         raise ScoresError(f"{path}: a value or a row is missing; run it again")
-    step, stratum = np.indices((steps + 1, len(layout.strata))).reshape(2, -1)
+    step = np.repeat(layout.steps, len(layout.strata))
     stamps = columns["stamp_ns"].to_numpy().reshape(frames, rows_of_frame)
     names, own = columns["stratum"].dictionary.to_pylist(), columns["stratum"].indices.to_numpy()
-    expected = np.array([names.index(name) if name in names else -1 for name in layout.strata])
+    expected = [names.index(name) if name in names else -1 for name in layout.strata]
     whole = (
         (columns["step"].to_numpy().reshape(frames, rows_of_frame) == step).all()
-        and (own.reshape(frames, rows_of_frame) == expected[stratum]).all()
+        and (own.reshape(frames, rows_of_frame) == np.tile(expected, len(layout.steps))).all()
         and (stamps == stamps[:, :1]).all()
     )
     ends, ends_of_values = (columns[name].offsets.to_numpy().astype(np.int64) for name in ("part", "value"))
     if not whole or not np.array_equal(ends - ends[0], ends_of_values - ends_of_values[0]):
-        raise ScoresError(f"{path}: not {steps + 1} steps of {', '.join(layout.strata)} at every frame; run it again")
+        raise ScoresError(
+            f"{path}: not {len(layout.steps)} steps of {', '.join(layout.strata)} at every frame; run it again"
+        )
     delivered = columns["delivered"].to_numpy(zero_copy_only=False)[::rows_of_frame].astype(np.str_)
     parts, values = (columns[name].flatten().to_numpy() for name in ("part", "value"))
     return _Rows(stamps[:, 0], delivered, (ends - ends[0], parts.astype(np.int64), values))
@@ -361,10 +370,18 @@ def _layouts_of(file: Any) -> tuple[int, dict[str, Layout]]:
                 f" {SUMS_VERSION}: read it with the gridtrack that wrote it, or compare again"
             )
         scores = described["scores"].items()
-        layouts = {name: Layout(tuple(one["strata"]), tuple(one["parts"])) for name, one in scores}
-        return int(described["steps"]), layouts
+        steps = int(described["steps"])
+        return steps, {name: _layout(one, steps) for name, one in scores}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise _unreadable(path, error) from None
+
+
+def _layout(described: Mapping[str, Any], last: int) -> Layout:
+    """A layout of the metadata. Raises KeyError, TypeError and ValueError."""
+    strata, parts, steps = (tuple(described[name]) for name in ("strata", "parts", "steps"))
+    if any(type(step) is not int or not 0 <= step <= last for step in steps):
+        raise ValueError(f"a step that is not from 0 to {last}")
+    return Layout(strata, parts, steps)
 
 
 def _unreadable(path: Path, error: Exception) -> ScoresError:

@@ -13,6 +13,7 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numba
 import numpy as np
@@ -23,7 +24,7 @@ from gridtrack.common.grid import nearest_step, shift_between
 from gridtrack.common.scene import UNLABELLED
 from gridtrack.evaluation.referee.referee import ScoredForecast
 from gridtrack.evaluation.referee.samples import RobotPaths
-from gridtrack.evaluation.referee.strata import PARTS
+from gridtrack.evaluation.referee.strata import PARTS, RANGE_NAMES, RANGES
 from gridtrack.evaluation.referee.targets import SEEN_FREE
 from gridtrack.evaluation.scores.cells import (
     CALIBRATION_BIN,
@@ -51,16 +52,21 @@ from gridtrack.evaluation.scores.pr_auc import area_under_precision_recall
 
 ROBOTS_AHEAD_S = 1.0
 """The horizon of the paths that are kept to be shown, seconds."""
-LONGEST_PATH_S = 2.0
-"""The longest horizon, seconds."""
+HORIZONS_S = (0.5, 1.0, 2.0)
+"""The horizons of contacts, seconds; paths are as long as the last one."""
 LEAST_PATHS = 50
 """A forecast with fewer paths is left out."""
 FALSE_ALARMS = 0.05
 """Rate of false alarms at which foreseen contacts are counted."""
 NEEDLESS_AT, ALARMS_AT = 0.8, 0.95
 """Shares of foreseen contacts at which needless stops, and the rate of false alarms, are given."""
+CROWDED = 0.005
+"""A frame is crowded if at least this share of its visible cells off static ones is occupied."""
 _SLICES = ("dynamic", "in-motion", "standing")
 _HIDDEN = "occluded dynamic"
+_DISTANCES = tuple(f"contacts {name}" for name in RANGE_NAMES)
+_DENSITIES = ("contacts among few", "contacts in a crowd")
+_TIMES = tuple(f"contacts {begin:g}-{end:g} s ahead" for begin, end in pairwise((0.0, *HORIZONS_S)))
 _HISTOGRAMS = {
     "contacts": PROBABILITY_BINS,
     "clears": PROBABILITY_BINS,
@@ -68,6 +74,8 @@ _HISTOGRAMS = {
     "independent clears": CALIBRATION_BINS,
 }
 """Bins of the histograms by risk."""
+_SHARED = ("clears", "independent clears", "unknown", "seconds")
+"""Sums that are the same in all strata of a forecast."""
 _PARTS = (
     *(part for name, bins in _HISTOGRAMS.items() for part in block(name, bins)),
     *block("lead", CALIBRATION_BINS),
@@ -76,22 +84,30 @@ _PARTS = (
 
 
 def contact_strata(facts: TrialFacts) -> tuple[str, ...]:
-    """All contacts; then by the first cell: in motion, standing, hidden at first (with truth), and of each class."""
+    """All contacts; then by the first cell: in motion, standing, its distance from the sensor, hidden at first (with
+    truth), and of each class; by the time until the contact; and by the density of the frame."""
     hidden = (_HIDDEN,) if facts.has_truth else ()
-    return *_SLICES, *hidden, *(f"dynamic {name}" for name in facts.classes)
+    return *_SLICES, *hidden, *(f"dynamic {name}" for name in facts.classes), *_DISTANCES, *_TIMES, *_DENSITIES
 
 
 def longest(facts: TrialFacts) -> int:
     """The last step that has this score."""
-    return min(facts.steps, round(LONGEST_PATH_S / facts.period_s))
+    return min(facts.steps, nearest_step(HORIZONS_S[-1], facts.period_s))
+
+
+def counted_steps(facts: TrialFacts) -> tuple[int, ...]:
+    """The steps (H,) that have this score: those of HORIZONS_S, as far as forecasts reach, and the last one."""
+    last = longest(facts)
+    steps = {nearest_step(horizon_s, facts.period_s) for horizon_s in HORIZONS_S} | {last}
+    return tuple(sorted(step for step in steps if 1 <= step <= last))
 
 
 @dataclass(slots=True)
 class _Approach:
     """The `paths` of a forecast; the risks of the paths `met` (N,) in it and in later forecasts until their contacts.
 
-    `contact` (N,) and `slices` (K, N) are those of the contacts. `since_s` of each of the forecasts; `risks` (N, L) of
-    each, within steps 1..L of the first one.
+    `contact` (N,) and `slices` (K, N) are those of the contacts. `since_s` of each of the forecasts; `risks` (N, H) of
+    each, within the counted steps of the first one.
     """
 
     stamp_ns: int
@@ -105,35 +121,60 @@ class _Approach:
 
 
 def _count(forecast: ScoredForecast, facts: TrialFacts, memory: list[_Approach]) -> Floats:
-    """Sums (S, K, P) over the paths of a forecast; step n has contacts within n steps.
+    """Sums (H, K, P) over the paths of a forecast; a step has contacts within so many steps.
 
     `memory`: approaches that have not ended.
     """
-    last = longest(facts)
-    sums = Sums(np.zeros((facts.steps + 1, len(contact_strata(facts)), len(_PARTS))), _PARTS)
-    within = Sums(sums.values[1 : last + 1], sums.parts)
-    occupancy = np.ascontiguousarray(forecast.forecast.occupancy[1 : last + 1])
+    within = Sums(np.zeros((len(counted_steps(facts)), len(contact_strata(facts)), len(_PARTS))), _PARTS)
+    occupancy = np.ascontiguousarray(forecast.forecast.occupancy[1 : longest(facts) + 1])
     _follow(forecast, facts, memory, occupancy, within)
     paths = paths_of(forecast, facts)
     within["forecasts"][:] = 1.0
     if len(paths) < LEAST_PATHS:
         within["skipped"][:] = 1.0
-        return sums.values
+    else:
+        _add_contacts(within, forecast, facts, paths, occupancy, memory)
+    return within.values
+
+
+def _add_contacts(
+    within: Sums,
+    forecast: ScoredForecast,
+    facts: TrialFacts,
+    paths: Paths,
+    occupancy: NDArray[np.float32],
+    memory: list[_Approach],
+) -> None:
+    """Add the paths to the sums (H, K, P), and those with a contact to `memory`."""
+    steps, last = np.array(counted_steps(facts)), longest(facts)
     states = np.stack([target.state for target in forecast.targets[1 : last + 1]])
     events = events_of(paths, states, has_truth=facts.has_truth)
     slices = _slices_of(events, forecast, facts)
     largest, independent = risks_of(paths, np.arange(len(paths)), occupancy)
+    largest = np.ascontiguousarray(largest[:, steps - 1])
+    independent = np.ascontiguousarray(independent[:, steps - 1])
     histograms = (within.block(name) for name in _HISTOGRAMS)
     counts = within["unknown"], within["seconds"]
-    _add_paths(largest, independent, events.contact, events.unseen, slices, *counts, *histograms)
+    _add_paths(steps, largest, independent, events.contact, events.unseen, slices, *counts, *histograms)
     within["seconds"][:] *= facts.period_s
+    of_frame = _of_frame(forecast, facts)
+    for name in _SHARED:
+        shared = within.block(name) if name in _HISTOGRAMS else within[name][..., None]
+        shared[:] = shared[:, :1] * of_frame[:, None]
     if forecast.forecast.futures is not None:
-        _add_futures(within, forecast.forecast.futures[:, 1 : last + 1], paths, events, slices)
+        _add_futures(within, steps, forecast.forecast.futures[:, 1 : last + 1], paths, events, slices)
     met = np.flatnonzero(events.contact != NEVER)
     if met.size:
         window, ends = forecast.targets[0].frame.world_T_grid, (events.contact[met], slices[:, met])
         memory.append(_Approach(forecast.stamp_ns, window, paths, met, *ends, [0.0], [largest[met]]))
-    return sums.values
+
+
+def _of_frame(forecast: ScoredForecast, facts: TrialFacts) -> NDArray[np.bool_]:
+    """Whether the frame belongs to each stratum (K,): all frames do, but for a crowd, and few, only some."""
+    first, dynamic = forecast.targets[0].frame, forecast.region_maps.dynamic
+    crowded = (first.occupied & dynamic).sum() >= CROWDED * (first.visible & dynamic).sum()
+    left_out = _DENSITIES[not crowded]
+    return np.array([name != left_out for name in contact_strata(facts)])
 
 
 def paths_of(forecast: ScoredForecast, facts: TrialFacts) -> Paths:
@@ -181,6 +222,14 @@ def _slices_of(events: Events, forecast: ScoredForecast, facts: TrialFacts) -> N
     met = np.flatnonzero(events.contact != NEVER)
     step, cell = events.contact[met], events.hit[met]
     slices["dynamic"][met] = True
+    regions = forecast.region_maps.visible.flat[cell]
+    for band, name in enumerate(_DISTANCES):
+        slices[name][met] = regions % RANGES == band
+    ends = np.searchsorted([nearest_step(horizon_s, facts.period_s) for horizon_s in HORIZONS_S], step)
+    for time, name in enumerate(_TIMES):
+        slices[name][met] = ends == time
+    for name in _DENSITIES:
+        slices[name][met] = True
     motion = np.stack([target.motion.ravel() for target in forecast.targets])[step, cell]
     for name in ("in-motion", "standing"):
         slices[name][met] = motion == PARTS.index(name)
@@ -192,48 +241,64 @@ def _slices_of(events: Events, forecast: ScoredForecast, facts: TrialFacts) -> N
             own[target.cells] = target.labels
         for number, name in enumerate(facts.classes):
             slices[f"dynamic {name}"][met] = labels[step, cell] == number
-    return np.stack(list(slices.values()))
+    return np.stack(list(slices.values())) & _of_frame(forecast, facts)[:, None]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _add_paths(  # type: ignore[no-untyped-def]
-    largest, independent, contact, unseen, slices, unknown, driven, contacts, clears, coarse_contacts, coarse_clears
+    steps,
+    largest,
+    independent,
+    contact,
+    unseen,
+    slices,
+    unknown,
+    driven,
+    contacts,
+    clears,
+    coarse_contacts,
+    coarse_clears,
 ):
-    """Add N paths to the histograms (L, K, B) and (L, K, C) by their risks (N, L), of the strata `slices` (K, N).
+    """Add N paths to the histograms (H, K, B) and (H, K, C) by their risks (N, H) within `steps` (H,).
 
-    Within n steps a path has a contact, is clear, or is unknown. It is `driven` until the contact or for n steps. A
-    path without a risk (NaN) is missed if it has a contact, an alarm if not.
+    Contacts are added in the strata `slices` (K, N), everything else in the first one. Within some steps a path has a
+    contact, is clear, or is unknown. It is `driven` until the contact or for all of them. A path without a risk (NaN)
+    is missed if it has a contact, an alarm if not.
     """
     for i in range(largest.shape[0]):
-        for n in range(largest.shape[1]):
-            met, risk, joint = contact[i] <= n + 1, float(largest[i, n]), independent[i, n]
-            if not met and unseen[i] <= n + 1:
-                for k in range(slices.shape[0]):
-                    unknown[n, k] += 1.0
+        for n in range(steps.size):
+            met, risk, joint = contact[i] <= steps[n], float(largest[i, n]), independent[i, n]
+            if not met and unseen[i] <= steps[n]:
+                unknown[n, 0] += 1.0
                 continue
             if math.isnan(risk):
                 risk = joint = 0.0 if met else 1.0
             bin_, coarse = bin_of(risk), CALIBRATION_BIN[bin_of(joint)]
+            driven[n, 0] += contact[i] if met else steps[n]
+            if not met:
+                clears[n, 0, bin_] += 1.0
+                coarse_clears[n, 0, coarse] += 1.0
+                continue
             for k in range(slices.shape[0]):
-                driven[n, k] += contact[i] if met else n + 1
-                if not met:
-                    clears[n, k, bin_] += 1.0
-                    coarse_clears[n, k, coarse] += 1.0
-                elif slices[k, i]:
+                if slices[k, i]:
                     contacts[n, k, bin_] += 1.0
                     coarse_contacts[n, k, coarse] += 1.0
 
 
 def _add_futures(
-    sums: Sums, futures: NDArray[np.generic], paths: Paths, events: Events, slices: NDArray[np.bool_]
+    sums: Sums,
+    steps: NDArray[np.int64],
+    futures: NDArray[np.generic],
+    paths: Paths,
+    events: Events,
+    slices: NDArray[np.bool_],
 ) -> None:
-    """Add the share of futures (F, L, M, M) in which a path has a contact, as the probability of one."""
-    within = np.arange(1, futures.shape[1] + 1)
+    """Add the share of futures (F, L, M, M) in which a path has a contact within `steps` (H,), as its probability."""
     in_futures = [events_of(paths, (one >= 0.5).view(np.uint8), has_truth=True).contact for one in futures]
-    share = np.mean(np.array(in_futures)[..., None] <= within, axis=0)
+    share = np.mean(np.array(in_futures)[..., None] <= steps, axis=0)
     clipped = np.clip(share, CLIP, 1.0 - CLIP)
-    contact = events.contact[:, None] <= within
-    clear = ~contact & (events.unseen[:, None] > within)
+    contact = events.contact[:, None] <= steps
+    clear = ~contact & (events.unseen[:, None] > steps)
     for k, chosen in enumerate(slices):
         met = contact & chosen[:, None]
         sums["sampled paths"][:, k] += (met | clear).sum(axis=0)
@@ -245,31 +310,34 @@ def _follow(
     forecast: ScoredForecast, facts: TrialFacts, memory: list[_Approach], occupancy: NDArray[np.float32], sums: Sums
 ) -> None:
     """Follow earlier paths to their contacts through this forecast, and add the lead times of those that had theirs."""
+    steps = np.array(counted_steps(facts))
     for approach in tuple(memory):
         since_s = (forecast.stamp_ns - approach.stamp_ns) / 1e9
         gone = round(since_s / facts.period_s)
         if gone < len(occupancy):
             shift = shift_between(approach.window, forecast.targets[0].frame.world_T_grid, facts.cell_m)
             ahead, risks = approach.contact >= gone, np.zeros_like(approach.risks[0])
-            risks[ahead] = risks_of(approach.paths, approach.met[ahead], occupancy, gone, shift)[0]
+            risks[ahead] = risks_of(approach.paths, approach.met[ahead], occupancy, gone, shift)[0][:, steps - 1]
             approach.since_s.append(since_s)
             approach.risks.append(risks)
             continue
         memory.remove(approach)
         ends_s = approach.contact * facts.period_s
-        forecasts = np.stack(approach.risks), np.array(approach.since_s)
+        forecasts = steps, np.stack(approach.risks), np.array(approach.since_s)
         _add_lead_times(*forecasts, approach.contact, ends_s, approach.slices, sums.block("lead"), sums["followed"])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _add_lead_times(risks, since_s, contact, ends_s, slices, lead_s, followed):  # type: ignore[no-untyped-def]
-    """Add the seconds (L, K, C) from the first forecast whose alarm stays on until the contact, by its threshold.
+def _add_lead_times(steps, risks, since_s, contact, ends_s, slices, lead_s, followed):  # type: ignore[no-untyped-def]
+    """Add the seconds (H, K, C) from the first forecast whose alarm stays on until the contact, by its threshold.
 
-    The alarm stays on from a forecast on if this one and all later ones before the contact have a risk (T, N, L) of at
+    The alarm stays on from a forecast on if this one and all later ones before the contact have a risk (T, N, H) of at
     least the threshold: the smallest of these risks decides.
     """
     for i in range(contact.size):
-        for n in range(contact[i] - 1, risks.shape[2]):
+        for n in range(steps.size):
+            if steps[n] < contact[i]:
+                continue
             smallest, until_s = 1.0, ends_s[i]
             for t in range(since_s.size - 1, -1, -1):
                 if since_s[t] >= ends_s[i]:
@@ -371,11 +439,12 @@ CONTACT_FORESIGHT = ScoreDefinition(
     " It is a ranking score: it needs no threshold and says nothing of calibration, and the world does not react to the"
     " robot. Paths on which a cell was not seen before a contact are left out, except with ground truth.",
     strata=contact_strata,
+    steps=counted_steps,
     parts=lambda facts: _PARTS,
     count=_count,
     value=_value,
     new_memory=lambda facts: [],
     events=RareEvents("contacts", lambda sums: sums.block("contacts").sum(axis=-1)),
     stratum=_SLICES[0],
-    horizons_s=(0.5, 1.0, LONGEST_PATH_S),
+    horizons_s=HORIZONS_S,
 )

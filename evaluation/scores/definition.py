@@ -151,13 +151,13 @@ Count = Callable[[ScoredForecast, TrialFacts, Any], "Floats | None"]
 class ScoreDefinition:
     """A score.
 
-    `count(forecast, facts, memory)` gives the sums (S, K, P) of one forecast, per step 0..steps, stratum and part, or
+    `count(forecast, facts, memory)` gives the sums (S, K, P) of one forecast, per step of `steps`, stratum and part, or
     None if the forecast has nothing to count. `memory` is made by `new_memory` for each trial and kept between its
     forecasts. `value(sums)` gives every output that follows from sums (..., P), pooled, of units, or without one of
-    them: intervals, differences and tests are made from it. The first output leads. `strata` and `parts` of a trial
-    follow from its facts; a score without strata does not apply to the trial. `relate` gives outputs (S,) by stratum
-    that need other rows: the floor with the best headline score, and the oracle. `figure` gives the points (N,) of its
-    figure from sums (U, P) of units; those that are ratios get an interval.
+    them: intervals, differences and tests are made from it. The first output leads. `strata`, `parts` and `steps` (by
+    default 0 to the last) of a trial follow from its facts; a score without strata does not apply to the trial.
+    `relate` gives outputs (S,) by stratum that need other rows: the floor with the best headline score, and the oracle.
+    `figure` gives the points (N,) of its figure from sums (U, P) of units; those that are ratios get an interval.
     `needed` names files of the recording or parts of the forecast that not every trial has. `compared_with`: the row
     that others are compared with is the reference for occupancy, or for classes. `thresholded`: its values depend on
     the threshold that was chosen for the trial. `about`: what the score says, what it
@@ -174,6 +174,7 @@ class ScoreDefinition:
     value: Callable[[Sums], Mapping[str, Ratio | Measure | Floats]]
     parts: Callable[[TrialFacts], tuple[str, ...]]
     strata: Callable[[TrialFacts], tuple[str, ...]] = lambda facts: facts.strata
+    steps: Callable[[TrialFacts], tuple[int, ...]] = lambda facts: tuple(range(facts.steps + 1))
     new_memory: Callable[[TrialFacts], Any] = lambda facts: None
     relate: Relation | None = None
     figure: Callable[[Sums], dict[str, Floats | Ratio]] | None = None

@@ -23,7 +23,7 @@ def deadline(*rates):
         **dict.fromkeys(("update_ms", "predict_ms", "busy_ms"), TIMES),
         "highest_rate_hz": 21.5,
         "forecast_steps": 22,
-        "rates": [{"rate": rate, "rate_hz": 8.0 * rate, **RATE, "f1": f1} for rate in rates],
+        "rates": [{"rate": rate, "rate_hz": 8.0 * rate, **RATE, "scores": {"f1": f1}} for rate in rates],
     }
 
 

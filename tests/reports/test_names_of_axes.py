@@ -123,7 +123,7 @@ def test_the_figure_of_degraded_input_names_the_only_kind(browser, run_folder, t
     summary = json.loads((run / "summary.json").read_text())
     trial = summary["trackers"]["good"]["recordings"]["crossing"]
     f1 = {"in-motion": trial["strata"]["in-motion"]["f1"]["f1"]["value"]}
-    points = [{"strength": at, "value": 0.2 * at, "delivered": "", "f1": f1} for at in (0.0, 1.0)]
+    points = [{"strength": at, "value": 0.2 * at, "delivered": "", "scores": {"f1": f1}} for at in (0.0, 1.0)]
     trial["robustness"] = {"degradation": {"beam_dropout": 0.2}, "kinds": {"beam_dropout": points}}
     (run / "summary.json").write_text(json.dumps(summary))
     with page_opened(browser, render_report([run])) as page:

@@ -123,10 +123,10 @@ def beam_sums(rng: np.random.Generator, skill: float, steps: int = STEPS) -> np.
     return sums
 
 
-def contact_sums(rng: np.random.Generator, skill: float, layout: Layout, steps: int = STEPS) -> np.ndarray:
+def contact_sums(rng: np.random.Generator, skill: float, layout: Layout) -> np.ndarray:
     """Sums of one frame over virtual robots (S, K, P): `skill` is the share of contacts with a higher risk than any
     clear path."""
-    sums = Sums(np.zeros((steps + 1, len(layout.strata), len(layout.parts))), layout.parts)
+    sums = Sums(np.zeros((len(layout.steps), len(layout.strata), len(layout.parts))), layout.parts)
     contacts, clears = sums.block("contacts"), sums.block("clears")
     met = rng.poisson(20.0, contacts.shape[:-1])
     contacts[..., -5] = rng.binomial(met, skill)
@@ -148,14 +148,12 @@ def write_confusion(
 ) -> None:
     """Add to the sums of a trial the sums of one forecast with these confusion matrices of visible cells, by step."""
     facts = TrialFacts(0.2, steps, ("visible",), half(steps, ("visible",)), tuple(classes), tuple(classes))
-    layout = Layout(CLASS_LOG_LOSS.strata(facts), CLASS_LOG_LOSS.parts(facts))
+    layout = Layout(CLASS_LOG_LOSS.strata(facts), CLASS_LOG_LOSS.parts(facts), CLASS_LOG_LOSS.steps(facts))
     found = np.zeros((steps + 1, 1, len(layout.parts)))
     for step, matrix in counts.items():
         found[step, 0, -np.size(matrix) :] = np.ravel(matrix)
     kept = TrialSums(folder)
-    counted = {
-        name: kept.by_frame(name, range(steps + 1), own.strata, own.parts).values for name, own in kept.layouts.items()
-    }
+    counted = {name: kept.by_frame(name, own.steps, own.strata, own.parts).values for name, own in kept.layouts.items()}
     frames = list(zip(kept.frames.stamps_ns.tolist(), kept.frames.delivered.tolist(), strict=True))
     with SumsWriter(folder, kept.layouts | {CLASS_LOG_LOSS.name: layout}, steps) as sums:
         for i, (stamp_ns, digest) in enumerate(frames):
@@ -179,6 +177,7 @@ def write_trial(
     start_s: int = 10,
     every_s: int = 1,
     steps: int = STEPS,
+    period_s: float = PERIOD_S,
     scores: Sequence[ScoreDefinition] = SCORES,
 ) -> FinishedTrial:
     """A trial's folder and record; `seed` draws the counts of its frames, one every `every_s` from `start_s` on.
@@ -190,18 +189,18 @@ def write_trial(
     rng, drawn = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     done = frames if scored is None else scored
     thresholds = half(steps, strata)
-    facts = TrialFacts(0.2, steps, strata, thresholds)
+    facts = TrialFacts(0.2, steps, strata, thresholds, period_s=period_s)
     cells = Counter([score for score in scores if score not in (BEAM_ERROR, CONTACT_FORESIGHT)], facts)
     layouts = Counter(scores, facts).layouts
     with SumsWriter(folder, layouts, steps) as writer:
         for number in range(done):
             stamp_ns = (number * every_s + start_s) * 1_000_000_000
-            digest, last_ns = (delivered + f"{number:x}").rjust(32, "0"), stamp_ns + round(steps * PERIOD_S * 1e9)
+            digest, last_ns = (delivered + f"{number:x}").rjust(32, "0"), stamp_ns + round(steps * period_s * 1e9)
             counts = tally(rng, skill, strata, steps), neighbourhood_sums(drawn, skill, strata, steps)
             sums = cells.count(counted_forecast(stamp_ns, last_ns, *counts))
             beams = {BEAM_ERROR.name: beam_sums(drawn, skill, steps)} if BEAM_ERROR in scores else {}
             of_contacts = layouts.get(CONTACT_FORESIGHT.name)
-            contacts = {CONTACT_FORESIGHT.name: contact_sums(drawn, skill, of_contacts, steps)} if of_contacts else {}
+            contacts = {CONTACT_FORESIGHT.name: contact_sums(drawn, skill, of_contacts)} if of_contacts else {}
             for score, own in (sums | beams | contacts).items():
                 writer.add(stamp_ns, digest, score, own)
     record = TrialRecord(

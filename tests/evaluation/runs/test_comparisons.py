@@ -241,7 +241,10 @@ def class_trial(folder, label, number, extra, **how):
         return ended
     facts = TrialFacts(0.2, synthetic.STEPS, ended.strata, half(synthetic.STEPS), CLASSES, CLASSES)
     kept = TrialSums(ended.folder)
-    layouts = {**kept.layouts, "class_log_loss": Layout(("visible",), CLASS_LOG_LOSS.parts(facts))}
+    layouts = {
+        **kept.layouts,
+        "class_log_loss": Layout(("visible",), CLASS_LOG_LOSS.parts(facts), CLASS_LOG_LOSS.steps(facts)),
+    }
     frames = kept.frames
     cells = kept.by_frame("f1", range(synthetic.STEPS + 1), ended.strata, kept.layouts["f1"].parts)
     with SumsWriter(ended.folder, layouts, synthetic.STEPS) as writer:

@@ -13,13 +13,15 @@ from gridtrack.evaluation.scores.pr_auc import PR_AUC
 from scenes.synthetic_run import description, write_trial
 
 WITH_CONTACTS = (CONTACT_FORESIGHT, F1, PR_AUC)
+OF_2_HZ = {"period_s": 0.5, "steps": 5}
 
 
 def summary(folder, recordings, frames, scores=WITH_CONTACTS, headline="", every_s=1, **drawn):
     """The summary of two rows on recordings of 2 Hz; each forecast has contacts."""
-    described = dict.fromkeys((f"seed-{i:02}" for i in range(recordings)), description(period_s=0.5, steps=5))
+    described = dict.fromkeys((f"seed-{i:02}" for i in range(recordings)), description(**OF_2_HZ))
+    drawn |= {"frames": frames, "scores": scores, "every_s": every_s, **OF_2_HZ}
     trials = [
-        write_trial(folder, label, name, skill, seed=i, frames=frames, steps=5, scores=scores, every_s=every_s, **drawn)
+        write_trial(folder, label, name, skill, seed=i, **drawn)
         for i, name in enumerate(described)
         for label, skill in {"persistence": 0.4, "good": 0.8}.items()
     ]
@@ -61,6 +63,6 @@ def test_a_headline_by_which_trackers_are_not_compared_is_refused(tmp_path):
 
 
 def test_where_nothing_is_scored_no_notice_counts_contacts(tmp_path):
-    described = {"seed-00": description(period_s=0.5, steps=5)}
-    failed = write_trial(tmp_path, "good", "seed-00", 0.8, seed=0, frames=4, scored=2, steps=5, scores=WITH_CONTACTS)
+    described = {"seed-00": description(**OF_2_HZ)}
+    failed = write_trial(tmp_path, "good", "seed-00", 0.8, seed=0, frames=4, scored=2, scores=WITH_CONTACTS, **OF_2_HZ)
     assert not too_few(summarise(described, [failed], [], False))

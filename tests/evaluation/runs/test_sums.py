@@ -12,16 +12,16 @@ from gridtrack.evaluation.runs.sums import COLUMNS, ROW_GROUP, SUMS_FILE, Layout
 
 STEPS = 2
 LAYOUTS = {
-    "hits": Layout(("visible", "dynamic"), ("tp", "fp", "fn")),
-    "loss": Layout(("visible",), ("loss", "cells")),
-    "never": Layout(("visible",), ("nothing",)),
+    "hits": Layout(("visible", "dynamic"), ("tp", "fp", "fn"), (0, 1, 2)),
+    "loss": Layout(("visible",), ("loss", "cells"), (0, 2)),
+    "never": Layout(("visible",), ("nothing",), (0,)),
 }
 
 
 def sums_of(score, seed):
     """Sums of one frame, a third of them 0."""
     layout, rng = LAYOUTS[score], np.random.default_rng([seed, len(score)])
-    shape = STEPS + 1, len(layout.strata), len(layout.parts)
+    shape = len(layout.steps), len(layout.strata), len(layout.parts)
     return rng.random(shape) * (rng.random(shape) < 0.7)
 
 
@@ -43,7 +43,7 @@ def test_sums_are_read_back_to_the_last_bit(tmp_path, frames):
     assert read.frames.delivered.tolist() == [f"digest {i}" for i in range(frames)]
     for score in read.scores:
         layout = LAYOUTS[score]
-        found = read.by_frame(score, range(STEPS + 1), layout.strata, layout.parts)
+        found = read.by_frame(score, layout.steps, layout.strata, layout.parts)
         assert np.array_equal(found.values, [sums_of(score, i) for i in range(frames)])
 
 
@@ -53,6 +53,9 @@ def test_sums_are_added_up_by_unit_in_the_steps_strata_and_parts_that_are_asked_
     by_hand = np.array([sums_of("hits", i) for i in range(5)])[:, [2, 0]][:, :, [1]][..., [2, 0]]
     assert found.values == pytest.approx(np.stack([by_hand[2], by_hand[0] + by_hand[3] + by_hand[4]]))
     assert np.array_equal(found["tp"], found.values[..., 1])
+    skipped = read.by_unit("loss", np.zeros(5, np.int64), [1, 2], ["visible"]).values[0]
+    assert not skipped[0].any(), "a step that the score does not have"
+    assert skipped[1] == pytest.approx(sum(sums_of("loss", i)[1] for i in range(5)))
 
 
 def test_a_trial_without_a_scored_frame_has_no_scores(tmp_path):
@@ -135,6 +138,7 @@ def test_a_file_that_is_no_table_of_sums_or_of_another_version_is_refused_in_one
         (table.replace_schema_metadata({b"gridtrack": json.dumps(metadata | {"version": 7})}), "version 7 .* compare"),
         (table.replace_schema_metadata({b"gridtrack": b"[]"}), "cannot be read as sums"),
         (table.replace_schema_metadata(None), "cannot be read as sums"),
+        (table.replace_schema_metadata({b"gridtrack": json.dumps(metadata | {"steps": 1})}), "cannot be read as sums"),
         (table.drop_columns(["value"]), "columns stamp_ns, .* expected"),
     ):
         parquet.write_table(content, path)

@@ -9,7 +9,7 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.geometry import SE2
-from gridtrack.evaluation.referee.strata import PARTS, STRATA
+from gridtrack.evaluation.referee.strata import PARTS, RANGE_NAMES, RANGES_M, STRATA
 from gridtrack.evaluation.referee.targets import HIDDEN_FREE, HIDDEN_OCCUPIED, NOT_SCORED, Target
 from gridtrack.evaluation.scores.cells import (
     CALIBRATION_BINS,
@@ -98,10 +98,13 @@ def leads_by_definition(scenes, first, cells, contact):
 
 
 def sums_by_definition(scenes, facts):
-    """The sums of all scenes, path by path, without the kernels of the score."""
+    """The sums of all scenes, path by path, without the kernels of the score.
+
+    At every step, in the strata of all contacts, of those in motion and standing, and of each distance.
+    """
     last = len(scenes[0].targets) - 1
-    sums = Sums(np.zeros((last + 1, 3, len(CONTACT_FORESIGHT.parts(facts)))), CONTACT_FORESIGHT.parts(facts))
-    lead_s = np.zeros((last + 1, 3, CALIBRATION_BINS))  # of alarms by each edge as threshold
+    sums = Sums(np.zeros((last + 1, 6, len(CONTACT_FORESIGHT.parts(facts)))), CONTACT_FORESIGHT.parts(facts))
+    lead_s = np.zeros((last + 1, 6, CALIBRATION_BINS))  # of alarms by each edge as threshold
     for first, scene in enumerate(scenes):
         paths = paths_of(scene, facts)
         sums["forecasts"][1:] += 1
@@ -110,13 +113,14 @@ def sums_by_definition(scenes, facts):
             states = np.where(cells, states_of(scene.targets[1:]), 0)
             met, unseen = (states == 1).any(axis=(1, 2)), (states == NOT_SCORED).any(axis=(1, 2))
             largest, independent = risks_by_definition(cells, scene.forecast.occupancy[1:])
-            slices = [True, False, False]
+            slices = [True] + [False] * 5
             if met.any():
                 contact = int(met.argmax()) + 1
                 rows, columns = np.nonzero(states[contact - 1] == 1)
                 nearest = np.argmin((columns + 0.5 - start[0]) * stride[0] + (rows + 0.5 - start[1]) * stride[1])
                 part = PARTS[scene.targets[contact].motion[rows[nearest], columns[nearest]]]
-                slices = [True, part == "in-motion", part == "standing"]
+                far = np.searchsorted(RANGES_M, np.hypot(columns[nearest] + 0.5, rows[nearest] + 0.5) * facts.cell_m)
+                slices = [True, part == "in-motion", part == "standing", *(far == band for band in range(3))]
                 if first == 0:  # others have their contacts after the last forecast
                     lead_s[:, slices] += leads_by_definition(scenes, first, cells, contact)[:, None]
                     sums["followed"][contact:] += slices
@@ -142,14 +146,18 @@ def test_sums_are_those_of_the_definition():
     scenes = moving_scenes()
     facts = facts_of(scenes[0], robot=ROBOT, period_s=PERIOD_S)
     memory = CONTACT_FORESIGHT.new_memory(facts)
-    found = Sums(sum(CONTACT_FORESIGHT.count(one, facts, memory) for one in scenes), CONTACT_FORESIGHT.parts(facts))
+    counted = sum(CONTACT_FORESIGHT.count(one, facts, memory) for one in scenes)
+    steps, strata = list(CONTACT_FORESIGHT.steps(facts)), CONTACT_FORESIGHT.strata(facts)
+    assert steps == [2, 4, 8]
+    found = Sums(counted[:, :6], CONTACT_FORESIGHT.parts(facts))
+    assert strata[:6] == ("dynamic", "in-motion", "standing", *(f"contacts {name}" for name in RANGE_NAMES))
     expected, lead_s = sums_by_definition(scenes, facts)
     assert found["followed"].max() > 50
     for name in ("contacts", "clears", "independent contacts", "independent clears"):
-        assert np.array_equal(found.block(name), expected.block(name)), name
+        assert np.array_equal(found.block(name), expected.block(name)[steps]), name
     for name in ("followed", "unknown", "seconds", "forecasts", "skipped"):
-        assert np.allclose(found[name], expected[name], rtol=1e-12), name
-    assert np.allclose(np.cumsum(found.block("lead")[..., ::-1], axis=-1)[..., ::-1], lead_s, atol=1e-9)
+        assert np.allclose(found[name], expected[name][steps], rtol=1e-12), name
+    assert np.allclose(np.cumsum(found.block("lead")[..., ::-1], axis=-1)[..., ::-1], lead_s[steps], atol=1e-9)
 
 
 def test_paths_start_safe_and_stay_in_the_window_and_off_static_cells_and_ring():
@@ -351,10 +359,32 @@ def test_a_robot_is_read_from_its_name_or_its_values():
 
 def test_strata_are_of_the_contact():
     forecast = random_scene(0)
-    assert CONTACT_FORESIGHT.strata(facts_of(forecast)) == ("dynamic", "in-motion", "standing")
+    of_cells, of_contacts = (
+        CONTACT_FORESIGHT.strata(facts_of(forecast))[:3],
+        CONTACT_FORESIGHT.strata(facts_of(forecast))[3:],
+    )
+    assert set(of_cells) <= set(STRATA)
     with_truth = facts_of(forecast, has_truth=True, classes=("car", "person"))
-    assert CONTACT_FORESIGHT.strata(with_truth)[3:] == ("occluded dynamic", "dynamic car", "dynamic person")
-    assert set(CONTACT_FORESIGHT.strata(facts_of(forecast))) <= set(STRATA)
+    added = ("occluded dynamic", "dynamic car", "dynamic person")
+    assert CONTACT_FORESIGHT.strata(with_truth) == (*of_cells, *added, *of_contacts)
+
+
+@pytest.mark.parametrize("crowded", [False, True])
+def test_contacts_are_apart_by_their_time_and_by_the_density_of_the_frame(crowded):
+    scene = walker_scene(oracle)[0]
+    scene.targets[0].frame.occupied[:, 20] = crowded  # 6 cells or 46 of 1600 are occupied
+    strata, sums = counted(CONTACT_FORESIGHT, scene, robot=ROBOT, period_s=PERIOD_S)
+    contacts, clears = (sums.block(name).sum(axis=-1) for name in ("contacts", "clears"))
+    of = {name: contacts[:, k] for k, name in enumerate(strata)}
+    times = [of[f"contacts {name} s ahead"] for name in ("0-0.5", "0.5-1", "1-2")]
+    assert np.array_equal(sum(times), of["dynamic"])
+    assert times[0].tolist() == [of["dynamic"][0]] * 3
+    assert times[2][1] == 0 < times[2][2]
+    own, other = ("contacts among few", "contacts in a crowd")[:: -1 if crowded else 1]
+    assert np.array_equal(of[own], of["dynamic"])
+    assert not of[other].any()
+    assert np.array_equal(clears[:, strata.index(own)], clears[:, 0])
+    assert not clears[:, strata.index(other)].any()
 
 
 def test_the_paths_that_are_kept_have_the_contacts_and_the_alarms_of_the_score():
@@ -362,7 +392,8 @@ def test_the_paths_that_are_kept_have_the_contacts_and_the_alarms_of_the_score()
     known = {"robot": ROBOT, "period_s": PERIOD_S}
     strata, sums = counted(CONTACT_FORESIGHT, forecast, **known)
     step = round(ROBOTS_AHEAD_S / PERIOD_S)
-    contacts, clears = (sums.block(name)[step, strata.index("dynamic")] for name in ("contacts", "clears"))
+    at = CONTACT_FORESIGHT.steps(facts_of(forecast, **known)).index(step), strata.index("dynamic")
+    contacts, clears = (sums.block(name)[at] for name in ("contacts", "clears"))
     robots = robots_of(forecast, facts_of(forecast, **known), (-2.0, 5.0))
     met = robots.contact == 1
     assert (met.sum(), (~met).sum()) == (contacts.sum(), clears.sum())
@@ -370,7 +401,7 @@ def test_the_paths_that_are_kept_have_the_contacts_and_the_alarms_of_the_score()
     assert set((robots.until_s[met] / PERIOD_S).tolist()) <= set(range(1, step + 1))
     alarm = robots.risks >= alarm_risk(clears)
     assert 0.02 < alarm[~met].mean() <= 0.05
-    foreseen = values(CONTACT_FORESIGHT, sums)["foreseen"][step, strata.index("dynamic")]
+    foreseen = values(CONTACT_FORESIGHT, sums)["foreseen"][at]
     assert alarm[met].mean() == pytest.approx(foreseen, abs=0.05)
 
 
