@@ -26,11 +26,11 @@ def page_data(
     fit.
 
     `trackers`: the key of every row as `label`, its name in its first table and its style (CSS classes), in the order
-    of `styles`. `scores`: descriptions of all scores with a value, as in summary.json. `headline`: score, cells and
-    horizon at the start. `recordings`: whether `pooled`, horizons, classes, and the rows in the order of the table,
-    with estimates by stratum, score and output as in summary.json, `figures`, times, scores under other conditions,
-    and `label_budget`; also the groups of rows that do not differ significantly, by "score.output/stratum/step", or why
-    there are none.
+    of `styles`. `scores`: descriptions of all scores with a value, as in summary.json. `headline`: score, cells,
+    horizon and reference at the start. `recordings`: whether `pooled`, horizons, classes, and the rows in the order of
+    the table, with estimates by stratum, score and output as in summary.json, `figures`, times, scores under other
+    conditions, and `label_budget`; also the groups of rows that do not differ significantly, by
+    "score.output/stratum/step", or why there are none.
     `conditions`: their names. `level_colours`: the colours of the cells of moments.
     """
     first = tables[0].decisive
@@ -48,6 +48,7 @@ def page_data(
             "stratum": first.stratum,
             "score": first.name,
             "ahead_s": tables[0].horizons_s[first.step],
+            "reference": _reference(runs, tables[0]),
         },
         "recordings": recordings,
         "conditions": condition_texts(tables),
@@ -129,10 +130,17 @@ def _groups(run: ReportedRun, recording: str) -> dict[str, Any]:
     for family in run.summary.pairs:
         if family.recordings == recording:
             key = f"{family.score}.{family.output}/{family.stratum}/{family.step}"
-            one = found.setdefault(key, {"pairs": 0, "units": family.units, "groups": []})
+            one = found.setdefault(key, {"pairs": 0, "units": family.units, "tested": [], "groups": []})
             one["pairs"] += len(family.pairs)
+            one["tested"] += dict.fromkeys(label for pair in family.pairs for label in (pair.tracker, pair.other))
             one["groups"] += groups_of(family)
     return found
+
+
+def _reference(runs: Sequence[ReportedRun], table: HeadlineTable) -> str:
+    """The row that the others are compared with at the start: for several runs the best one of the first run."""
+    rows = (row.key for row in table.rows_in("ranked") if row.run == runs[0].name)
+    return next(rows, "") if len(runs) > 1 else ""
 
 
 def _why_untested(runs: Sequence[ReportedRun], table: HeadlineTable) -> str:

@@ -3,8 +3,8 @@ import { inSeconds } from "./drawing.js";
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import {
-  aheadChoice, allSteps, bandWords, estimateOf, hasScores, isDefined, lineOf, lineThrough, outputNamed, pointOf, recordingNamed,
-  recordingOptions, rowsWith, scoresOf, scoreWords, stepAt, strataOf,
+  aheadChoice, allSteps, bandWords, hasScores, isDefined, lineOf, lineThrough, outputNamed, pointOf, recordingNamed,
+  recordingOptions, rowsWith, scoresOf, scoreWords, stepAt, strataOf, stratumWords,
 } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
@@ -12,11 +12,10 @@ const axisOf = (key) => ({ name: outputNamed(key).heading, digits: outputNamed(k
 
 // The best of the table is drawn last, on top.
 function horizonChart({ recording, score, stratum }) {
-  const { horizons_s: xs } = recordingNamed(recording);
-  const lines = rowsWith(recordingNamed(recording), stratum, score).toReversed().map((row) => {
-    const { value: values, low = null, high = null } = estimateOf(row, stratum, score);
-    return lineOf(row, { xs, values, low, high });
-  });
+  const rows = rowsWith(recordingNamed(recording), stratum, score).toReversed(), { horizons_s } = recordingNamed(recording);
+  // a score of a few horizons has a line through them
+  const steps = horizons_s.map((_, step) => step).filter((step) => rows.some((row) => pointOf(row, stratum, score, step).value !== null));
+  const lines = rows.map((row) => lineThrough(row, steps.map((step) => horizons_s[step]), steps.map((step) => pointOf(row, stratum, score, step))));
   const words = (s) => `${inSeconds(s)} ahead${s ? "" : ": the input, not ranked"}`;
   return { lines, x: { name: "horizon, s", unit: " s", words, unranked: true }, y: axisOf(score) };
 }
@@ -160,7 +159,7 @@ function startConditions() {
       const own = recordingNamed(now.recording);
       return [["recording", "Recording", listed], ["kind", "Condition", kindsOf(own).map((one) => [one, pageData.conditions[one].name])],
         ["score", "Score", scoresUnder(own, now.kind).map((one) => [one, outputNamed(one).heading])],
-        ["stratum", "Cells", strataUnder(own, now.kind, now.score).map((name) => [name, `${name} cells`])]];
+        ["stratum", "Cells", strataUnder(own, now.kind, now.score).map((name) => [name, stratumWords(name)])]];
     },
     chart: conditionChart,
     fixed: (now) => ({ "horizon, s": recordingNamed(now.recording).conditions_ahead_s }),

@@ -1,7 +1,7 @@
 // Figures of probabilities: precision against recall, F1 over the threshold, and calibration.
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { aheadChoice, bandWords, lineOf, recordingNamed, recordingOptions, stepAt } from "./scores.js";
+import { aheadChoice, bandWords, lineOf, recordingNamed, recordingOptions, stepAt, stratumWords } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
 // The figures of a row by stratum and step, from the score with the points `field`; empty without such a score.
@@ -12,7 +12,7 @@ export function figureWith(row, field) {
 
 export function strataWith(recording, field) {
   const names = recording.rows.flatMap((row) => Object.keys(figureWith(row, field)));
-  return [...new Set(names)].map((name) => [name, `${name} cells`]);
+  return [...new Set(names)].map((name) => [name, stratumWords(name)]);
 }
 
 // The steps of all strata: a stratum without an occupied cell has none.

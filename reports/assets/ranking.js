@@ -1,12 +1,15 @@
-// The ranking on a chosen score: a dot and its interval for each row, and bars over rows that do not differ significantly.
-import { axisName, axisRange, draw, heightOf, inDigits, namedRows, roundTicks, rowName, scaleOf, svgText } from "./drawing.js";
+// The ranking on a chosen score: a dot and its interval for each row, bars over rows that do not differ significantly, and
+// the difference of each row from a chosen reference.
+import { axisName, axisRange, draw, inDigits, rowName, svgText } from "./drawing.js";
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
+import { rowPlot } from "./row_plot.js";
 import {
   aheadChoice, hasScores, outputNamed, pointsIn, recordingNamed, recordingOptions, rowsWith, scoresOf, scoreWords, stepAt, strataOf,
 } from "./scores.js";
 
-const LINE = 26;
+const LINE = 26, VALUE_ROOM = 72, TIER_ROOM = 12, LESS_ROOM = 64, NO_REFERENCE = "";
+const MARKS = { better: "▲", worse: "▼", "no evidence of a difference": "" };
 
 const ranks = ({ better }) => better !== "";
 
@@ -22,28 +25,50 @@ function rankedRows(chosen) {
 const testsOf = (chosen) =>
   recordingNamed(chosen.recording).groups[`${outputNamed(chosen.score).full}/${chosen.stratum}/${stepAt(chosen)}`] ?? null;
 
+// A function of a row: its difference from the reference { less, verdict }; null without a reference, and of itself.
+function differences(chosen) {
+  const rows = rankedRows(chosen), at = pointsIn(chosen), tests = testsOf(chosen);
+  const reference = rows.find(({ label }) => label === chosen.reference);
+  const sign = outputNamed(chosen.score).better === "lower" ? -1 : 1;
+  return (row) => {
+    if (!reference || row === reference) return null;
+    const less = at(row).value - at(reference).value;
+    const differs = tests ? differInTest(tests, row.label, reference.label) : differByIntervals(at(row), at(reference));
+    const verdict = differs ? (sign * less > 0 ? "better" : "worse") : "no evidence of a difference";
+    return { less, verdict };
+  };
+}
+
+// Rows of one run: two tested rows differ exactly if no group has both.
+function differInTest({ tested, groups }, one, other) {
+  return tested.includes(one) && tested.includes(other) && !groups.some((own) => own.includes(one) && own.includes(other));
+}
+
+// Rows of several runs are in no paired test: from the distances of their intervals (Zou and Donner, 2008), which is
+// cautious for runs on the same frames.
+function differByIntervals(one, other) {
+  const [high, low] = one.value > other.value ? [one, other] : [other, one];
+  if (high.low === null || low.high === null) return false;
+  return high.value - low.value > Math.hypot(high.value - high.low, low.high - low.value);
+}
+
 function drawRanking(chosen, width) {
-  const rows = rankedRows(chosen);
+  const rows = rankedRows(chosen), at = pointsIn(chosen), output = outputNamed(chosen.score), lessThan = differences(chosen);
   const groups = (testsOf(chosen)?.groups ?? [])
     .map((labels) => rows.flatMap((row, i) => (row.group !== "unranked" && labels.includes(row.label) ? [i] : [])))
-    .filter((at) => at.length > 1);
-  const narrow = width < 560;
-  const left = narrow ? 124 : 210, right = 72 + 12 * groups.length;
-  const at = pointsIn(chosen), output = outputNamed(chosen.score);
+    .filter((members) => members.length > 1);
   const range = axisRange(rows.flatMap((row) => Object.values(at(row))), false);
-  const x = scaleOf(...range, left, width - right);
-  const places = namedRows(rows.map((row) => row.name), left - 12, LINE);
-  const height = heightOf(places) + 46, bottom = height - 42;
-  const svg = draw("svg", { class: "figure-drawing ranking", viewBox: `0 0 ${width} ${height}`, width, height, role: "img" });
-  svg.setAttribute("aria-label", rows.map((row) => `${row.name} ${inWords(at(row).value, output)}`).join(", "));
-  for (const tick of roundTicks(...range, narrow ? 3 : 6)) {
-    svg.append(draw("line", { class: "grid", x1: x(tick), x2: x(tick), y1: 0, y2: bottom }),
-      svgText(x(tick), bottom + 16, String(tick), { class: "tick", "text-anchor": "middle" }));
-  }
-  svg.append(svgText(width - right, height - 5, axisName(output.heading, range), { class: "axis-name", "text-anchor": "end" }));
-  rows.forEach((row, i) => svg.append(drawRow(row, at(row), x, places[i], width - right, output)));
+  const hasReference = rows.some((row) => lessThan(row));
+  const { svg, x, places, end } = rowPlot({
+    names: rows.map((row) => row.name), least: LINE, range, axis: axisName(output.heading, range), width,
+    room: VALUE_ROOM + TIER_ROOM * groups.length + (hasReference ? LESS_ROOM : 0), beside: hasReference ? "difference" : "",
+    words: rows.map((row) => `${row.name} ${[inWords(at(row).value, output), differenceWords(lessThan(row), output)].filter(Boolean).join(", ")}`).join(", "),
+  });
+  svg.classList.add("ranking");
+  rows.forEach((row, i) => svg.append(drawRow(row, at(row), x, places[i], end, output)));
+  rows.forEach((row, i) => svg.append(...drawnDifference(lessThan(row), places[i], width, output)));
   groups.forEach((members, g) => {
-    const bar = width - right + 72 + 12 * g;
+    const bar = end + VALUE_ROOM + TIER_ROOM * g;
     const [first, last] = [places[members[0]], places[members.at(-1)]];
     svg.append(draw("line", { class: "tier", x1: bar, x2: bar, y1: first.y - 6, y2: last.y + 6 }),
       ...members.map((i) => draw("circle", { class: "tier", cx: bar, cy: places[i].y, r: 3 })));
@@ -54,6 +79,19 @@ function drawRanking(chosen, width) {
 // A value; of 100, if the score has a saying.
 function inWords(value, { saying, decimals }) {
   return saying ? `${Math.round(100 * value)} of 100` : inDigits(value, decimals);
+}
+
+function signed(less, { saying, decimals }) {
+  return `${less < 0 ? "−" : "+"}${saying ? Math.round(100 * Math.abs(less)) : inDigits(Math.abs(less), decimals)}`;
+}
+
+const differenceWords = (found, output) => (found ? `${signed(found.less, output)} ${found.verdict}` : "");
+
+function drawnDifference(found, { y }, width, output) {
+  if (!found) return [];
+  const text = svgText(width, y + 4, `${signed(found.less, output)} ${MARKS[found.verdict] || "\u2007"}`, { class: `difference ${found.verdict}`, "text-anchor": "end" });
+  text.append(draw("title", {}, found.verdict));
+  return [text];
 }
 
 function drawRow(row, { value, low, high }, x, place, end, output) {
@@ -70,10 +108,10 @@ function drawRow(row, { value, low, high }, x, place, end, output) {
 }
 
 function caption(chosen) {
-  const tests = testsOf(chosen);
-  const lower = scoreWords(outputNamed(chosen.score));
-  if (!tests) return `${lower}. Not tested: ${recordingNamed(chosen.recording).untested}.`;
-  return `${lower}. A bar joins rows that do not differ significantly: ${tests.pairs} pairs, ${tests.units} units, Holm, p < 0.05. ${manyRankings(chosen)}`;
+  const tests = testsOf(chosen), own = scoreWords(outputNamed(chosen.score));
+  const marks = chosen.reference === NO_REFERENCE ? "" : ` ▲ better and ▼ worse than the reference${tests ? "" : ", by their intervals"}.`;
+  if (!tests) return `${own}. Not tested: ${recordingNamed(chosen.recording).untested}.${marks}`;
+  return `${own}. A bar joins rows that do not differ significantly: ${tests.pairs} pairs, ${tests.units} units, Holm, p < 0.05.${marks} ${manyRankings(chosen)}`;
 }
 
 // A warning about comparing many rankings.
@@ -84,12 +122,12 @@ function manyRankings({ recording }) {
 }
 
 function rankingNumbers(chosen) {
-  const rows = rankedRows(chosen);
-  const at = pointsIn(chosen);
+  const rows = rankedRows(chosen), at = pointsIn(chosen), lessThan = differences(chosen);
   const groups = testsOf(chosen)?.groups ?? [];
   const letters = (row) => groups.map((labels, i) => (labels.includes(row.label) ? String(i + 1) : "")).filter(Boolean).join(" ");
-  return [["tracker", "group", chosen.score, "low", "high", "no significant difference"],
-    ...rows.map((row) => [row.name, row.group, at(row).value, at(row).low, at(row).high, letters(row)])];
+  return [["tracker", "group", chosen.score, "low", "high", "no significant difference", "difference", "verdict"],
+    ...rows.map((row) => [row.name, row.group, at(row).value, at(row).low, at(row).high, letters(row), lessThan(row)?.less ?? null,
+      lessThan(row)?.verdict ?? ""])];
 }
 
 // Fills the section of the ranking.
@@ -103,7 +141,8 @@ export function startRanking() {
       const recording = recordingNamed(now.recording);
       const ranked = strataOf(recording, (name) => scoresOf(recording, name, ranks).length);
       return [["recording", "Recording", recordingOptions()], ["stratum", "Cells", ranked],
-        ["score", "Score", scoresOf(recording, now.stratum, ranks)], aheadChoice(now)];
+        ["score", "Score", scoresOf(recording, now.stratum, ranks)], aheadChoice(now),
+        ["reference", "Reference", [[NO_REFERENCE, "none"], ...rankedRows(now).map(({ label, name }) => [label, name])]]];
     },
     drawing: drawRanking,
     numbers: rankingNumbers,

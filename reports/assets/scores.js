@@ -61,8 +61,11 @@ export function recordingOptions(has = () => true) {
 }
 
 export function strataOf(recording, has = () => true) {
-  return [...new Set(recording.rows.flatMap((row) => Object.keys(row.strata)))].filter(has).map((name) => [name, `${name} cells`]);
+  return [...new Set(recording.rows.flatMap((row) => Object.keys(row.strata)))].filter(has).map((name) => [name, stratumWords(name)]);
 }
+
+// Strata of contacts have a name of their own, others are of cells.
+export const stratumWords = (name) => (name.startsWith("contacts ") ? name : `${name} cells`);
 
 export function scoresOf(recording, stratum, has = () => true) {
   return outputs.filter(has).filter(({ key }) => recording.rows.some((row) => isDefined(row, stratum, key)))

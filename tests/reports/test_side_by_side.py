@@ -1,5 +1,6 @@
 """The page of several runs: rows of each run reported apart, an answer for each, and the differences near the top."""
 
+import csv
 import json
 import shutil
 
@@ -14,6 +15,8 @@ from gridtrack.reports.table import headline_tables
 
 from scenes.edited_run import edited
 from scenes.report_page import opened
+
+NO_EVIDENCE = "no evidence of a difference"
 
 
 def changed(run, **fields):
@@ -186,3 +189,37 @@ def test_the_mark_of_a_shared_colour_is_a_wide_line_with_the_dashes_of_its_run(p
         width, dash = lines.filter(has=page.locator("title", has_text=name)).first.evaluate(wide)
         assert width > 3
         assert dash == dashes[name]
+
+
+def verdicts(page):
+    """Each row of the ranking with its verdict against the reference, from the file of the figure."""
+    with page.expect_download() as saved:
+        page.locator("#ranking").get_by_role("button", name="CSV").click()
+    rows = csv.DictReader(saved.value.path().read_text("utf-8").splitlines())
+    return {row["tracker"]: row["verdict"] for row in rows}
+
+
+def test_the_reference_is_chosen_on_the_page_and_each_row_is_marked_by_its_paired_test(browser, twenty_report):
+    with opened(browser, twenty_report) as page:
+        marks = page.locator("#ranking text.difference")
+        assert marks.count() == 0
+        page.locator("#ranking").get_by_label("Reference").select_option("persistence")
+        found = verdicts(page)
+        assert (found["persistence"], found["good"], found["<b>even"]) == ("", "better", NO_EVIDENCE)
+        assert sum("▲" in text for text in marks.all_text_contents()) == 1
+        page.locator("#ranking").get_by_label("Reference").select_option("good")
+        found = verdicts(page)
+        assert [found[name] for name in ("persistence", "<b>even", "unlucky")] == ["worse", "worse", NO_EVIDENCE]
+
+
+def test_rows_of_several_runs_are_marked_against_the_best_row_of_the_first_run_by_their_intervals(
+    browser, twenty, tmp_path
+):
+    runs = [shutil.copytree(twenty, tmp_path / name) for name in ("before", "after")]
+    with opened(browser, render_report(runs)) as page:
+        assert (
+            page.locator("#ranking").get_by_label("Reference").locator("option:checked").inner_text() == "before: good"
+        )
+        found = verdicts(page)
+    assert (found["before: good"], found["after: good"]) == ("", NO_EVIDENCE)
+    assert (found["before: persistence"], found["after: persistence"]) == ("worse", "worse")
