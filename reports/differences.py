@@ -19,7 +19,7 @@ from gridtrack.evaluation.runs.summary import (
 )
 from gridtrack.reports.markdown import cell_text, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportedRun
-from gridtrack.reports.table import HeadlineTable, TableRow, name_in, name_of
+from gridtrack.reports.table import HeadlineTable, TableRow, name_in
 
 SIGNIFICANT_VERDICTS = ("better", "worse")
 """Verdicts on rows that differ significantly."""
@@ -257,7 +257,7 @@ def trainings_across(runs: Sequence[ReportedRun], table: HeadlineTable) -> Train
 def _name_of_all(rows: Sequence[TableRow]) -> str:
     """The common label of the rows, else the name of their tracker."""
     labels = {row.label for row in rows}
-    return name_of(rows[0].label, rows[0].trial) if len(labels) == 1 else rows[0].entry.tracker
+    return rows[0].shown_label if len(labels) == 1 else rows[0].entry.tracker
 
 
 def _weights_of(run: ReportedRun, label: str) -> str:

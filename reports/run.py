@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,12 @@ class ReportedRun:
     def recordings(self) -> tuple[str, ...]:
         """Names of the recordings themselves."""
         return tuple(name for name in self.summary.recordings if not self.is_pooled(name))
+
+    @cached_property
+    def has_site_weights(self) -> bool:
+        """Whether a tracker has weights of the site of a recording."""
+        rows = (row for row in self.summary.trackers.values() if not row.floor)
+        return any("site" in trial.card for row in rows for trial in row.recordings.values())
 
     def differences_on(self, recording: str) -> list[TrackerDifference]:
         """The comparisons of trackers with a reference on a recording, or on all pooled."""

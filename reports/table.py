@@ -119,16 +119,15 @@ def row_key(run: str, label: str) -> str:
     return f"{run}: {label}" if run else label
 
 
-def name_of(label: str, trial: TrialSummary) -> str:
-    """The displayed label, which says if the weights are general."""
-    return f"{label} (general)" if "general" in trial.card else label
-
-
 def name_in(run: ReportedRun, label: str, recording: str) -> str:
-    """The displayed label of a row of a run on a recording, or pooled."""
+    """The displayed label of a row of a run on a recording, or pooled.
+
+    It says that the weights of a tracker are general where another tracker of the run has weights of the site.
+    """
     entry = run.summary.trackers.get(label)
-    trial = entry.recordings.get(recording) if entry else None
-    return name_of(label, trial) if trial else label
+    trial = entry.recordings.get(recording) if entry and not entry.floor else None
+    is_general = trial is not None and "general" in trial.card and run.has_site_weights
+    return f"{label} (general)" if is_general else label
 
 
 @dataclass(frozen=True)
@@ -137,6 +136,7 @@ class TableRow:
 
     run: str
     label: str
+    shown_label: str
     entry: TrackerSummary
     trial: TrialSummary
     group: RowGroup
@@ -150,7 +150,7 @@ class TableRow:
     @property
     def name(self) -> str:
         """The displayed label, after the name of the run if there are several."""
-        return row_key(self.run, name_of(self.label, self.trial))
+        return row_key(self.run, self.shown_label)
 
     @property
     def trials(self) -> tuple[TrialSummary, ...]:
@@ -234,7 +234,7 @@ def _headline_table(runs: Sequence[ReportedRun], recording: str) -> HeadlineTabl
     shown = [run for run in runs if recording in run.summary.recordings]
     horizons_s = _common_horizons(shown, recording)
     entries = [
-        (run.name if len(runs) > 1 else "", label, entry, entry.recordings[recording])
+        (run.name if len(runs) > 1 else "", label, name_in(run, label, recording), entry, entry.recordings[recording])
         for run in shown
         for label, entry in run.summary.trackers.items()
         if recording in entry.recordings
@@ -242,8 +242,8 @@ def _headline_table(runs: Sequence[ReportedRun], recording: str) -> HeadlineTabl
     columns = tuple(_columns(shown, [trial for *_, trial in entries], horizons_s))
     decisive = min(columns, key=lambda column: abs(column.step - detail_step(horizons_s)))
     rows = [
-        TableRow(run, label, entry, trial, _group_of(entry, trial), tuple(column.cell(trial) for column in columns))
-        for run, label, entry, trial in entries
+        TableRow(run, label, shown, entry, trial, _group_of(entry, trial), tuple(one.cell(trial) for one in columns))
+        for run, label, shown, entry, trial in entries
     ]
     comparable = _same_frames(shown, recording)
     if comparable:

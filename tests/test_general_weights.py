@@ -81,7 +81,7 @@ def test_general_weights_are_used_where_the_site_has_none_and_the_table_says_so(
     text, found = compared(f"{elsewhere}@90s-98s", weights, tmp_path, *rows, exit_code=3)
     assert (found["static-map"]["outcome"], found["static-map"]["card"]) == ("ok", "general")
     assert found["own"]["outcome"] == "untrained"
-    assert "static-map (general)" in text
+    assert "general: static-map" in text
 
 
 def test_a_recording_without_a_validation_stretch_has_the_thresholds_of_the_card(weights, elsewhere, tmp_path):

@@ -1,4 +1,6 @@
-"""A row with general weights has one name on the whole page: in the bar of trackers, tables, figures and the player."""
+"""A row with general weights has one name on the whole page: in the bar of trackers, tables, figures and the player.
+
+It says so beside a tracker with weights of the site; floors do not."""
 
 import json
 import shutil
@@ -18,8 +20,8 @@ SAID = """() => {
 def test_a_row_with_general_weights_has_one_name(browser, run_folder, tmp_path):
     run = shutil.copytree(run_folder, tmp_path / "run")
     summary = json.loads((run / "summary.json").read_text())
-    for label in ("good", "fair"):
-        summary["trackers"][label]["recordings"]["crossing"]["card"] = "general"
+    for label, card in {"good": "general", "fair": "general", "unlucky": "site", "persistence": "general"}.items():
+        summary["trackers"][label]["recordings"]["crossing"]["card"] = card
     (run / "summary.json").write_text(json.dumps(summary))
     with opened(browser, render_report([run])) as page:
         page.locator(".player[data-ready]").wait_for()
