@@ -18,6 +18,7 @@ MOST_NAMES = 8
 MOST_CHARS = 300
 """A longer reason is cut."""
 WEIGHTS_WORDS = {"site": "of the site", "general": "general", "general, site": "general or of the site", "": "none"}
+KEEPS_UP = "Keeps up with the sensor"
 UNTIMED = "not measured: gridtrack compare --latency measures it"
 KEEPING_UP = ("no", "updates only", "yes")
 """The worst first: a tracker has the worst verdict of its recordings."""
@@ -33,8 +34,12 @@ class Answer:
 
     @property
     def summary(self) -> str:
-        """A line on what was compared."""
-        return f"{self.facts[0].name} {self.facts[0].value}"
+        """A line on the recordings, and on whether trackers keep up with the sensor, if they were timed."""
+        shown = [f"{fact.name} {fact.value}" for fact in self.facts[:1]]
+        shown += [
+            f"{fact.name}: {fact.value}" for fact in self.facts if fact.name == KEEPS_UP and fact.value != UNTIMED
+        ]
+        return ". ".join(shown)
 
 
 def answer_of(run: ReportedRun) -> Answer:
@@ -91,7 +96,7 @@ def _keeps_up(run: ReportedRun) -> Fact:
         verdicts_of = (keeps_up_of(one, run.summary.recordings[name].period_s * 1e3) for name, one in trials.items())
         if found := list(filter(None, verdicts_of)):
             verdicts[label] = min(found, key=KEEPING_UP.index)
-    return Fact("Keeps up with the sensor", _grouped(verdicts) or UNTIMED)
+    return Fact(KEEPS_UP, _grouped(verdicts) or UNTIMED)
 
 
 def _not_ranked(run: ReportedRun) -> Fact:

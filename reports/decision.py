@@ -142,20 +142,21 @@ class _Decision:
         """Whether the best rows are better than the best floor and the next tracker."""
         floor = "the best floor" if len(self.table.rows_in("floor")) > 1 else "the floor"
         others = [(floor, self._floor), ("the next tracker", self._next)]
-        pairs = [(f"{word}, {_names(rows)} ({self._text(rows)})", rows) for word, rows in others if rows]
-        if not pairs:
+        rows_of = {f"{word}, {_names(rows)} ({self._text(rows)})": rows for word, rows in others if rows}
+        if not rows_of:
             return
-        tested = [(words, self._weakest(rows)) for words, rows in pairs]
-        if all(test is None for _, test in tested):
-            named = " and than ".join(words for words, _ in tested)
+        tested = {words: self._weakest(rows) for words, rows in rows_of.items()}
+        if all(test is None for test in tested.values()):
+            named = " and than ".join(tested)
             who = "it" if len(self._top) == 1 else "each"
             yield f"Whether {who} is better than {named} cannot be decided here: {self._why_untested()}."
             return
-        yield from self._decided([(words, test) for words, test in tested if test is not None])
-        for words, test in tested:
+        found = [(words, rows_of[words], test) for words, test in tested.items() if test is not None]
+        yield from self._decided(found)
+        for words, test in tested.items():
             if test is None:
                 yield f"{words[:1].upper()}{words[1:]}, was not tested against it."
-        known = [test for _, test in tested if test is not None and test.detectable is not None]
+        known = [test for *_, test in found if test.detectable is not None]
         open_ones = [test for test in known if not test.decided]
         if known:
             which = " between them" if open_ones else ""
@@ -163,11 +164,11 @@ class _Decision:
             of = " of 100" if self._column.output.saying else ""
             yield f"The smallest difference{which} that this run can show is {least}{of}."
 
-    def _decided(self, tested: Sequence[tuple[str, _Test]]) -> Iterator[str]:
+    def _decided(self, tested: Sequence[tuple[str, Sequence[TableRow], _Test]]) -> Iterator[str]:
         better, worse = (
             [
                 words
-                for words, test in tested
+                for words, _, test in tested
                 if test.decided and (self._column.better * self._gain(test) > 0) is is_better
             ]
             for is_better in (True, False)
@@ -177,15 +178,17 @@ class _Decision:
             yield f"{subject} better than {', and than '.join(better)}."
         if worse:
             yield f"{subject} worse than {', and than '.join(worse)}."
-        for words, test in tested:
+        for words, rows, test in tested:
             if not test.decided:
-                yield f"There is no evidence that {who} better than {words}{self._nor(words)}: {self._missing(test)}."
+                also = self._also_alike() if rows is self._next else ""
+                yield f"There is no evidence that {who} better than {words}{also}: {self._missing(test)}."
 
-    def _nor(self, words: str) -> str:
-        """The further trackers from which the best rows do not differ, after the `words` for the next one."""
+    def _also_alike(self) -> str:
+        """The trackers besides the next one from which the best rows do not differ."""
         rest = [row for row in self.table.rows_in("ranked") if row not in self._top and row not in self._next]
-        alike = [row for row in rest if (test := self._weakest([row])) is not None and not test.decided]
-        return f", or than {_names(alike)}" if alike and words.startswith("the next tracker") else ""
+        found = [(row, self._weakest([row])) for row in rest]
+        alike = [row for row, test in found if test is not None and not test.decided]
+        return f", or than {_names(alike)}" if alike else ""
 
     def _gain(self, test: _Test) -> float:
         """The score of the best row less the other's."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import math
 import os
@@ -226,6 +227,23 @@ def test_the_lead_decides_between_the_best_tracker_the_floor_and_the_next_one(ch
     (lead,) = answer_of(runs[0]).leads
     assert re.fullmatch(pattern, lead), lead
     assert escaped(lead) in pull_request_markdown(runs, exported_tables(runs)[:1])
+
+
+@pytest.mark.parametrize(("third", "also"), [(ALIKE, ", or than a third"), ("better", "")])
+def test_the_lead_names_every_other_tracker_from_which_the_best_one_does_not_differ(changed, third, also):
+    """`a third` is a little worse than the next tracker, and has its tests."""
+
+    def add(summary):
+        summary["trackers"]["a third"] = copy.deepcopy(summary["trackers"]["<b>even"])
+        put(summary["trackers"]["<b>even"]["pooled"], "in-motion", "f1.f1", 0.75, steps=5)
+        for family in summary["pairs"]:
+            for test in list(family["pairs"]):
+                if {"good", "<b>even"} == {test["tracker"], test["other"]}:
+                    test["verdict"] = ALIKE
+                    family["pairs"].append(test | {"other": "a third", "tracker": "good", "verdict": third})
+
+    (lead,) = answer_of(changed(add)[0]).leads
+    assert f"There is no evidence that it is better than the next tracker, <b>even (0.750){also}: " in lead
 
 
 @pytest.mark.parametrize("reach", [0.1, 0.2])
