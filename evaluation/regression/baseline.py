@@ -18,8 +18,8 @@ from gridtrack.evaluation.regression.pairing import require_comparable
 
 MAX_BASELINE_BYTES = 16 << 20
 """A larger file is refused before it is read; twenty recordings of six trackers take a hundredth of it."""
-_LIST_OF_NUMBERS = re.compile(r"\[\n[-0-9.eE,\s]+\]")
-_SUMS_BY_BAND = re.compile(r"\{\s*\"\w+\": \[[-0-9.eE,]+\](,\s+\"\w+\": \[[-0-9.eE,]+\])*\s+\}")
+_LIST_OF_NUMBERS = re.compile(r"\[\n[-0-9.eE*\",\s]+\]")
+_SUMS_BY_BAND = re.compile(r"\{\s*\"\w+\": \[[-0-9.eE*\",]+\](,\s+\"\w+\": \[[-0-9.eE*\",]+\])*\s+\}")
 
 
 class BaselineError(GridtrackError):

@@ -6,10 +6,12 @@ step band, and is small enough for git. A baseline is the measurements of one or
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
+from itertools import groupby
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError, bounded_line
@@ -23,7 +25,60 @@ Name = Annotated[str, Field(min_length=1, max_length=200)]
 WholeNumber = Annotated[int, Field(ge=0, le=2**53)]
 Milliseconds = Annotated[float, Field(gt=0.0, le=1e9)]
 FiniteSum = Annotated[float, Field(ge=-1e300, le=1e300)]
-BandSums = dict[str, tuple[FiniteSum, ...]]
+MOST_PARTS = 10_000
+"""A score with more sums is refused."""
+_ZEROS = re.compile(r"([0-9]{1,5})\*0")
+_BLOCK = re.compile(r"(.+) 0-([0-9]{1,5})")
+
+
+def _packed_sums(sums: tuple[float, ...]) -> list[Any]:
+    """Sums as a file has them: "590*0" stands for 590 zeros, because most bins of a histogram are empty."""
+    found: list[Any] = []
+    for is_zero, run in groupby(sums, key=lambda one: one == 0):
+        own = [int(one) if float(one).is_integer() else one for one in run]
+        found += [f"{len(own)}*0"] if is_zero and len(own) > 2 else own
+    return found
+
+
+def _packed_parts(parts: tuple[str, ...]) -> list[str]:
+    """Names as a file has them: "contacts 0-9" stands for "contacts 0" to "contacts 9"."""
+    found: list[str] = []
+    for part in parts:
+        name, _, number = part.rpartition(" ")
+        earlier = _BLOCK.fullmatch(found[-1]) if found else None
+        if earlier and earlier[1] == name and number == str(int(earlier[2]) + 1):
+            found[-1] = f"{name} 0-{number}"
+        else:
+            found.append(f"{name} 0-0" if name and number == "0" else part)
+    return found
+
+
+def _unpacked_sums(packed: Any) -> Any:
+    return _unpacked(packed, _ZEROS, lambda run: [0.0] * int(run[1]))
+
+
+def _unpacked_parts(packed: Any) -> Any:
+    return _unpacked(packed, _BLOCK, lambda run: [f"{run[1]} {n}" for n in range(int(run[2]) + 1)])
+
+
+def _unpacked(packed: Any, pattern: re.Pattern[str], values_of: Callable[[re.Match[str]], list[Any]]) -> Any:
+    """A list with all values that each of its texts of this pattern stands for. Raises ValueError above MOST_PARTS."""
+    if not isinstance(packed, list | tuple):
+        return packed
+    found: list[Any] = []
+    for one in packed:
+        run = pattern.fullmatch(one) if isinstance(one, str) else None
+        found += values_of(run) if run else [one]
+        if len(found) > MOST_PARTS:
+            raise ValueError(f"more than {MOST_PARTS} parts")
+    return found
+
+
+Parts = Annotated[tuple[Name, ...], BeforeValidator(_unpacked_parts), PlainSerializer(_packed_parts, when_used="json")]
+PackedSums = Annotated[
+    tuple[FiniteSum, ...], BeforeValidator(_unpacked_sums), PlainSerializer(_packed_sums, when_used="json")
+]
+BandSums = dict[str, PackedSums]
 """By step band the sums of a score, in the order of its parts."""
 
 
@@ -108,7 +163,7 @@ class Measurement(Settings):
     scoring_rules: int = 1
     """The `SCORING_RULES` of the run."""
     block_s: Annotated[float, Field(gt=0.0)] | None
-    scores: dict[Name, dict[Name, Annotated[tuple[Name, ...], Field(max_length=10_000)]]]
+    scores: dict[Name, dict[Name, Parts]]
     """By label and score."""
     recordings: Annotated[dict[Name, SplitKey], Field(min_length=1)]
     trackers: Annotated[dict[Name, TrackerSums], Field(min_length=1)]

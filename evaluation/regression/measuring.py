@@ -205,12 +205,15 @@ def _units(
 
 
 def _unit_sums(trial: ReadTrial, numbers: NDArray[np.int64], scores: Sequence[str]) -> Iterator[UnitSums]:
-    """The units of a trial with frames in the units `numbers` (F,), in the order of time."""
+    """The units of a trial with frames in the units `numbers` (F,), in the order of time.
+
+    Strata of cells are judged; slices of a score, of which there are many, are not.
+    """
     units, steps = np.unique(numbers), _steps_by_band(trial.horizons_s)
-    own = np.searchsorted(units, numbers)
+    own, of_cells = np.searchsorted(units, numbers), trial.record.thresholds.values
+    strata = {score: [name for name in trial.sums.layouts[score].strata if name in of_cells] for score in scores}
     read = {
-        score: trial.sums.by_unit(score, own, range(trial.sums.steps + 1), layout.strata).values
-        for score, layout in ((score, trial.sums.layouts[score]) for score in scores)
+        score: trial.sums.by_unit(score, own, range(trial.sums.steps + 1), strata[score]).values for score in scores
     }
     for u, unit in enumerate(units.tolist()):
         frames = trial.frames.at(own == u)
@@ -221,7 +224,7 @@ def _unit_sums(trial: ReadTrial, numbers: NDArray[np.int64], scores: Sequence[st
             sums={
                 score: {
                     stratum: {band: _rounded(sums[u, its, k].sum(axis=0)) for band, its in steps.items()}
-                    for k, stratum in enumerate(trial.sums.layouts[score].strata)
+                    for k, stratum in enumerate(strata[score])
                 }
                 for score, sums in read.items()
             },

@@ -332,6 +332,10 @@ def unit_of(baseline):
     return kalman_of(baseline)["recordings"]["junction-00"]["units"][0]
 
 
+def add_zeros(baseline):
+    unit_of(baseline)["sums"]["log_loss"]["dynamic"]["short"] += ["99999*0"] * 99
+
+
 def count_others(baseline):
     unit_of(baseline)["sums"]["log_loss"]["dynamic"]["short"][1] += 1
 
@@ -351,6 +355,7 @@ def count_others(baseline):
         (lambda b: b["runs"][0].update(recordings={"a": {}}), 2, "not a baseline"),
         (lambda b: unit_of(b).update(delivered="0" * 32), 3, "junction-00: other frames were delivered than for the"),
         (count_others, 3, "other strata or cells were scored"),
+        (add_zeros, 2, "more than 10000 parts"),
         (lambda b: b["runs"][0].update(scoring_rules=2), 3, "scored by other rules (number 2, the run by number 1)"),
     ],
 )
