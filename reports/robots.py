@@ -32,7 +32,8 @@ def _clears(folder: Path, step: int) -> NDArray[np.floating] | None:
     """The clear paths of a trial by their risk (B,)."""
     try:
         sums = TrialSums(folder)
-        if CONTACT_FORESIGHT.name not in sums.layouts or step > sums.steps:
+        layout = sums.layouts.get(CONTACT_FORESIGHT.name)
+        if layout is None or step not in layout.steps:
             return None
         units = np.zeros(len(sums.frames.stamps_ns), np.int64)
         counted = sums.by_unit(CONTACT_FORESIGHT.name, units, [step], ["dynamic"], _CLEARS).values

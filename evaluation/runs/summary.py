@@ -69,6 +69,8 @@ class ScoreDescription(ResultModel):
         LEADING_HORIZONS_S
     )
     """The horizons at which it leads, seconds."""
+    counted: str = "cells"
+    """The noun of what it counts in a stratum."""
     outputs: Annotated[tuple[OutputDescription, ...], Field(min_length=1, max_length=100)]
     """The first one leads."""
 
@@ -88,6 +90,7 @@ class ScoreDescription(ResultModel):
             thresholded=score.thresholded,
             stratum=score.stratum,
             horizons_s=score.horizons_s,
+            counted=score.events.name if score.events else "cells",
             outputs=tuple(map(OutputDescription.of, score.outputs)),
         )
 

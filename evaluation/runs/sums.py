@@ -44,6 +44,8 @@ COLUMNS: dict[str, tuple[Any, str]] = {
     "value": (pa.list_(pa.float64()), "the sum of each of these parts"),
 }
 """Type and meaning of each column."""
+_OF_FRAMES = ["stamp_ns", "delivered"]
+_OF_SUMS = [name for name in COLUMNS if name not in ("delivered", "score")]
 _METADATA = b"gridtrack"
 
 
@@ -169,7 +171,6 @@ class TrialSums:
         with _opened(self.path) as file:
             self._metadata = file.metadata
             self.steps, self.layouts = _layouts_of(file)
-        self._frames: dict[str, ScoredFrames] = {}
 
     @property
     def scores(self) -> tuple[str, ...]:
@@ -178,10 +179,15 @@ class TrialSums:
 
     @cached_property
     def frames(self) -> ScoredFrames:
-        """The scored frames; none if nothing was scored."""
-        for score in self.scores:
-            return self._frames_of(score)
-        return ScoredFrames(np.zeros(0, np.int64), np.zeros(0, np.str_))
+        """The scored frames; none if nothing was scored. A score may leave out frames: one with all of them tells."""
+        if not self.scores:
+            return ScoredFrames(np.zeros(0, np.int64), np.zeros(0, np.str_))
+        score = min(self.scores, key=lambda name: (-self._number_of_frames(name), self.layouts[name].rows))
+        found = [self._frames_in(group, self.layouts[score].rows) for group in self._groups[score]]
+        stamps, delivered = (np.concatenate(own) for own in zip(*found, strict=True))
+        if (np.diff(stamps) <= 0).any():
+            raise ScoresError(f"{self.path}: the frames of {score} do not follow in time; run it again")
+        return ScoredFrames(stamps, delivered)
 
     def by_unit(
         self,
@@ -243,14 +249,19 @@ class TrialSums:
                 f"{self.path}: {found.num_rows} rows and {values} values together, more than a trial writes: refused"
             )
 
-    def _frames_of(self, score: str) -> ScoredFrames:
-        if score not in self._frames:
-            found = [(rows.stamps_ns, rows.delivered) for rows in self._row_groups(score)]
-            stamps, delivered = (np.concatenate(own) for own in zip(*found, strict=True))
-            if (np.diff(stamps) <= 0).any():
-                raise ScoresError(f"{self.path}: the frames of {score} do not follow in time; run it again")
-            self._frames[score] = ScoredFrames(stamps, delivered)
-        return self._frames[score]
+    def _number_of_frames(self, score: str) -> float:
+        rows: int = sum(self._metadata.row_group(group).num_rows for group in self._groups[score])
+        return rows / max(1, self.layouts[score].rows)
+
+    def _frames_in(self, group: int, rows_of_frame: int) -> tuple[NDArray[np.int64], NDArray[np.str_]]:
+        """Stamp and hash of each frame of a row group, without its sums."""
+        with _opened(self.path, self._metadata) as file:
+            table = file.read_row_group(group, columns=_OF_FRAMES).combine_chunks()
+        stamps, delivered = (table.column(name).combine_chunks() for name in _OF_FRAMES)
+        if not rows_of_frame or len(table) % rows_of_frame or stamps.null_count or delivered.null_count:
+            raise ScoresError(f"{self.path}: a value or a row is missing; run it again")
+        own = delivered.to_numpy(zero_copy_only=False)[::rows_of_frame].astype(np.str_)
+        return stamps.to_numpy()[::rows_of_frame], own
 
     def _row_groups(self, score: str) -> Iterator[_Rows]:
         for group in self._groups.get(score, ()):
@@ -263,7 +274,7 @@ class TrialSums:
 
     def _read(self, group: int, layout: Layout) -> _Rows:
         with _opened(self.path, self._metadata) as file:
-            table = file.read_row_group(group, columns=list(COLUMNS))
+            table = file.read_row_group(group, columns=_OF_SUMS)
         return _rows(self.path, table, layout)
 
     def _require_parts(self, rows: _Rows, layout: Layout) -> None:
@@ -273,23 +284,21 @@ class TrialSums:
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """Rows of one score: of each frame the stamp and hash, and of each row where its entries end, and their parts and
-    values."""
+    """Rows of one score: the stamp of each frame, and of each row where its entries end, and their parts and values."""
 
     stamps_ns: NDArray[np.int64]
-    delivered: NDArray[np.str_]
     entries: tuple[NDArray[np.int64], NDArray[np.int64], Floats]
 
     @property
     def nbytes(self) -> int:
         """The memory that they take, bytes."""
-        return sum(own.nbytes for own in (self.stamps_ns, self.delivered, *self.entries))
+        return sum(own.nbytes for own in (self.stamps_ns, *self.entries))
 
 
 def _rows(path: Path, table: Any, layout: Layout) -> _Rows:
     """The rows of a row group, checked: every frame has all steps, each with all strata in order."""
     table, rows_of_frame = table.combine_chunks(), layout.rows
-    columns = {name: table.column(name).combine_chunks() for name in COLUMNS}
+    columns = {name: table.column(name).combine_chunks() for name in _OF_SUMS}
     frames = len(table) // rows_of_frame if rows_of_frame else 0
     if any(column.null_count for column in columns.values()) or len(table) != frames * rows_of_frame:
         raise ScoresError(f"{path}: a value or a row is missing; run it again")
@@ -307,9 +316,8 @@ def _rows(path: Path, table: Any, layout: Layout) -> _Rows:
         raise ScoresError(
             f"{path}: not {len(layout.steps)} steps of {', '.join(layout.strata)} at every frame; run it again"
         )
-    delivered = columns["delivered"].to_numpy(zero_copy_only=False)[::rows_of_frame].astype(np.str_)
     parts, values = (columns[name].flatten().to_numpy() for name in ("part", "value"))
-    return _Rows(stamps[:, 0], delivered, (ends - ends[0], parts.astype(np.int64), values))
+    return _Rows(stamps[:, 0], (ends - ends[0], parts.astype(np.int64), values))
 
 
 @numba.njit(cache=True, nogil=True)

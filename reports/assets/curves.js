@@ -4,7 +4,7 @@ import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import {
   aheadChoice, allSteps, bandWords, hasScores, isDefined, lineOf, lineThrough, outputNamed, pointOf, recordingNamed,
-  recordingOptions, rowsWith, scoresOf, scoreWords, stepAt, strataOf, stratumWords,
+  recordingOptions, rowsWith, scoresOf, scoreWords, stepAt, strataOf, stratumChoice, stratumWords,
 } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
@@ -17,7 +17,7 @@ function horizonChart({ recording, score, stratum }) {
   const steps = horizons_s.map((_, step) => step).filter((step) => rows.some((row) => pointOf(row, stratum, score, step).value !== null));
   const lines = rows.map((row) => lineThrough(row, steps.map((step) => horizons_s[step]), steps.map((step) => pointOf(row, stratum, score, step))));
   const words = (s) => `${inSeconds(s)} ahead${s ? "" : ": the input, not ranked"}`;
-  return { lines, x: { name: "horizon, s", unit: " s", words, unranked: true }, y: axisOf(score) };
+  return { lines, x: { name: "horizon, s", unit: " s", words, unranked: steps[0] === 0 }, y: axisOf(score) };
 }
 
 function startHorizon() {
@@ -28,7 +28,7 @@ function startHorizon() {
     chosen: { recording: pageData.recordings[0].name, score, stratum },
     choices: (now) => {
       const recording = recordingNamed(now.recording);
-      return [["recording", "Recording", recordingOptions()], ["stratum", "Cells", strataOf(recording)],
+      return [["recording", "Recording", recordingOptions()], stratumChoice(recording, now.score),
         ["score", "Score", scoresOf(recording, now.stratum)]];
     },
     chart: horizonChart,

@@ -1,11 +1,11 @@
 // The content of a panel of the player: input, observed frame or forecasts of a moment; and the canvas of a panel.
-import { inSeconds, make } from "./drawing.js";
+import { draw, inSeconds, make } from "./drawing.js";
 import { cssColour, forecastColour, inputColour, MARK_COLOURS, markColour, markOf } from "./moment_cells.js";
 import { contactsOf, FORESEEN, MISSED, NEEDLESS, robotsOf, robotWords, scoreText, TOUCHED } from "./moments.js";
 
 const OBJECT_COLOUR = "#0a7a4f";
 // Kinds of paths differ in form as well as in colour: dashes, and a disc or a ring at the contact.
-export const ROBOT_STYLES = {
+const ROBOT_STYLES = {
   [FORESEEN]: { colour: cssColour(MARK_COLOURS.hit), end: "disc", dash: [] },
   [MISSED]: { colour: cssColour(MARK_COLOURS.miss), end: "ring", dash: [] },
   [NEEDLESS]: { colour: cssColour(MARK_COLOURS["false alarm"]), end: "", dash: [2, 3] },
@@ -13,12 +13,23 @@ export const ROBOT_STYLES = {
 };
 const cellBuffer = document.createElement("canvas");
 
+// The keys of the paths of robots.
+export function robotsLegend() {
+  return make("div", { class: "legend robots-legend" }, ...Object.entries(ROBOT_STYLES).map(([name, { colour, end, dash }]) => {
+    const key = draw("svg", { class: "key", viewBox: "0 0 24 10", width: 24, height: 10, "aria-hidden": "true" },
+      draw("line", { x1: 1, y1: 5, x2: 18, y2: 5, "stroke-dasharray": dash.join(" ") }));
+    if (end) key.append(draw("circle", { class: end, cx: 18, cy: 5, r: 3 }));
+    key.style.stroke = key.style.color = colour;
+    return make("span", {}, key, name);
+  }));
+}
+
 export class MomentDrawing {
   // The choices come from `player`, the content goes to `panel`, the cells come from the `planes` of the moment.
   constructor(player, panel, planes) {
-    const { data, moment, h, marks, boxes, robots, split, shown } = player;
+    const { data, moment, h, marks, boxes, robots, split, shown, pathsThroughout: throughout = false } = player;
     Object.assign(this, { data, moment, h, marks, boxes, split, shown, panel, planes });
-    this.hasRobots = robots && h === data.robots_at;
+    this.hasRobots = robots && (throughout || h === data.robots_at);
     this.kept = data.moments[moment];
     this.ahead_s = data.horizons_s[h];
   }
@@ -225,7 +236,7 @@ export class MomentCanvas {
       context.setLineDash([]);
       if (!end) continue;
       context.beginPath();
-      context.arc(...this.at(...to), 3 * scale, 0, 2 * Math.PI);
+      context.arc(...this.at(...to), 2 * scale, 0, 2 * Math.PI);
       if (end === "ring") context.stroke();
       else context.fill();
     }

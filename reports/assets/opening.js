@@ -1,8 +1,9 @@
 // The moving picture of the first screen: one telling moment, horizon by horizon: the input, two forecasts, what came.
+// Paths of robots stand through it.
 import { openInAddress } from "./address.js";
 import { inSeconds, make, meaning } from "./drawing.js";
 import { busiestCell, cameColour, unpackedMoment } from "./moment_cells.js";
-import { MomentCanvas, MomentDrawing } from "./moment_drawing.js";
+import { MomentCanvas, MomentDrawing, robotsLegend } from "./moment_drawing.js";
 import { contactCell, IN_ADDRESS, robotCounts } from "./moments.js";
 import { pageData } from "./page_data.js";
 import { momentsOf } from "./players.js";
@@ -23,7 +24,12 @@ export async function startOpening() {
     const counts = robotCounts(data, opening.moment, tracker);
     return counts && `${counts.foreseen} of ${counts.foreseen + counts.missed} contacts foreseen`;
   };
-  const state = { data, moment: opening.moment, h: data.robots_at ?? data.decisive, marks: true, boxes: false, robots: true, split: 0, shown: trackers };
+  // with paths of robots nothing is marked beside them, and the time ends with them
+  const hasPaths = contactCell(data, opening.moment) !== null, last = hasPaths ? data.robots_at : data.horizons_s.length - 1;
+  const state = {
+    data, moment: opening.moment, h: data.robots_at ?? data.decisive, marks: !hasPaths, boxes: false, robots: true,
+    pathsThroughout: true, split: 0, shown: trackers,
+  };
   const drawn = [
     [new MomentCanvas("input"), (drawing) => drawing.input()],
     [new MomentCanvas("observed"), (drawing) => drawing.target(cameColour, "observed")],
@@ -45,7 +51,7 @@ export async function startOpening() {
   let timer = null;
   const play = (playing) => {
     clearInterval(timer);
-    timer = playing ? setInterval(() => go((state.h + 1) % data.horizons_s.length), FRAME_MS) : null;
+    timer = playing ? setInterval(() => go((state.h + 1) % (last + 1)), FRAME_MS) : null;
     button.textContent = playing ? "pause" : "play";
   };
   button.addEventListener("click", () => play(!timer));
@@ -53,6 +59,7 @@ export async function startOpening() {
     openInAddress(IN_ADDRESS, [data.recording, data.moments[state.moment].t, data.horizons_s[state.h], ...opening.trackers]));
   section.append(
     make("div", { class: "moment-panels" }, ...drawn.map(([panel]) => panel.element)),
+    ...(hasPaths ? [robotsLegend()] : []),
     make("p", { class: "note" }, button, " ", open, " ", words, ` ${data.recording}. `, meaning("where-two-trackers-differ-most")));
   new ResizeObserver(show).observe(section);
   go(state.h);

@@ -1,8 +1,8 @@
 // The player of one recording: kept forecasts over time and horizon, one to four trackers side by side.
 import { keepInAddress } from "./address.js";
-import { draw, inSeconds, make, meaning, nearest } from "./drawing.js";
+import { inSeconds, make, meaning, nearest } from "./drawing.js";
 import { busiestCell, cameColour, cssColour, MARK_COLOURS, truthColour, unpackedMoment } from "./moment_cells.js";
-import { MomentCanvas, MomentDrawing, ROBOT_STYLES } from "./moment_drawing.js";
+import { MomentCanvas, MomentDrawing, robotsLegend } from "./moment_drawing.js";
 import { contactCell, IN_ADDRESS, MOST_DIFFERENT, outstandingMoment, WORST } from "./moments.js";
 import { isShown } from "./shown_trackers.js";
 
@@ -327,16 +327,6 @@ function markLegend(hidden) {
   return make("div", { class: "legend marks-legend" }, ...names.map((name) => {
     const key = make("i", { class: name.includes("miss") ? "key hollow" : "key" });
     key.style.backgroundColor = key.style.borderColor = cssColour(MARK_COLOURS[name]);
-    return make("span", {}, key, name);
-  }));
-}
-
-function robotsLegend() {
-  return make("div", { class: "legend robots-legend" }, ...Object.entries(ROBOT_STYLES).map(([name, { colour, end, dash }]) => {
-    const key = draw("svg", { class: "key", viewBox: "0 0 24 10", width: 24, height: 10, "aria-hidden": "true" },
-      draw("line", { x1: 1, y1: 5, x2: 18, y2: 5, "stroke-dasharray": dash.join(" ") }));
-    if (end) key.append(draw("circle", { class: end, cx: 18, cy: 5, r: 3 }));
-    key.style.stroke = key.style.color = colour;
     return make("span", {}, key, name);
   }));
 }

@@ -5,7 +5,7 @@ import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import { rowPlot } from "./row_plot.js";
 import {
-  aheadChoice, hasScores, outputNamed, pointsIn, recordingNamed, recordingOptions, rowsWith, scoresOf, scoreWords, stepAt, strataOf,
+  aheadChoice, hasScores, outputNamed, pointsIn, recordingNamed, recordingOptions, rowsWith, scoresOf, scoreWords, stepAt, stratumChoice,
 } from "./scores.js";
 
 const LINE = 26, VALUE_ROOM = 72, TIER_ROOM = 12, LESS_ROOM = 64, NO_REFERENCE = "";
@@ -139,8 +139,8 @@ export function startRanking() {
     chosen: { recording: pageData.recordings[0].name, ...pageData.headline },
     choices: (now) => {
       const recording = recordingNamed(now.recording);
-      const ranked = strataOf(recording, (name) => scoresOf(recording, name, ranks).length);
-      return [["recording", "Recording", recordingOptions()], ["stratum", "Cells", ranked],
+      const isRanked = (name) => scoresOf(recording, name, ranks).length;
+      return [["recording", "Recording", recordingOptions()], stratumChoice(recording, now.score, isRanked),
         ["score", "Score", scoresOf(recording, now.stratum, ranks)], aheadChoice(now),
         ["reference", "Reference", [[NO_REFERENCE, "none"], ...rankedRows(now).map(({ label, name }) => [label, name])]]];
     },

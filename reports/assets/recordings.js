@@ -3,7 +3,7 @@ import { axisName, axisRange, draw, inDigits, make, rowName, svgText, swatch } f
 import { chooseRecording, startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import { rowPlot } from "./row_plot.js";
-import { aheadChoice, hasScores, outputNamed, pointsIn, rowsWith, scoresOf, scoreWords, strataOf } from "./scores.js";
+import { aheadChoice, hasScores, outputNamed, pointsIn, rowsWith, scoresOf, scoreWords, stratumChoice } from "./scores.js";
 
 const DOT_ROW = 34, MEDIAN_ROOM = 64, MANY_DOTS = 100, NEAR_DOT = 16;
 const single = pageData.recordings.filter((one) => !one.pooled && hasScores(one));
@@ -179,7 +179,7 @@ export function startRecordings() {
     id: "recordings",
     title: "Recordings",
     chosen: { recording, ...pageData.headline, sorted: { by: null, descending: false } },
-    choices: (now) => [["stratum", "Cells", strataOf(allRows, (name) => scoresOf(allRows, name).length)],
+    choices: (now) => [stratumChoice(allRows, now.score, (name) => scoresOf(allRows, name).length),
       ["score", "Score", scoresOf(allRows, now.stratum)], aheadChoice(now)],
     drawing: drawRecordings,
     numbers: recordingNumbers,

@@ -2,7 +2,7 @@
 import { axisName, axisRange, draw, heightOf, inDigits, namedRows, roundTicks, rowName, scaleOf, svgText } from "./drawing.js";
 import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { aheadChoice, outputNamed, pointsIn, recordingNamed, recordingOptions, rowsWith, scoresOf, scoreWords, strataOf } from "./scores.js";
+import { aheadChoice, outputNamed, pointsIn, recordingNamed, recordingOptions, rowsWith, scoresOf, scoreWords, strataOf, stratumChoice } from "./scores.js";
 
 const LEAST_HIGH = 360, LEFT_ROOM = 44, TOP_ROOM = 24, BOTTOM_ROOM = 46, LABEL_ROW = 18, LEAST_TIME_MS = 0.01;
 const TIME = "99th percentile of update and forecast, ms";
@@ -96,7 +96,7 @@ export function startScoreAndTime() {
     chosen: { recording: listed[0][0], ...pageData.headline },
     choices: (now) => {
       const timed = timedRows(recordingNamed(now.recording));
-      return [["recording", "Recording", listed], ["stratum", "Cells", strataOf(timed, (name) => scoresOf(timed, name).length)],
+      return [["recording", "Recording", listed], stratumChoice(timed, now.score, (name) => scoresOf(timed, name).length),
         ["score", "Score", scoresOf(timed, now.stratum)], aheadChoice(now)];
     },
     drawing: drawScoreAndTime,

@@ -60,12 +60,18 @@ export function recordingOptions(has = () => true) {
   return pageData.recordings.filter(has).map((one) => [one.name, one.name]);
 }
 
-export function strataOf(recording, has = () => true) {
-  return [...new Set(recording.rows.flatMap((row) => Object.keys(row.strata)))].filter(has).map((name) => [name, stratumWords(name)]);
+export function strataOf(recording, has = () => true, noun = "cells") {
+  return [...new Set(recording.rows.flatMap((row) => Object.keys(row.strata)))].filter(has).map((name) => [name, stratumWords(name, noun)]);
 }
 
-// Strata of contacts have a name of their own, others are of cells.
-export const stratumWords = (name) => (name.startsWith("contacts ") ? name : `${name} cells`);
+// The choice of the stratum of a chosen score, in the noun of what the score counts. `has`: whether a stratum is listed.
+export function stratumChoice(recording, score, has) {
+  const noun = outputNamed(score)?.score.counted ?? "cells";
+  return ["stratum", noun[0].toUpperCase() + noun.slice(1), strataOf(recording, has, noun)];
+}
+
+// Strata of contacts alone have a name of their own.
+export const stratumWords = (name, noun = "cells") => (name.startsWith("contacts ") ? name : `${name} ${noun}`);
 
 export function scoresOf(recording, stratum, has = () => true) {
   return outputs.filter(has).filter(({ key }) => recording.rows.some((row) => isDefined(row, stratum, key)))
