@@ -58,9 +58,11 @@ function drawRanking(chosen, width) {
     .map((labels) => rows.flatMap((row, i) => (row.group !== "unranked" && labels.includes(row.label) ? [i] : [])))
     .filter((members) => members.length > 1);
   const range = axisRange(rows.flatMap((row) => Object.values(at(row))), false);
-  const hasReference = rows.some((row) => lessThan(row));
+  const hasReference = rows.some((row) => lessThan(row)), scale = output.saying ? 100 : 1;
   const { svg, x, places, end } = rowPlot({
-    names: rows.map((row) => row.name), least: LINE, range, axis: axisName(output.heading, range), width,
+    names: rows.map((row) => row.name), least: LINE, range, width,
+    axis: axisName(output.saying ? `${output.heading}, of 100` : output.heading, range.map((end) => scale * end)),
+    tickText: (value) => String(Number((scale * value).toPrecision(6))),
     room: VALUE_ROOM + TIER_ROOM * groups.length + (hasReference ? LESS_ROOM : 0), beside: hasReference ? "difference" : "",
     words: rows.map((row) => `${row.name} ${[inWords(at(row).value, output), differenceWords(lessThan(row), output)].filter(Boolean).join(", ")}`).join(", "),
   });
@@ -108,7 +110,8 @@ function drawRow(row, { value, low, high }, x, place, end, output) {
 }
 
 function caption(chosen) {
-  const tests = testsOf(chosen), own = scoreWords(outputNamed(chosen.score));
+  const tests = testsOf(chosen), hasIntervals = rankedRows(chosen).some((row) => pointsIn(chosen)(row).low !== null);
+  const own = `${scoreWords(outputNamed(chosen.score))}${hasIntervals ? ", with 95 % intervals" : ""}`;
   const marks = chosen.reference === NO_REFERENCE ? "" : ` ▲ better and ▼ worse than the reference${tests ? "" : ", by their intervals"}.`;
   if (!tests) return `${own}. Not tested: ${recordingNamed(chosen.recording).untested}.${marks}`;
   return `${own}. A bar joins rows that do not differ significantly: ${tests.pairs} pairs, ${tests.units} units, Holm, p < 0.05.${marks} ${manyRankings(chosen)}`;

@@ -5,13 +5,14 @@ const FOOT = 46;
 
 // The drawing and its places: { svg, x, places, end }. `names` of the rows, at least `least` pixels high each; `range` and
 // name `axis` of the axis, which ends `room` pixels before the right edge, at `end`; `beside`: the heading of the numbers
-// there, if they have one; `words` describe the drawing. `ticks(x)`: [place, text] pairs, by default round values.
-export function rowPlot({ names, least, range, axis, room, beside, words, width, ticks }) {
+// there, if they have one; `words` describe the drawing. `ticks(x)`: [place, text] pairs, by default round
+// values with `tickText`.
+export function rowPlot({ names, least, range, axis, room, beside, words, width, ticks, tickText = String }) {
   const narrow = width < 560, left = narrow ? 124 : 210, end = width - room;
   const x = scaleOf(...range, left, end), places = namedRows(names, left - 12, least);
   const height = heightOf(places) + FOOT, bottom = height - FOOT + 4;
   const svg = draw("svg", { class: "figure-drawing", viewBox: `0 0 ${width} ${height}`, width, height, role: "img", "aria-label": words });
-  for (const [place, text] of ticks?.(x) ?? roundTicks(...range, narrow ? 3 : 6).map((tick) => [tick, String(tick)])) {
+  for (const [place, text] of ticks?.(x) ?? roundTicks(...range, narrow ? 3 : 6).map((tick) => [tick, tickText(tick)])) {
     svg.append(draw("line", { class: "grid", x1: x(place), x2: x(place), y1: 0, y2: bottom }),
       svgText(x(place), bottom + 16, text, { class: "tick", "text-anchor": "middle" }));
   }
