@@ -236,6 +236,7 @@ def test_every_registered_tracker_is_listed_with_its_sites_or_as_untrained(tmp_p
     assert (listed["elsewhere"], listed["broken"]) == (("untrained", ""), ("unavailable", ""))
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_show_lists_the_options_and_their_defaults():
     shown = json.loads(gridtrack("trackers", "show", "static-map", "--json").stdout)
     assert shown["learns"] is True
@@ -304,6 +305,7 @@ def test_a_tracker_is_trained_compared_and_reported(tmp_path):
     assert str(run) in gridtrack("report", run).stdout
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_a_training_without_a_writable_place_for_weights_does_not_start(tmp_path):
     (tmp_path / "file").write_text("not a folder")
     done = gridtrack("train", "kalman", DEMO, "--out", tmp_path / "file", code=2)
