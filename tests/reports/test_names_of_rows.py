@@ -1,10 +1,8 @@
 """A row with general weights has one name on the whole page: in the bar of trackers, tables, figures and the player."""
 
-import json
-import shutil
-
 from gridtrack.reports.page import render_report
 
+from scenes.edited_run import edited, trial_of
 from scenes.report_page import opened
 
 SAID = """() => {
@@ -16,12 +14,11 @@ SAID = """() => {
 
 
 def test_a_row_with_general_weights_has_one_name(browser, run_folder, tmp_path):
-    run = shutil.copytree(run_folder, tmp_path / "run")
-    summary = json.loads((run / "summary.json").read_text())
-    for label in ("good", "fair"):
-        summary["trackers"][label]["recordings"]["crossing"]["card"] = "general"
-    (run / "summary.json").write_text(json.dumps(summary))
-    with opened(browser, render_report([run])) as page:
+    def generalise(summary):
+        for label in ("good", "fair"):
+            trial_of(summary, label)["card"] = "general"
+
+    with opened(browser, render_report([edited(run_folder, tmp_path / "run", generalise)])) as page:
         page.locator(".player[data-ready]").wait_for()
         page.get_by_label("wipe between the first two").check()
         page.get_by_role("button", name="most different of the first two").click()
