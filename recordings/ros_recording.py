@@ -7,7 +7,7 @@ import math
 import struct
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -191,6 +191,24 @@ def cloud_points(message: Any) -> NDArray[np.float64]:
     return points[np.isfinite(points).all(axis=1)]
 
 
+@cache
+def _ros1_types() -> Any:
+    """The message definitions for ROS 1, the same for every recording: rosbags compiles each at its first message."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    for kind in TRANSFORMS:  # the packages of transforms are not in this store
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
+    return store
+
+
+@cache
+def _ros2_types() -> Any:
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.LATEST)
+
+
 class RosRecording(FramedRecording):
     """A recording of ROS messages.
 
@@ -214,29 +232,14 @@ class RosRecording(FramedRecording):
         self._bearings: Bearings | None = None
         self._errors = (SerdeError, struct.error, ValueError, IndexError, UnicodeDecodeError)
 
-    @cached_property
-    def _ros1(self) -> Any:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        store = get_typestore(Stores.ROS1_NOETIC)
-        for kind in TRANSFORMS:  # the packages of transforms are not in this store
-            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
-        return store
-
-    @cached_property
-    def _ros2(self) -> Any:
-        from rosbags.typesys import Stores, get_typestore
-
-        return get_typestore(Stores.LATEST)
-
     @contextmanager
     def _decoded(self, message: EncodedMessage) -> Iterator[Any]:
         """The decoded message. Raises DamageError if decoding it, or using it inside the block, fails."""
         try:
             if message.encoding == "ros1":
-                yield self._ros1.deserialize_ros1(message.data, message.kind)
+                yield _ros1_types().deserialize_ros1(message.data, message.kind)
             elif message.encoding == "cdr":
-                yield self._ros2.deserialize_cdr(message.data, message.kind)
+                yield _ros2_types().deserialize_cdr(message.data, message.kind)
             else:
                 raise RecordingError(f"'{message.topic}' is encoded as '{message.encoding}'; expected ros1 or cdr")
         except self._errors as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,7 +17,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from gridtrack.cli import app
+from gridtrack.cli import ENDS, app
 from gridtrack.cli.options import settings_options
 from gridtrack.common.config import validated
 from gridtrack.common.options import option_fields, option_words
@@ -105,6 +106,14 @@ def test_debug_shows_the_traceback_of_an_error_and_keeps_its_exit_code():
     command = [sys.executable, "-m", "gridtrack.cli", "--debug", "recording", "info", "nowhere.bag"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr.count("Traceback")) == (2, 1)
+
+
+@pytest.mark.parametrize("number", ENDS)
+def test_a_signal_that_ends_a_job_or_a_session_has_the_effect_of_ctrl_c(number, monkeypatch):
+    found = []
+    monkeypatch.setattr("gridtrack.cli.app", lambda *_, **how: found.append(signal.getsignal(number)))
+    gridtrack("--version")
+    assert found == [signal.default_int_handler]
 
 
 def test_a_broken_library_has_another_exit_code_than_a_worse_tracker(tmp_path):
@@ -236,6 +245,7 @@ def test_every_registered_tracker_is_listed_with_its_sites_or_as_untrained(tmp_p
     assert (listed["elsewhere"], listed["broken"]) == (("untrained", ""), ("unavailable", ""))
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_show_lists_the_options_and_their_defaults():
     shown = json.loads(gridtrack("trackers", "show", "static-map", "--json").stdout)
     assert shown["learns"] is True
@@ -304,6 +314,7 @@ def test_a_tracker_is_trained_compared_and_reported(tmp_path):
     assert str(run) in gridtrack("report", run).stdout
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_a_training_without_a_writable_place_for_weights_does_not_start(tmp_path):
     (tmp_path / "file").write_text("not a folder")
     done = gridtrack("train", "kalman", DEMO, "--out", tmp_path / "file", code=2)

@@ -114,7 +114,7 @@ def test_the_built_wheel_compares_its_own_demo_recording_without_the_repository(
     where, demo = python("-c", code, **elsewhere).splitlines()
     assert where.startswith(str(site))
     given = ("--tracker", "static-map", "--every", "0.1s", "--horizon", "0.5s", "--out", "run", "--json")
-    arguments = ["compare", "--no-floors", f"{demo}@114s-118s", *given]
+    arguments = ["compare", "--no-floors", f"{demo}@114s-118s", "--validation", f"{demo}@75s-78s", *given]
     summary = json.loads(python("-m", "gridtrack.cli", *arguments, **elsewhere))
     (trial,) = summary["trackers"]["static-map"]["recordings"].values()
     assert trial["outcome"] == "ok"

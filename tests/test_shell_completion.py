@@ -44,6 +44,7 @@ def completed_in_bash(monkeypatch: pytest.MonkeyPatch) -> Complete:
     return completed
 
 
+@pytest.mark.usefixtures("trackers_here")
 @pytest.mark.parametrize(
     ("typed", "completed"),
     [

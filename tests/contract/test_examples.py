@@ -32,6 +32,8 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 DEMO = packaged_recording("leg_tracker")
 QUICK = ("--horizon", "0.5s", "--every", "0.5s", "--validation", f"{DEMO}@75s-78s", "--json")
 STREAM = StreamSpec(GridSpec(40, 0.2), 0.125)
+OFFLINE = {"PIP_NO_INDEX": "1", "PIP_NO_BUILD_ISOLATION": "0"}  # 0: pip reads the variable inverted
+"""For pip: without a package index, and built by the setuptools that is here."""
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +93,7 @@ def test_a_new_package_works_in_a_fresh_environment_by_the_lines_of_its_ci_file(
 
 def run_line(line: str, python: Path, folder: Path, *, gridtrack: str) -> subprocess.CompletedProcess[str]:
     """Run a line of a workflow in `folder`, by the shell of its service, with `python` and this value of GRIDTRACK."""
-    environment = os.environ | {"PATH": f"{python.parent}:{os.environ['PATH']}", "GRIDTRACK": gridtrack}
+    environment = os.environ | OFFLINE | {"PATH": f"{python.parent}:{os.environ['PATH']}", "GRIDTRACK": gridtrack}
     command = ["bash", "-c", line]
     return subprocess.run(command, check=False, cwd=folder, env=environment, capture_output=True, text=True)
 
@@ -137,9 +139,9 @@ def fresh_environment(folder: Path) -> Path:
 
 def run_python(python: Path, *arguments: str, cwd: Path) -> str:
     """The output of `python`, without a package index; a failure shows it."""
-    offline = {"PIP_NO_INDEX": "1", "PIP_NO_BUILD_ISOLATION": "0"}  # 0: pip reads the variable inverted
+    environment = os.environ | OFFLINE
     done = subprocess.run(
-        [str(python), *arguments], cwd=cwd, env={**os.environ, **offline}, capture_output=True, text=True, check=False
+        [str(python), *arguments], cwd=cwd, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

@@ -59,10 +59,10 @@ SMALLER = (
     ("train=0s-75s --stretch validation=75s-90s --stretch test=90s-", "train=0s-20s"),
     ("data/junction/validation.tracks@0s-90s", "data/junction/validation.tracks"),
     ("data/junction/validation.tracks@0s-60s", "data/junction/validation.tracks"),
-    ("compare my.bag ", "compare my.bag@0s-12s "),
+    ("compare my.bag ", "compare my.bag@0s-9s "),
     ("my.bag@60s- --validation my.bag@0s-60s", "my.bag@20s- --validation my.bag@0s-8s"),
-    ("RECORDING...", "my.bag@0s-12s"),
-    ("RECORDING", "my.bag@0s-12s"),
+    ("RECORDING...", "my.bag@0s-9s"),
+    ("RECORDING", "my.bag@0s-9s"),
     ("train kalman my.mcap", "train static-map my.mcap"),
     ("train kalman places", "train static-map places"),
     ("site=kalman:card=site --tracker general=kalman:", "site=static-map:card=site --tracker general=static-map:"),
@@ -99,7 +99,7 @@ SMALLER = (
     ("compare drive.bag --ego-motion", "compare no-poses.bag --ego-motion"),
     ("drive.bag --out drive.mcap --ego-motion", "no-poses.bag --out drive.mcap --ego-motion"),
     ("hall.bag --out hall.mcap --topic", "clouds.bag --out hall.mcap --topic"),
-    ("gridtrack compare ", "gridtrack compare --no-floors --horizon 1s --every 0.5s "),
+    ("gridtrack compare ", "gridtrack compare --no-floors --horizon 1s --every 1s "),
 )  # fmt: skip
 """Texts of the pages and their replacements: the same commands on seconds, each on a file of its own."""
 

@@ -1,7 +1,5 @@
 """Choices in the figures of a run: the time ahead lasts over recordings of unlike rates, and so does the score."""
 
-from contextlib import contextmanager
-
 import pytest
 
 from gridtrack.evaluation.runs.summarise import summarise
@@ -9,7 +7,7 @@ from gridtrack.reports.page import render_report
 
 from scenes import synthetic_run as synthetic
 from scenes.edited_run import with_again
-from scenes.report_page import open_details
+from scenes.report_page import opened
 
 PERIODS_S = {"fast": (0.05, 50), "slow": (0.2, 12), "uneven": (0.105263, 24)}
 """The period of each recording, and its steps: 1 s is step 20, step 5, and between 9 and 10: the even one."""
@@ -43,13 +41,8 @@ def report(tmp_path_factory):
 
 @pytest.fixture
 def page(browser, report):
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.set_default_timeout(20_000)
-    page.goto(report.as_uri())
-    page.locator("#every-score table").wait_for()
-    open_details(page)
-    yield page
-    page.close()
+    with opened(browser, report, viewport={"width": 1280, "height": 900}) as page:
+        yield page
 
 
 def ahead_of(page, figure):
@@ -105,24 +98,10 @@ def test_only_scores_with_a_direction_are_ranked(page):
     assert without <= set(page.locator("#curves").get_by_label("Score").locator("option").all_inner_texts())
 
 
-@contextmanager
-def without_faults(browser, run):
-    """The page of a run, drawn; no script of it has raised in the end."""
-    page = browser.new_page()
-    page.set_default_timeout(20_000)
-    faults = []
-    page.on("pageerror", lambda error: faults.append(str(error)))
-    page.goto(render_report([run]).as_uri())
-    page.locator("#every-score table").wait_for()
-    yield page
-    assert faults == []
-    page.close()
-
-
 def test_a_choice_that_another_recording_does_not_have_leaves_the_figure_whole(browser, run_folder, tmp_path):
     """Hidden cells are scored on one recording only."""
     run = with_again(run_folder, tmp_path / "run", lambda _, again: again.update(occluded=again["visible"]))
-    with without_faults(browser, run) as page:
+    with opened(browser, render_report([run])) as page:
         for figure in ("ranking", "curves", "every-score"):
             recording, cells = (page.locator(f'#{figure} .choice:has(span:text-is("{name}")) select') for name in NAMES)
             recording.select_option("again")
@@ -146,7 +125,7 @@ def test_cells_without_a_score_that_ranks_are_not_offered_and_leave_no_other_ran
         strata["visible over 10 m"] = again["visible"]
 
     run = with_again(run_folder, tmp_path / "run", empty)
-    with without_faults(browser, run) as page:
+    with opened(browser, render_report([run])) as page:
         offered = page.locator("#ranking").get_by_label("Cells").locator("option").all_inner_texts()
         assert "visible cells" in offered
         assert "visible over 10 m cells" not in offered

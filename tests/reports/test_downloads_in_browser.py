@@ -1,15 +1,13 @@
 """The numbers of a figure as a file, with the words of its axis."""
 
 import csv
-import json
-import shutil
 
 import pytest
 
 from gridtrack.reports.page import render_report
 
-from scenes.edited_run import put
-from scenes.report_page import opened
+from scenes.edited_run import edited, put, trial_of
+from scenes.report_page import downloaded, opened
 
 STEPS = 20
 AGES = ["to 0.5 s", "0.5-1 s", "over 4 s"]
@@ -30,15 +28,14 @@ def deadline(*rates):
 @pytest.fixture(scope="module")
 def report(run_folder, tmp_path_factory):
     """A report with hidden cells by the time since they were seen, and with scores at higher rates of frames."""
-    run = shutil.copytree(run_folder, tmp_path_factory.mktemp("downloads") / "run")
-    summary = json.loads((run / "summary.json").read_text())
-    for entry in summary["trackers"].values():
-        (trial,) = entry["recordings"].values()
-        for at, age in enumerate(AGES):
-            put(trial, f"occluded {age}", "f1.f1", 0.5 - 0.1 * at)
-    summary["trackers"]["good"]["recordings"]["crossing"]["deadline"] = deadline(1.0, 4.0)
-    (run / "summary.json").write_text(json.dumps(summary))
-    return render_report([run])
+
+    def add(summary):
+        for label in summary["trackers"]:
+            for at, age in enumerate(AGES):
+                put(trial_of(summary, label), f"occluded {age}", "f1.f1", 0.5 - 0.1 * at)
+        trial_of(summary, "good")["deadline"] = deadline(1.0, 4.0)
+
+    return render_report([edited(run_folder, tmp_path_factory.mktemp("downloads") / "run", add)])
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +47,7 @@ def page(browser, report):
 
 def numbers_of(page, figure):
     """The rows of the CSV file of a figure."""
-    with page.expect_download() as saved:
-        page.locator(f"#{figure}").get_by_role("button", name="CSV").click()
-    return list(csv.reader(saved.value.path().read_text().splitlines()))
+    return list(csv.reader(downloaded(page, f"#{figure}").splitlines()))
 
 
 def test_hidden_cells_have_the_time_in_words(page):

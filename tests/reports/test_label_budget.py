@@ -10,7 +10,7 @@ from gridtrack.reports.page import render_page, render_report
 from gridtrack.reports.run import read_runs
 
 from scenes.edited_run import describe, put, trial_of
-from scenes.report_page import data_of, open_details
+from scenes.report_page import data_of, downloaded, opened
 
 METHOD = "shot"
 
@@ -61,48 +61,30 @@ def test_weights_with_an_unknown_number_of_scans_have_no_row(budget_run):
     assert budgets_of(budget_run({"good": None, "fair": 800}, {"good": 0.5, "fair": 0.25}))["good"] is None
 
 
-@pytest.fixture
-def page_of(browser):
-    """Opens the report of a run; it had no error."""
-    faults = []
-    page = browser.new_page()
-    page.set_default_timeout(60_000)
-    page.on("console", lambda message: message.type == "error" and faults.append(message.text))
-    page.on("pageerror", lambda error: faults.append(str(error)))
-
-    def page_of(run):
-        page.goto(render_report([run]).as_uri())
-        page.locator("#every-score table").wait_for()
-        open_details(page)
-        return page
-
-    yield page_of
-    page.close()
-    assert faults == []
-
-
-def test_a_browser_draws_a_line_with_its_band_without_a_row_that_is_off(page_of, budget_run, tmp_path):
+def test_a_browser_draws_a_line_with_its_band_without_a_row_that_is_off(browser, budget_run):
     losses = {"good": 0.25, "fair": 0.5, "unlucky": 0.75, "blank": 0.625}
-    page = page_of(budget_run({"good": 800, "fair": 200, "unlucky": 50, "blank": 50}, losses))
-    figure = page.locator("#label-budget")
-    assert figure.locator("polyline").count() == 1
-    dots = figure.locator("circle.dot").evaluate_all("dots => dots.map((dot) => getComputedStyle(dot).fill)")
-    assert len(set(dots)) == 3, "each in the colour of its row"
-    assert figure.locator(".line polyline").get_attribute("points").count(",") == 3, "rows with 50 scans are one point"
-    assert figure.locator(".tick").all_text_contents()[-3:] == ["50", "200", "800"]
-    figure.locator(".chart").focus()
-    page.keyboard.press("ArrowRight")
-    assert "50 labelled scans" in figure.locator(".readout").text_content()
-    assert "0.688 (mean of 2 rows)" in figure.locator(".readout").text_content()
-    with page.expect_download() as saved:
-        figure.get_by_role("button", name="CSV").click()
-    rows = list(csv.DictReader(saved.value.path().read_text().splitlines()))
-    (good,) = [row for row in rows if row["tracker"] == "good"]
-    assert (good["labelled scans"], good["class_log_loss"], good["low"]) == ("800", "0.25", "0.125")
-    page.get_by_role("button", name="fair", exact=True).click()
-    assert figure.locator(".tick").all_text_contents()[-2:] == ["50", "800"]
+    run = budget_run({"good": 800, "fair": 200, "unlucky": 50, "blank": 50}, losses)
+    with opened(browser, render_report([run])) as page:
+        figure = page.locator("#label-budget")
+        assert figure.locator("polyline").count() == 1
+        dots = figure.locator("circle.dot").evaluate_all("dots => dots.map((dot) => getComputedStyle(dot).fill)")
+        assert len(set(dots)) == 3, "each in the colour of its row"
+        assert figure.locator(".line polyline").get_attribute("points").count(",") == 3, (
+            "rows with 50 scans are one point"
+        )
+        assert figure.locator(".tick").all_text_contents()[-3:] == ["50", "200", "800"]
+        figure.locator(".chart").focus()
+        page.keyboard.press("ArrowRight")
+        assert "50 labelled scans" in figure.locator(".readout").text_content()
+        assert "0.688 (mean of 2 rows)" in figure.locator(".readout").text_content()
+        rows = list(csv.DictReader(downloaded(page, "#label-budget").splitlines()))
+        (good,) = [row for row in rows if row["tracker"] == "good"]
+        assert (good["labelled scans"], good["class_log_loss"], good["low"]) == ("800", "0.25", "0.125")
+        page.get_by_role("button", name="fair", exact=True).click()
+        assert figure.locator(".tick").all_text_contents()[-2:] == ["50", "800"]
 
 
-def test_rows_that_learned_from_equally_many_scans_make_no_figure(page_of, budget_run):
-    page = page_of(budget_run({"good": 800, "fair": 800}, {"good": 0.25, "fair": 0.5}))
-    assert page.locator("#label-budget").count() == 0
+def test_rows_that_learned_from_equally_many_scans_make_no_figure(browser, budget_run):
+    run = budget_run({"good": 800, "fair": 800}, {"good": 0.25, "fair": 0.5})
+    with opened(browser, render_report([run])) as page:
+        assert page.locator("#label-budget").count() == 0

@@ -10,7 +10,7 @@ import pytest
 
 from gridtrack.reports.page import render_report
 
-from scenes.report_page import opened
+from scenes.report_page import downloaded, opened
 from scenes.synthetic_run import write_confusion
 
 LONG = "new-dilated-convgru (general)"
@@ -125,7 +125,5 @@ def test_a_confusion_matrix_names_its_classes(open_wide, width):
 
 def test_the_file_of_a_confusion_matrix_names_them_too(open_wide):
     page = open_wide(1280)
-    with page.expect_download() as saved:
-        page.locator("#confusion").get_by_role("button", name="SVG").click()
-    file = saved.value.path().read_text()
+    file = downloaded(page, "#confusion", "SVG")
     assert all(file.count(f">{name}</text>") == 2 for name in ("pedestrian", "cyclist", "static"))

@@ -5,6 +5,7 @@ import pytest
 from gridtrack.reports.page import render_report
 
 from scenes.edited_run import with_again
+from scenes.report_page import downloaded
 
 
 @pytest.fixture(scope="module")
@@ -59,9 +60,7 @@ def test_the_list_is_filtered_by_recording_and_by_motion_and_saved(listed):
     moments.locator("select").last.select_option("with 5 cells in motion or more")
     assert column(moments, 1) == [], "the block has four cells"
     moments.locator("select").last.select_option("all")
-    with page.expect_download() as saved:
-        moments.get_by_role("button", name="CSV").click()
-    lines = saved.value.path().read_text().splitlines()
+    lines = downloaded(page, ".all-moments").splitlines()
     assert (len(lines), lines[0].split(",")[0]) == (21, '"recording"')
 
 

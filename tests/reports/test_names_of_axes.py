@@ -1,8 +1,6 @@
 """A chart names its axes and says where no tracker is shown; its file has title, choices, legend and names of axes."""
 
-import json
 import re
-import shutil
 from contextlib import contextmanager
 from xml.etree import ElementTree
 
@@ -10,7 +8,8 @@ import pytest
 
 from gridtrack.reports.page import render_report
 
-from scenes.report_page import HOSTILE
+from scenes.edited_run import edited, put, trial_of
+from scenes.report_page import HOSTILE, downloaded
 from scenes.report_page import opened as page_opened
 
 AXES = {
@@ -53,12 +52,12 @@ def test_with_every_tracker_off_a_chart_says_so_without_an_error(opened):
 @contextmanager
 def with_curves(browser, run_folder, tmp_path, values):
     """The page of a run in which PR-AUC on cells in motion has these `values` in every row."""
-    run = shutil.copytree(run_folder, tmp_path / "run")
-    summary = json.loads((run / "summary.json").read_text())
-    for tracker in summary["trackers"].values():
-        tracker["recordings"]["crossing"]["strata"]["in-motion"]["pr_auc"]["area"]["value"][:] = values
-    (run / "summary.json").write_text(json.dumps(summary))
-    with page_opened(browser, render_report([run])) as page:
+
+    def change(summary):
+        for label in summary["trackers"]:
+            put(trial_of(summary, label), "in-motion", "pr_auc.area", values)
+
+    with page_opened(browser, render_report([edited(run_folder, tmp_path / "run", change)])) as page:
         yield page
 
 
@@ -78,26 +77,18 @@ def test_the_input_frame_does_not_scale_the_axis_of_the_horizon(browser, run_fol
 
 
 def test_an_axis_without_zero_names_its_first_value(browser, twenty_report):
-    page = browser.new_page()
-    page.goto(twenty_report.as_uri())
-    name = page.locator("#ranking text.axis-name").text_content()
+    with page_opened(browser, twenty_report) as page:
+        name = page.locator("#ranking text.axis-name").text_content()
     assert re.fullmatch(r"F1; the axis begins at 0\.\d+", name)
-    page.close()
 
 
 def texts_of(svg):
     return [" ".join(one.itertext()) for one in ElementTree.fromstring(svg).iter("{http://www.w3.org/2000/svg}text")]
 
 
-def saved_svg(page, figure):
-    with page.expect_download() as saved:
-        page.locator(f"#{figure}").get_by_role("button", name="SVG").click()
-    return saved.value.path().read_text("utf-8")
-
-
 def test_the_file_of_a_chart_stands_alone(opened):
     page, _ = opened()
-    svg = saved_svg(page, "threshold")
+    svg = downloaded(page, "#threshold", "SVG")
     texts = texts_of(svg)
     assert texts[0] == "Threshold"
     assert any("Recording: crossing; Cells: in-motion cells; Ahead: 1 s" in one for one in texts)
@@ -113,20 +104,19 @@ def test_the_file_of_a_chart_stands_alone(opened):
 
 def test_the_file_of_a_ranking_has_its_title_and_the_names_of_its_rows(opened):
     page, _ = opened()
-    texts = texts_of(saved_svg(page, "ranking"))
+    texts = texts_of(downloaded(page, "#ranking", "SVG"))
     assert texts[0] == "Ranking"
     assert {"PR-AUC", "good", "persistence"} <= set(texts)
 
 
 def test_the_figure_of_degraded_input_names_the_only_kind(browser, run_folder, tmp_path):
-    run = shutil.copytree(run_folder, tmp_path / "run")
-    summary = json.loads((run / "summary.json").read_text())
-    trial = summary["trackers"]["good"]["recordings"]["crossing"]
-    f1 = {"in-motion": trial["strata"]["in-motion"]["f1"]["f1"]["value"]}
-    points = [{"strength": at, "value": 0.2 * at, "delivered": "", "scores": {"f1": f1}} for at in (0.0, 1.0)]
-    trial["robustness"] = {"degradation": {"beam_dropout": 0.2}, "kinds": {"beam_dropout": points}}
-    (run / "summary.json").write_text(json.dumps(summary))
-    with page_opened(browser, render_report([run])) as page:
+    def degrade(summary):
+        trial = trial_of(summary, "good")
+        f1 = {"in-motion": trial["strata"]["in-motion"]["f1"]["f1"]["value"]}
+        points = [{"strength": at, "value": 0.2 * at, "delivered": "", "scores": {"f1": f1}} for at in (0.0, 1.0)]
+        trial["robustness"] = {"degradation": {"beam_dropout": 0.2}, "kinds": {"beam_dropout": points}}
+
+    with page_opened(browser, render_report([edited(run_folder, tmp_path / "run", degrade)])) as page:
         figure = page.locator("#conditions")
         assert figure.locator("text.axis-name").all_text_contents() == ["beams without a return", "F1"]
         assert "beams without a return: input degraded" in figure.locator(".note").inner_text()
@@ -134,13 +124,12 @@ def test_the_figure_of_degraded_input_names_the_only_kind(browser, run_folder, t
 
 @pytest.mark.parametrize(("high", "words"), [(0.57, "it is wide, of good 0.03 to 0.57 at 0.5 s ahead"), (0.1, "")])
 def test_an_interval_over_most_of_a_figure_is_said_below_it(browser, run_folder, tmp_path, high, words):
-    run = shutil.copytree(run_folder, tmp_path / "run")
-    summary = json.loads((run / "summary.json").read_text())
-    area = summary["trackers"]["good"]["recordings"]["crossing"]["strata"]["in-motion"]["pr_auc"]["area"]
-    area["low"], area["high"] = ([0.03] * len(area["value"]) for _ in range(2))
-    area["high"][4] = high
-    (run / "summary.json").write_text(json.dumps(summary))
-    with page_opened(browser, render_report([run])) as page:
+    def widen(summary):
+        area = trial_of(summary, "good")["strata"]["in-motion"]["pr_auc"]["area"]
+        area["low"], area["high"] = ([0.03] * len(area["value"]) for _ in range(2))
+        area["high"][4] = high
+
+    with page_opened(browser, render_report([edited(run_folder, tmp_path / "run", widen)])) as page:
         note = page.locator("#curves .note").inner_text()
     assert words in note
     assert ("it is wide" in note) == bool(words)

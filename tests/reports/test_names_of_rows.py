@@ -2,11 +2,9 @@
 
 It says so beside a tracker with weights of the site; floors do not."""
 
-import json
-import shutil
-
 from gridtrack.reports.page import render_report
 
+from scenes.edited_run import edited, trial_of
 from scenes.report_page import opened
 
 SAID = """() => {
@@ -18,12 +16,11 @@ SAID = """() => {
 
 
 def test_a_row_with_general_weights_has_one_name(browser, run_folder, tmp_path):
-    run = shutil.copytree(run_folder, tmp_path / "run")
-    summary = json.loads((run / "summary.json").read_text())
-    for label, card in {"good": "general", "fair": "general", "unlucky": "site", "persistence": "general"}.items():
-        summary["trackers"][label]["recordings"]["crossing"]["card"] = card
-    (run / "summary.json").write_text(json.dumps(summary))
-    with opened(browser, render_report([run])) as page:
+    def generalise(summary):
+        for label, card in {"good": "general", "fair": "general", "unlucky": "site", "persistence": "general"}.items():
+            trial_of(summary, label)["card"] = card
+
+    with opened(browser, render_report([edited(run_folder, tmp_path / "run", generalise)])) as page:
         page.locator(".player[data-ready]").wait_for()
         page.get_by_label("wipe between the first two").check()
         page.get_by_role("button", name="most different of the first two").click()

@@ -15,7 +15,7 @@ from gridtrack.reports.page import render_page, render_report
 from gridtrack.reports.priors import NEVER_SEEN, PRIOR_LEVELS
 from gridtrack.reports.run import read_runs
 
-from scenes.report_page import data_of, open_details
+from scenes.report_page import data_of, opened
 
 SIZE = 32
 FRAMES = 8
@@ -89,14 +89,13 @@ def test_a_file_that_is_no_parquet_has_a_notice(run):
     assert "cannot be read as a prior" in render_page(read_runs([run]))
 
 
-def test_a_browser_draws_the_maps_with_row_0_at_the_bottom(browser, run):
-    page = browser.new_page()
-    page.set_default_timeout(120_000)
-    faults = []
-    page.on("console", lambda message: message.type == "error" and faults.append(message.text))
-    page.on("pageerror", lambda error: faults.append(str(error)))
-    page.goto(render_report([run]).as_uri())
-    open_details(page)
+@pytest.fixture
+def page(browser, run):
+    with opened(browser, render_report([run])) as page:
+        yield page
+
+
+def test_a_browser_draws_the_maps_with_row_0_at_the_bottom(page):
     page.locator("#priors .line image").nth(2).wait_for()
     names = page.locator("#priors g.line text").all_text_contents()
     assert names == ["recorded: share of frames", "good", "fair"]
@@ -119,8 +118,6 @@ def test_a_browser_draws_the_maps_with_row_0_at_the_bottom(browser, run):
         }))"""
     )
     assert darkest == [[SIZE - 1 - 3, 5], [SIZE - 1 - 20, 9]]
-    assert faults == []
     page.locator('#priors button[aria-label*="CSV"]').wait_for()
     page.get_by_role("button", name="good").first.click()
     assert page.locator("#priors .line image").count() == 2
-    page.close()

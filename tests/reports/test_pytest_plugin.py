@@ -85,6 +85,7 @@ def test_a_path_of_an_option_is_relative_to_the_test_and_a_url_stays_as_it_is(tm
     assert fixture.located("s3://bucket/demo.mcap@0s-9s") == "s3://bucket/demo.mcap@0s-9s"
 
 
+@pytest.mark.usefixtures("trackers_here")
 def test_two_tests_that_write_one_baseline_are_refused(tmp_path):
     code = """
 def test_one(tracker_regression):

@@ -10,7 +10,7 @@ import pytest
 from gridtrack.reports.page import render_report
 
 from scenes.edited_run import edited, value_of, with_again
-from scenes.report_page import HOSTILE, opened
+from scenes.report_page import HOSTILE, downloaded, opened
 
 ONE_S = 2
 """The step of one second in the run of twenty recordings."""
@@ -116,10 +116,8 @@ def test_a_hidden_tracker_leaves_table_and_distribution_and_their_file(page):
     assert "good" not in heads
     assert "persistence" in heads
     assert page.locator("#recordings g.line title").all_text_contents().count("good") == 0
-    with page.expect_download() as saved:
-        page.locator("#recordings").get_by_role("button", name="CSV").click()
+    rows = list(csv.DictReader(downloaded(page, "#recordings").splitlines()))
     button.click()
-    rows = list(csv.DictReader(saved.value.path().read_text().splitlines()))
     assert len(rows) == 4 * 20
     assert {(row["tracker"], row["group"]) for row in rows} >= {("persistence", "floor"), ("unlucky", "unranked")}
     assert (rows[0]["recording"], rows[0]["stratum"], rows[0]["score"]) == ("seed-00", "in-motion", "f1")
@@ -183,9 +181,8 @@ def test_a_score_stands_over_the_time_with_every_name_beside_the_plot(opened):
     assert "shaded: longer than a frame, 125 ms" in figure.locator(".note").inner_text()
     names = figure.locator("g.line > title").all_text_contents()
     assert {"good", HOSTILE, "persistence"} <= set(names)
-    with page.expect_download() as saved:
-        figure.get_by_role("button", name="CSV").click()
-    (good,) = [row for row in csv.DictReader(saved.value.path().read_text().splitlines()) if row["tracker"] == "good"]
+    rows = csv.DictReader(downloaded(page, "#score-and-time").splitlines())
+    (good,) = [row for row in rows if row["tracker"] == "good"]
     assert good["p99, ms"] == "44", "4 ms of an update and 40 ms of a forecast"
     period = float(figure.locator("line.period").get_attribute("x1"))
     assert all(float(dot.get_attribute("cx")) < period for dot in figure.locator("circle.dot").all())

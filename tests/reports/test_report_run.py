@@ -1,6 +1,5 @@
 """A run's folder is read as it was written; a folder without a readable run is an error of one line."""
 
-import json
 import shutil
 
 import pytest
@@ -10,15 +9,17 @@ from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.runs.summary import MAX_SUMMARY_BYTES
 from gridtrack.reports.run import ReportError, read_runs
 
+from scenes.edited_run import edit, trial_of
+
 
 @pytest.fixture
 def copied(run_folder, tmp_path):
     return shutil.copytree(run_folder, tmp_path / "copied")
 
 
-def change(run, **changes):
-    path = run / "summary.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+def curve_of_fair(summary):
+    """F1 of `fair` on cells in motion at every step."""
+    return trial_of(summary, "fair")["strata"]["in-motion"]["f1"]["f1"]["value"]
 
 
 def refusal(run):
@@ -37,7 +38,7 @@ def test_an_unfinished_run_and_a_missing_folder_have_different_errors(copied, tm
 
 
 def test_another_schema_is_refused_by_name(copied):
-    change(copied, schema=7)
+    edit(copied, lambda summary: summary.update(schema=7))
     assert "schema 7; this gridtrack reads schema 3" in refusal(copied)
 
 
@@ -54,26 +55,25 @@ def test_a_file_too_large_is_refused_before_it_is_read(copied):
 
 
 def test_curves_that_do_not_reach_every_horizon_are_refused(copied):
-    summary = json.loads((copied / "summary.json").read_text())
-    summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["in-motion"]["f1"]["f1"]["value"].pop()
-    change(copied, **summary)
+    edit(copied, lambda summary: curve_of_fair(summary).pop())
     assert "fair on crossing, in-motion" in refusal(copied)
 
 
 @pytest.mark.parametrize("last", [float("inf"), float("nan"), 1e12])
 def test_horizons_beyond_the_limit_are_refused(copied, last):
-    summary = json.loads((copied / "summary.json").read_text())
-    summary["recordings"]["crossing"]["horizons_s"][-1] = last
-    change(copied, **summary)
+    def lengthen(summary):
+        summary["recordings"]["crossing"]["horizons_s"][-1] = last
+
+    edit(copied, lengthen)
     assert "recordings.crossing.horizons_s" in refusal(copied)
 
 
 def test_unknown_keys_are_left_alone_and_nan_is_undefined(copied):
-    summary = json.loads((copied / "summary.json").read_text())
-    summary["later"] = {"anything": 1}
-    summary["trackers"]["fair"]["recordings"]["crossing"]["strata"]["in-motion"]["f1"]["f1"]["value"][3] = float("nan")
-    change(copied, **summary)
-    (run,) = read_runs([copied])
+    def change(summary):
+        summary["later"] = {"anything": 1}
+        curve_of_fair(summary)[3] = float("nan")
+
+    (run,) = read_runs([edit(copied, change)])
     assert run.summary.trackers["fair"].recordings["crossing"].at("in-motion", "f1", "f1", 3).value is None
 
 

@@ -17,14 +17,27 @@ def open_details(page):
 
 @contextmanager
 def opened(browser, report, **options):
-    """The page of a report in the browser, drawn, with all figures; `options` of the page, such as its viewport."""
-    page = browser.new_page(**options)
+    """The page of a report in the browser, drawn, with all figures, and without an error in the end.
+
+    `options` of the page, such as its viewport.
+    """
+    page, faults = browser.new_page(**options), []
     page.set_default_timeout(60_000)
+    page.on("console", lambda message: message.type == "error" and faults.append(message.text))
+    page.on("pageerror", lambda error: faults.append(str(error)))
     page.goto(report.as_uri())
     page.locator("#every-score table").wait_for()
     open_details(page)
     yield page
     page.close()
+    assert faults == []
+
+
+def downloaded(page, figure, kind="CSV"):
+    """The text of the file that a button of a figure, or of another part of the page, saves."""
+    with page.expect_download() as saved:
+        page.locator(figure).get_by_role("button", name=kind).click()
+    return saved.value.path().read_text("utf-8")
 
 
 def data_of(page):

@@ -192,29 +192,24 @@ def test_an_unknown_name_gets_a_suggestion() -> None:
         registry.load("persistance")
 
 
-def test_listing_imports_no_tracker(install: Install) -> None:
+LISTING = "from gridtrack.trackers import registry; assert 'mine' in registry.entries()"
+SETTINGS = "import gridtrack.trackers.recurrent.settings"
+PROCESS = "import gridtrack.trackers.serve, gridtrack.trackers.baselines"
+
+
+@pytest.mark.parametrize(
+    ("code", "others"),
+    [
+        (LISTING, {"torch", "gtsam", "numba", "explodes", "gridtrack.trackers.baselines"}),
+        (SETTINGS, {"torch", "lightning", "numba"}),
+        (PROCESS, {"torch", "gtsam", "numba", "polars", "typer", "rich", "plotly", "mcap"}),
+    ],
+    ids=["a list of trackers", "settings of networks", "the process of a tracker"],
+)
+def test_only_the_libraries_that_are_needed_are_imported(install: Install, code: str, others: set[str]) -> None:
     install("my-trackers", {"mine": "explodes:X"}, {"explodes.py": "raise SystemExit(9)"})
-    code = (
-        "import sys; from gridtrack.trackers import registry; assert 'mine' in registry.entries();"
-        "print(sorted({'torch', 'gtsam', 'numba', 'explodes', 'gridtrack.trackers.baselines'} & set(sys.modules)))"
-    )
-    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
-
-
-def test_the_settings_of_the_recurrent_trackers_need_neither_torch_nor_numba() -> None:
-    code = (
-        "import sys, gridtrack.trackers.recurrent.settings;"
-        "print(sorted({'torch', 'lightning', 'numba'} & set(sys.modules)))"
-    )
-    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
-
-
-def test_a_tracker_s_process_imports_only_its_own_libraries() -> None:
-    code = (
-        "import sys, gridtrack.trackers.serve, gridtrack.trackers.baselines;"
-        "print(sorted({'torch', 'gtsam', 'numba', 'polars', 'typer', 'rich', 'plotly', 'mcap'} & set(sys.modules)))"
-    )
-    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
+    program = f"{code}; import sys; print(sorted({others!r} & set(sys.modules)))"
+    assert subprocess.check_output([sys.executable, "-c", program], text=True) == "[]\n"
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ def test_a_cluster_that_is_started_here_listens_on_loopback_and_asks_for_a_token
 
 def test_a_sigterm_ends_the_tasks_and_keeps_their_scores(cluster, settings, tmp_path):
     words = ["compare", *settings().recordings, "--engine", "ray", "--address", cluster.address, "--horizon", "1s"]
-    words += ["--every", "0.5s", "--tracker", "persistence", "--tracker", "staged:crash_at=60,how=hangs"]
+    words += ["--every", "0.5s", "--no-floors", "--tracker", "persistence", "--tracker", "staged:crash_at=60,how=hangs"]
     words += ["--out", str(tmp_path / "run")]
     host = subprocess.Popen([sys.executable, "-m", "gridtrack.cli", *words])
     nodes = cluster.list_all_nodes()

@@ -219,8 +219,9 @@ def test_the_histograms_of_a_trial_are_read_once(tmp_path, monkeypatch):
     assert Counter(read) == {trial.folder.name: 2 for trial in trials}
 
 
-def test_a_run_with_sums_that_do_not_fit_in_memory_has_the_same_summary(twenty, monkeypatch):
-    trials, expected = twenty
+def test_a_run_with_sums_that_do_not_fit_in_memory_has_the_same_summary(tmp_path, monkeypatch):
+    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, frames=2, scores=(F1, PR_AUC))
+    expected = summary_of(trials)
     monkeypatch.setattr(estimates, "KEPT_BYTES", 1)
     monkeypatch.setattr(sums, "READ_ROWS_BYTES", 100_000)
     assert summary_of(trials) == expected

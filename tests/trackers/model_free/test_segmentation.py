@@ -73,7 +73,8 @@ def cells_cut_off(*rows: str) -> set[tuple[int, int]]:
     return set(zip(lines.tolist(), columns.tolist(), strict=True))
 
 
-def test_a_side_is_cut_off_where_a_nearer_object_hides_it_and_not_where_it_ends():
+@pytest.mark.parametrize("nearer", ["1", "w"], ids=["object", "wall"])
+def test_a_side_is_cut_off_where_something_nearer_hides_it_and_not_where_it_ends(nearer):
     assert cells_cut_off(
         "...#####.",
         "...######",
@@ -81,21 +82,7 @@ def test_a_side_is_cut_off_where_a_nearer_object_hides_it_and_not_where_it_ends(
         "...0000##",
         ".......##",
         "......##.",
-        "......1..",
-        ".........",
-        ".........",
-    ) == {(5, 6)}
-
-
-def test_a_wall_cuts_off_as_an_object_does():
-    assert cells_cut_off(
-        "...#####.",
-        "...######",
-        "...######",
-        "...0000##",
-        ".......##",
-        "......##.",
-        "......w..",
+        f"......{nearer}..",
         ".........",
         ".........",
     ) == {(5, 6)}
