@@ -39,6 +39,8 @@ class ResultSection(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     command: str
+    version: str = ""
+    """The last version with the command; empty: this one has it."""
     tables: dict[str, ResultTable] = {}
     values: dict[str, str] = {}
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from gridtrack.common.scan import Scan
 from gridtrack.evaluation.runs.learned import find_weights
-from gridtrack.recordings import ReadOptions, Recording, packaged_recording
-from gridtrack.recordings.recording import Topics
+from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import StreamSpec, Tracker, stream_of
@@ -44,16 +41,3 @@ def with_shipped_weights(kind: type[AnyTracker], name: str, source: GridStream) 
     tracker = kind(shipped_stream(name, source), kind.Options())
     tracker.reset(0)
     return tracker
-
-
-class HeldRecording(Recording):
-    """Scans in memory as a recording, so that nothing is read or decoded. Metadata and hash are from `origin`."""
-
-    def __init__(self, held: Sequence[Scan], origin: Recording) -> None:
-        super().__init__(origin.path, ReadOptions())
-        self.held, self.info = held, origin.info
-
-    def read(self, topics: Topics) -> Iterator[Scan]:
-        """The scans."""
-        topics.add("scan", "held", is_scan=True)
-        return iter(self.held)

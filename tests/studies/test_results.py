@@ -16,8 +16,6 @@ from benchmarks.scale import COLUMNS, Cost, estimate, kept_costs, write_costs
 from scenes import synthetic_run as synthetic
 from studies.cards import labelled_scans, shipped_table
 from studies.kept_summary import RunScores, kept, main
-from studies.label_curve import append_row
-from studies.label_curve import main as label_curve
 from studies.size import measured, revision, working_tree
 from studies.support.results_file import read_sections
 
@@ -76,18 +74,6 @@ def test_labelled_scans_come_from_the_tracker_or_its_class_decoder() -> None:
     assert labelled_scans({"labelled": "a.tracks, 20 scans from 1 s to 3 s"}) == "20"
     assert labelled_scans({"classes": {"labelled": "800 scans of 384 recordings"}}) == "800"
     assert labelled_scans({"classes": "none: a has no labels"}) == ""
-
-
-def test_the_label_budget_has_mean_and_range_over_its_draws(tmp_path: Path) -> None:
-    common = {"method": "one-shot", "drawing": "spread", "scans": 50, "visible 1 s": 1.0, "occluded now": 2.0}
-    for draw, loss in enumerate((0.1, 0.3)):
-        append_row(tmp_path / "budget.csv", common | {"draw": draw, "visible now": loss})
-    label_curve([str(tmp_path / "budget.csv"), "--out", str(tmp_path / "one-shot.json")])
-    found = read_sections(tmp_path / "one-shot.json")["how many labels"]
-    row = ("spread", "one-shot", "50", "2", "0.200 [0.100, 0.300]", "1.000 [1.000, 1.000]", "2.000 [2.000, 2.000]")
-    assert found.tables["table"].rows == (row,)
-    assert found.values["spread, one-shot, 50, visible now"] == "0.20"
-    assert "one-shot" in (tmp_path / "budget.svg").read_text()
 
 
 def test_samples_become_a_row_for_each_ten_minutes_and_one_for_the_scoring(tmp_path: Path) -> None:
