@@ -68,7 +68,6 @@ SMALLER: dict[str, dict[str, Any]] = {
 A_RUN = "needs the folder of a comparison"
 DRAWN = "test_comparisons.py runs it on drawn comparisons"
 LONG = {
-    "benchmarks.follow": "follows a recording in real time, with a sample every ten seconds",
     "benchmarks.harness": "goes through the whole demo recording three times",
     "benchmarks.recurrent": "trains on whole batches",
     "studies.kept_summary": "test_results.py runs it",
