@@ -20,11 +20,10 @@ from docs.test_commands import problem_of
 from scenes import drive, truth_scene
 from scenes.synthetic_run import description, write_trial
 from studies import real_results, variants
+from studies.real_results import REAL
 from studies.real_results import sections_of as sections_of_real
-from studies.support.place_command import draw_skill, skill_curves
-from studies.support.real_recordings import REAL
 from studies.support.results_file import NONE, ResultSection, ResultTable, measured_table, read_sections
-from studies.support.unseen_places import STRATA, PlaceScores, general_rows, not_measured
+from studies.support.unseen_places import STRATA, PlaceScores, draw_skill, general_rows, not_measured, skill_curves
 from studies.worlds_results import (
     DRIVES,
     ODOMETRY,

@@ -10,7 +10,7 @@ from gridtrack.recordings import open_recording
 from gridtrack.simulation.junction import JUNCTION_SET
 from gridtrack.simulation.junction.drives import DRIVE_SEEDS
 
-from studies.support.real_recordings import REAL
+from studies.real_results import REAL
 from studies.support.shipped import DEMO
 
 RECIPES = Path(__file__).parents[2] / "studies" / "recipes" / "drives"
