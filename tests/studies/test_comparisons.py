@@ -49,8 +49,6 @@ def trials_of(
     scored: int = 2,
     periods_s: Sequence[float] = PERIODS_S,
     longest_s: float = 1.0,
-    delivered: str = "",
-    start_s: int = 10,
 ) -> tuple[dict[str, RecordingDescription], list[FinishedTrial]]:
     """A comparison on recordings of these periods in turns, two forecasts on each; counts are random.
 
@@ -70,8 +68,6 @@ def trials_of(
             strata=tuple(STRATA),
             steps=steps[name],
             tracker=label.partition(" ")[0],
-            delivered=delivered,
-            start_s=start_s,
         )
         for name in names
         for label, skill in skills.items()
