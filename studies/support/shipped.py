@@ -1,9 +1,8 @@
-"""The shipped recordings, trackers with the weights that ship for a site, and scans in memory as a recording."""
+"""The shipped recordings, and trackers with the weights that ship for a site."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeVar
 
 from gridtrack.evaluation.runs.learned import find_weights
 from gridtrack.recordings import packaged_recording
@@ -17,7 +16,6 @@ JUNCTION = DATA / "junction"
 WEIGHTS = DATA / "weights"
 STEPS = 20
 """Steps of a forecast at the junction: 2.5 s."""
-AnyTracker = TypeVar("AnyTracker", bound=Tracker)
 
 
 def junction_tests() -> list[Path]:
@@ -33,11 +31,7 @@ def shipped_stream(name: str, source: GridStream) -> StreamSpec:
 
 def shipped_tracker(name: str, source: GridStream) -> Tracker:
     """Tracker `name` with its default options and its weights for the site of `source`, reset with seed 0."""
-    return with_shipped_weights(registry.load(name), name, source)
-
-
-def with_shipped_weights(kind: type[AnyTracker], name: str, source: GridStream) -> AnyTracker:
-    """A tracker of class `kind`, such as a subclass of tracker `name`, with the weights of `name`."""
+    kind = registry.load(name)
     tracker = kind(shipped_stream(name, source), kind.Options())
     tracker.reset(0)
     return tracker
