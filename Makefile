@@ -97,8 +97,7 @@ lock: $(VENV)/.installed-dev ## write constraints.lock: the versions of constrai
 docs: $(VENV)/.installed-docs ## build the documentation site in runs/site; every link and heading is checked
 	$(BIN)/python -m mkdocs build --strict
 
-figures: $(VENV)/.installed-dev ## write the numbers of the pages from docs/results, and draw the label budget
-	$(BIN)/python -m studies.label_curve
+figures: $(VENV)/.installed-dev ## write the numbers of the pages from docs/results
 	$(BIN)/python -m studies.figures
 	$(BIN)/python -m studies.defined_pages
 

@@ -1,7 +1,6 @@
 """All benchmarks that run with the packages of `make test`, one after the other (half an hour).
 
-`python -m benchmarks`. The first lines of the others, `follow`, `junction`, `scale` and `stone_soup`, name their
-requirements.
+`python -m benchmarks`. `scale`, which starts clusters, is not among them.
 """
 
 from __future__ import annotations
@@ -11,15 +10,12 @@ import sys
 
 BENCHMARKS = (
     "parts",
-    "moving_sensor",
-    "ego_motion",
     "scoring",
     "harness",
     "recurrent",
     "inference",
     "dogma",
     "model_free",
-    "estimators",
     "hour",
 )
 

@@ -36,7 +36,6 @@ from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Forecast, Tracker, stream_of
 from gridtrack.trackers.training.card import GENERAL
 
-from studies.support.place_command import worlds_called
 from studies.support.results_file import (
     ResultSection,
     ResultTable,
@@ -46,7 +45,7 @@ from studies.support.results_file import (
     write_section,
 )
 from studies.support.shipped import WEIGHTS, junction_tests
-from studies.support.unseen_places import REFERENCE
+from studies.support.unseen_places import REFERENCE, worlds_called
 
 COMMAND = "python -m studies.contact_truth"
 TRACKERS = (REFERENCE, "stationary", "advection", "static-map", "dogma", "kalman", "factor-graph", "dilated-convgru")

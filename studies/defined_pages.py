@@ -6,17 +6,16 @@ The clauses of docs/contract.md, and the table of docs/scores.md.
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from textwrap import fill
 
-from gridtrack.common.files import write_text
 from gridtrack.evaluation.hosting.contract_clauses import CLAUSES, Clause
 from gridtrack.evaluation.scores.definition import ScoreDefinition
 from gridtrack.evaluation.scores.registry import built_in
 
-from studies.support.results_file import study_parser
+from studies.support.results_file import fill_pages
 
 DOCS = Path(__file__).parents[1] / "docs"
 WIDTH = 120
@@ -62,19 +61,7 @@ def filled(page: str, text: str) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = study_parser(__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a page differs")
-    check, stale = parser.parse_args(arguments).check, []
-    for page in PAGES:
-        text = (DOCS / page).read_text("utf-8")
-        new = filled(page, text)
-        if new != text:
-            stale.append(page)
-            if not check:
-                write_text(DOCS / page, new)
-    print(f"{'differ' if check else 'written'}: {', '.join(stale) or 'none'}")
-    if check and stale:
-        sys.exit(1)
+    fill_pages(__doc__, arguments, {DOCS / page: partial(filled, page) for page in PAGES})
 
 
 if __name__ == "__main__":

@@ -19,14 +19,13 @@ constants that it names: `<!-- constants: 0.5 2.5 -->`.
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
 from studies.kept_summary import RunScores
-from studies.support.results_file import ResultSection, ResultTable, read_sections, study_parser
+from studies.support.results_file import ResultSection, ResultTable, fill_pages, read_sections
 
 NOT_MEASURED = "not measured yet"
 ROOT = Path(__file__).parents[1]
@@ -129,20 +128,7 @@ def _scores(place: str) -> RunScores:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = study_parser(__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a page differs")
-    check = parser.parse_args(arguments).check
-    stale = []
-    for page in marked_pages():
-        text = page.read_text("utf-8")
-        new = filled(text)
-        if new != text:
-            stale.append(page.relative_to(ROOT).as_posix())
-            if not check:
-                page.write_text(new, "utf-8")
-    print(f"{'differ' if check else 'written'}: {', '.join(stale) or 'none'}")
-    if check and stale:
-        sys.exit(1)
+    fill_pages(__doc__, arguments, dict.fromkeys(marked_pages(), filled))
 
 
 if __name__ == "__main__":

@@ -16,9 +16,19 @@ from pathlib import Path
 from gridtrack.recordings import open_recording
 
 from studies.support.comparison import gridtrack
-from studies.support.place_command import SKILL, compare_places, place_parser, worlds_called, write_places
 from studies.support.results_file import NONE, ResultSection, ResultTable, measured_table
-from studies.support.unseen_places import REFERENCE, STRATA, PlaceScores, not_measured, point_text
+from studies.support.unseen_places import (
+    REFERENCE,
+    SKILL,
+    STRATA,
+    PlaceScores,
+    compare_places,
+    not_measured,
+    place_parser,
+    point_text,
+    worlds_called,
+    write_places,
+)
 
 RESULTS = Path("docs/results/worlds/worlds.json")
 COMMAND = "python -m studies.worlds_results"

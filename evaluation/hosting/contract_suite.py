@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -73,34 +73,24 @@ def check_tracker(
     options: Mapping[str, Any] | None = None,
     limits: Limits | None = None,
     report: Callable[[ClauseResult], None] | None = None,
-    only: Collection[str] = (),
 ) -> list[ClauseResult]:
     """Check every clause of the contract on small synthetic streams; `report` receives each result.
 
-    `only`: the names of the clauses to check, with the clauses that they need; by default all. `stream` contains the
-    grid, the period and, for a tracker that learns, its weights. A clause that needs a broken one is not checked; if
-    weights or a library are missing, only the first clauses are. Raises ConfigurationError for options that the tracker
-    refuses.
+    `stream` contains the grid, the period and, for a tracker that learns, its weights. A clause that needs a broken one
+    is not checked; if weights or a library are missing, only the first clauses are. Raises ConfigurationError for
+    options that the tracker refuses.
     """
     results: dict[str, ClauseResult] = {}
     with (
         TemporaryDirectory() as folder,
         TrackerUnderTest(launch, stream, options or {}, limits or Limits(), folder) as subject,
     ):
-        for clause in _with_needs(only) if only else CLAUSES:
+        for clause in CLAUSES:
             unmet = [results[name] for name in clause.needs if results[name].verdict != "passed"]
             results[clause.name] = _not_checked(clause, unmet[0]) if unmet else _result(clause, subject)
             if report is not None:
                 report(results[clause.name])
     return list(results.values())
-
-
-def _with_needs(names: Collection[str]) -> list[Clause]:
-    """The clauses of these names with all that they need, in the order of CLAUSES."""
-    needed = set(names)
-    for clause in reversed(CLAUSES):
-        needed |= set(clause.needs) if clause.name in needed else set()
-    return [clause for clause in CLAUSES if clause.name in needed]
 
 
 def _not_checked(clause: Clause, unmet: ClauseResult) -> ClauseResult:

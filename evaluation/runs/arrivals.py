@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.evaluation.engines.engine import WAKE_S
@@ -119,31 +118,6 @@ def _needed_s(recording: Recording, settings: CompareSettings) -> float:
     return (WARM_UP + SPARE_FRAMES) / rate_hz + settings.horizon_s if rate_hz else float("inf")
 
 
-class Watch(Protocol):
-    """Waits for the file to grow."""
-
-    idle: bool
-
-    def more(self) -> bool:
-        """Wait until the file has grown. Returns False if it has not."""
-
-    def stop(self) -> None:
-        """Stop waiting."""
-
-
-class FramePace(Protocol):
-    """The pace at which frames are presented."""
-
-    def restart(self) -> None:
-        """A frame is presented now, without a deadline."""
-
-    def wait(self, all_free: Callable[[float], bool], *, behind: bool) -> None:
-        """Wait until it is time for the next frame, which has arrived.
-
-        If it is `behind`, it is also time when `all_free(timeout_s)`: then no tracker misses the previous frame.
-        """
-
-
 class FileWatch:
     """Waits for a file to grow: `more` of its Growth."""
 
@@ -240,7 +214,7 @@ class Arrivals:
 
 
 class RealTimePace:
-    """A FramePace: each frame a period after the one before, or when it has arrived."""
+    """The pace at which frames are presented: each a period after the one before, or when it has arrived."""
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
@@ -251,7 +225,10 @@ class RealTimePace:
         self._presented_s = time.monotonic()
 
     def wait(self, all_free: Callable[[float], bool], *, behind: bool) -> None:
-        """Wait as described in FramePace."""
+        """Wait until it is time for the next frame, which has arrived.
+
+        If it is `behind`, it is also time when `all_free(timeout_s)`: then no tracker misses the previous frame.
+        """
         while (left_s := self._presented_s + self._period_s - time.monotonic()) > 0:
             if not behind:
                 time.sleep(min(left_s, WAKE_S))

@@ -24,9 +24,7 @@ from gridtrack.evaluation.runs.arrivals import (
     Arrival,
     Arrivals,
     FileWatch,
-    FramePace,
     RealTimePace,
-    Watch,
     open_growing,
     path_to_follow,
     refuse_raw,
@@ -49,7 +47,7 @@ from gridtrack.recordings.stretches import parse_stretch
 
 @contextmanager
 def following(
-    settings: CompareSettings, watch: Watch | None = None, note: Callable[[str], None] = lambda text: None
+    settings: CompareSettings, watch: FileWatch | None = None, note: Callable[[str], None] = lambda text: None
 ) -> Iterator[Following]:
     """Wait until the recording of `settings` can be followed, and lock the folder of its run.
 
@@ -69,7 +67,7 @@ def following(
 class Following:
     """One recording, followed by all trackers at the same time: first `follow`, then `finish`."""
 
-    def __init__(self, settings: CompareSettings, path: Path, watch: Watch, folder: Path) -> None:
+    def __init__(self, settings: CompareSettings, path: Path, watch: FileWatch, folder: Path) -> None:
         """`folder`: for copies of the weights."""
         self.interrupted = False
         """Whether Ctrl-C ended the recording."""
@@ -83,7 +81,7 @@ class Following:
         self._split = self._split_of(settings)
         self._plan = with_copied_weights(resolve(settings, (self._split,)), folder)
         refuse_raw(self._plan.trials)
-        self.pace: FramePace = RealTimePace(self._split.test.period_s)
+        self.pace = RealTimePace(self._split.test.period_s)
         self._arrivals = Arrivals(self._split.test, self._growth)
         shared, regions = SharedThresholds(folder), self._validation_regions()
         self.runs = [

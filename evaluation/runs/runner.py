@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from gridtrack.common.notices import Notice, by_kind
-from gridtrack.evaluation.engines.engine import WAKE_S, Engine, JobObserver
-from gridtrack.evaluation.engines.local import LocalEngine
+from gridtrack.evaluation.engines.engine import WAKE_S, Engine, JobObserver, LocalEngine
 from gridtrack.evaluation.engines.ray_cluster import RayCluster
 from gridtrack.evaluation.engines.remote import RemoteEngine
 from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmSettings

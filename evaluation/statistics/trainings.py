@@ -52,7 +52,7 @@ class Spread:
         return error
 
 
-def spread_between(trainings: Sequence[Replicates], prior_freedom: float = PRIOR_FREEDOM) -> Spread:
+def spread_between(trainings: Sequence[Replicates]) -> Spread:
     """The spread between K >= 2 trainings of one tracker: one score in R rows, of the same units.
 
     A row in which all trainings are equal in every unit, or have nothing to score, has a deviation of 0.
@@ -62,9 +62,9 @@ def spread_between(trainings: Sequence[Replicates], prior_freedom: float = PRIOR
     moved = by_units > 0
     ratio = own[moved] / by_units[moved]
     prior = ratio.mean() if moved.any() else 0.0
-    freedom = len(trainings) - 1 + prior_freedom
+    freedom = len(trainings) - 1 + PRIOR_FREEDOM
     moderated = np.zeros_like(own)
-    moderated[moved] = by_units[moved] * (ratio + prior_freedom / freedom * (prior - ratio))
+    moderated[moved] = by_units[moved] * (ratio + PRIOR_FREEDOM / freedom * (prior - ratio))
     return Spread(np.sqrt(moderated), len(trainings), freedom)
 
 

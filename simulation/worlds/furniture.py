@@ -256,9 +256,7 @@ def parked_car(scenery: Scenery, x: float, y: float, heading: float, random: np.
     scenery.block(box(x, y, *size_m, heading))
 
 
-def house_front(
-    scenery: Scenery, start: Corner, end: Corner, random: np.random.Generator, depth_m: float = 3.0
-) -> None:
+def house_front(scenery: Scenery, start: Corner, end: Corner, random: np.random.Generator) -> None:
     """Houses to the right of a line, with set-backs, doorways, steps and shop windows."""
     length_m = math.dist(start, end)
     heading = math.atan2(end[1] - start[1], end[0] - start[0])
@@ -267,7 +265,7 @@ def house_front(
         width_m = min(float(random.uniform(4.0, 12.0)), length_m - at)
         back_m = float(random.choice([0.0, 0.0, random.uniform(0.1, 1.5)]))
         corners = [(at, -back_m), *_doorways(at, width_m, back_m, random), (at + width_m, -back_m)]
-        corners += [(at + width_m, -depth_m - back_m), (at, -depth_m - back_m)]
+        corners += [(at + width_m, -3.0 - back_m), (at, -3.0 - back_m)]
         scenery.add(placed(corners, *start, heading))
         if random.random() < 0.2 and width_m > 4.0:
             (pane,) = placed([(at + width_m / 2, -back_m + 0.04)], *start, heading)

@@ -156,11 +156,11 @@ class Planner:
         return float(self._random.uniform(-math.pi, math.pi)) if self._random.random() < 0.5 else None
 
 
-def robot_plan(planner: Planner, random: np.random.Generator, largest_speed: float = 0.9) -> Plan:
+def robot_plan(planner: Planner, random: np.random.Generator) -> Plan:
     """The plan of a robot that drives, stops, and turns on the spot."""
     look = [float(random.uniform(-math.pi, math.pi)) if random.random() < 0.5 else None for _ in range(12)]
     stops = tuple(Stop(planner.anywhere(), float(random.choice([0.0, 2.0, 5.0])), facing) for facing in look)
-    return Plan(planner.anywhere(), stops, float(random.uniform(0.3, largest_speed)), 0.28)
+    return Plan(planner.anywhere(), stops, float(random.uniform(0.3, 0.9)), 0.28)
 
 
 def _by(at: Corner, offset: Corner) -> Corner:

@@ -6,7 +6,8 @@ import argparse
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
@@ -39,6 +40,8 @@ class ResultSection(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     command: str
+    version: str = ""
+    """The last version with the command; empty: this one has it."""
     tables: dict[str, ResultTable] = {}
     values: dict[str, str] = {}
 
@@ -54,6 +57,22 @@ def study_parser(documentation: str | None, results: str = "") -> argparse.Argum
     if results:
         parser.add_argument("--out", type=Path, help=f"results file to write, such as {results}; default: none")
     return parser
+
+
+def fill_pages(
+    documentation: str | None, arguments: Sequence[str] | None, pages: Mapping[Path, Callable[[str], str]]
+) -> None:
+    """The command of a module that fills `pages`, each by a function of its text; with --check it writes none."""
+    parser = study_parser(documentation)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a page differs")
+    check = parser.parse_args(arguments).check
+    texts = {page: (page.read_text("utf-8"), filled) for page, filled in pages.items()}
+    stale = {page: new for page, (text, filled) in texts.items() if (new := filled(text)) != text}
+    for page, text in () if check else stale.items():
+        page.write_text(text, "utf-8")
+    print(f"{'differ' if check else 'written'}: {', '.join(page.name for page in stale) or 'none'}")
+    if check and stale:
+        sys.exit(1)
 
 
 def read_sections(path: Path) -> dict[str, ResultSection]:

@@ -1,15 +1,11 @@
-"""The shipped recordings, trackers with the weights that ship for a site, and scans in memory as a recording."""
+"""The shipped recordings, and trackers with the weights that ship for a site."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar
 
-from gridtrack.common.scan import Scan
 from gridtrack.evaluation.runs.learned import find_weights
-from gridtrack.recordings import ReadOptions, Recording, packaged_recording
-from gridtrack.recordings.recording import Topics
+from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import GridStream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import StreamSpec, Tracker, stream_of
@@ -20,7 +16,6 @@ JUNCTION = DATA / "junction"
 WEIGHTS = DATA / "weights"
 STEPS = 20
 """Steps of a forecast at the junction: 2.5 s."""
-AnyTracker = TypeVar("AnyTracker", bound=Tracker)
 
 
 def junction_tests() -> list[Path]:
@@ -36,24 +31,7 @@ def shipped_stream(name: str, source: GridStream) -> StreamSpec:
 
 def shipped_tracker(name: str, source: GridStream) -> Tracker:
     """Tracker `name` with its default options and its weights for the site of `source`, reset with seed 0."""
-    return with_shipped_weights(registry.load(name), name, source)
-
-
-def with_shipped_weights(kind: type[AnyTracker], name: str, source: GridStream) -> AnyTracker:
-    """A tracker of class `kind`, such as a subclass of tracker `name`, with the weights of `name`."""
+    kind = registry.load(name)
     tracker = kind(shipped_stream(name, source), kind.Options())
     tracker.reset(0)
     return tracker
-
-
-class HeldRecording(Recording):
-    """Scans in memory as a recording, so that nothing is read or decoded. Metadata and hash are from `origin`."""
-
-    def __init__(self, held: Sequence[Scan], origin: Recording) -> None:
-        super().__init__(origin.path, ReadOptions())
-        self.held, self.info = held, origin.info
-
-    def read(self, topics: Topics) -> Iterator[Scan]:
-        """The scans."""
-        topics.add("scan", "held", is_scan=True)
-        return iter(self.held)

@@ -10,12 +10,8 @@ from typing import Any
 
 import pytest
 
-from gridtrack.recordings import open_recording
-
-from docs.places import part
 from scenes.command_line import gridtrack
 from scenes.programs_here import programs_here
-from studies.support.shipped import JUNCTION
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = sorted(
@@ -36,39 +32,26 @@ def timed_here(words: Sequence[str]) -> tuple[float, resource.struct_rusage]:
 QUICK = {
     "studies.install_size": "--out TMP/install_size.json",
     "benchmarks.dogma": "--particles 1000",
-    "benchmarks.ego_motion": "data/drives/car-202.tracks --scans 60 --out TMP/cost.json",
-    "benchmarks.estimators": "--frames 5 --hours 0.001 --out TMP/estimators.json",
     "benchmarks.hour": "persistence --minutes 1 --out TMP/robustness.json",
     "benchmarks.inference": "--rounds 1 --out TMP/recurrent.json",
     "benchmarks.model_free": "--frames 10 --out TMP/model-free.json",
-    "benchmarks.moving_sensor": "persistence --frames 3 --rounds 1 --out TMP/cost.json",
     "benchmarks.parts": "--runs 1",
     "benchmarks.scale": "--engine local --recordings 1 --out TMP/scale.json",
     "benchmarks.scoring": "--runs 1",
-    "benchmarks.stone_soup": "--people 3 --frames 24 --seeds 1 --out TMP/model-free.json",
     "studies.cards": "--out TMP",
-    "studies.class_losses": "--recordings 1 --stretch 0s-8s --out TMP/one-shot.json",
     "studies.contact_truth": "--recordings 1 --stretch 0s-8s --tracker kalman --out TMP/contact.json",
     "studies.defined_pages": "--check",
     "studies.coverage": "--draws 10 --out TMP/statistics.json",
-    "studies.ego_motion": "maps data/drives/car-202.tracks --scans 60 --out TMP/ego_motion.json",
-    "studies.estimator_errors": "--runs 2 --out TMP/estimators.json",
     "studies.failing_trials": "--fault hangs --fault hogs --trials 2 --results TMP/robustness.json",
     "studies.figures": "--check",
     "studies.gate_power": "--comparisons 1 --out TMP/regression.json",
     "studies.motion_rule": "--recordings 1 --out TMP/motion.json",
-    "studies.known_present": "--results TMP/known_present.json",
     "studies.size": "",
-    "studies.stage_costs": "--stretch 0s-6s --out TMP/model-free.json",
-    "studies.stage_errors": "--stretches 0s-5s --out TMP/model-free.json",
     "studies.static_memory": "static-map --out TMP",
-    "studies.two_sensors": "persistence --minutes 1 --out TMP/two_sensors.json",
-    "studies.velocity_errors": "kalman --recordings 1 --out TMP/dogma.json",
 }
 """The arguments of each: the same code on seconds instead of minutes. TMP is a folder of the test."""
 SMALLER: dict[str, dict[str, Any]] = {
     "benchmarks.dogma": {"FRAMES": 30},
-    "benchmarks.estimators": {"TRACKS": 4},
     "benchmarks.inference": {"SIZE": 48},
     "benchmarks.model_free": {"MOVERS": (3,), "WARM_UP": 5},
     "benchmarks.scale": {"SECONDS": 14, "_timed": timed_here},
@@ -78,36 +61,20 @@ SMALLER: dict[str, dict[str, Any]] = {
         **{"CONTACT_UNITS": (20,), "CONTACTS": (5.0,), "BATCHES": 1},
     },
     "studies.gate_power": {"REGIONS": {"dynamic": (4_000.0, 0.5)}, "BANDS": {"middle": 0.0}},
-    "studies.known_present": {"worlds_called": lambda _: ["data/worlds/test/indoors-corridor-1003.tracks@0s-8s"]},
     "studies.motion_rule": {"PLACES": {"worlds": ("data/worlds/test", "indoors-corridor-1003.tracks")}},
     "studies.size": {"KINDS": ("common/*.py", "reports/*.js", "docs/glossary.md")},
-    "studies.two_sensors": {"VALIDATION_FRAMES": 64, "STRATA": ("dynamic", "visible", "occluded", "occluded dynamic")},
-    "studies.velocity_errors": {"RECORDINGS": [f"{JUNCTION / 'test-101.tracks'}@0s-12s"]},
 }
 """Constants of a module that are smaller here."""
-VALIDATED = ("studies.stage_costs", "studies.stage_errors")
-"""They take part of the validation recording of the junction: here of another one of eight seconds."""
-
 A_RUN = "needs the folder of a comparison"
 DRAWN = "test_comparisons.py runs it on drawn comparisons"
 LONG = {
-    "benchmarks.follow": "follows a recording in real time, with a sample every ten seconds",
     "benchmarks.harness": "goes through the whole demo recording three times",
-    "benchmarks.junction": "needs SUMO",
     "benchmarks.recurrent": "trains on whole batches",
-    "studies.card_thresholds": "rewrites the cards that ship",
-    "studies.drive_recordings": "needs SUMO",
     "studies.kept_summary": "test_results.py runs it",
     "studies.kill_points": "compares three times for one kill: half a minute",
-    "studies.label_budget": "trains classifiers",
-    "studies.label_curve": "test_results.py runs it",
-    "studies.moving": DRAWN,
-    "studies.real_drives": "needs recordings that do not ship",
     "studies.real_results": DRAWN,
     "studies.report_screenshots": A_RUN,
     "studies.same_sums": A_RUN,
-    "studies.site_minutes": DRAWN,
-    "studies.site_start": DRAWN,
     "studies.variants": DRAWN,
     "studies.worlds_results": DRAWN,
 }
@@ -148,15 +115,11 @@ def test_a_quick_setting_runs(
     main = main_of(name)
     for constant, value in SMALLER.get(name, {}).items():
         monkeypatch.setattr(f"{name}.{constant}", value)
-    if name in VALIDATED:
-        monkeypatch.setattr(f"{name}.JUNCTION", tmp_path)
-        part(open_recording(JUNCTION / "test-101.tracks"), tmp_path / "validation.tracks", 0.0, 8.0)
     main(words)
     assert capsys.readouterr().out
     assert [word for word in words if word.startswith(str(tmp_path)) and not Path(word).exists()] == []
 
 
-@pytest.mark.parametrize("name", ["studies.known_present", "studies.worlds_results"])
-def test_an_unknown_world_is_refused(name: str) -> None:
+def test_an_unknown_world_is_refused() -> None:
     with pytest.raises(SystemExit, match=r"--world indoors-room-1: no such world; there are indoors-corridor-1003, "):
-        main_of(name)(["--world", "indoors-room-1"])
+        main_of("studies.worlds_results")(["--world", "indoors-room-1"])

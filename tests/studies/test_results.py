@@ -11,13 +11,10 @@ import pytest
 
 from gridtrack.evaluation.runs.summarise import summarise
 
-from benchmarks.follow import SAMPLED, table_of
 from benchmarks.scale import COLUMNS, Cost, estimate, kept_costs, write_costs
 from scenes import synthetic_run as synthetic
 from studies.cards import labelled_scans, shipped_table
 from studies.kept_summary import RunScores, kept, main
-from studies.label_curve import append_row
-from studies.label_curve import main as label_curve
 from studies.size import measured, revision, working_tree
 from studies.support.results_file import read_sections
 
@@ -76,32 +73,6 @@ def test_labelled_scans_come_from_the_tracker_or_its_class_decoder() -> None:
     assert labelled_scans({"labelled": "a.tracks, 20 scans from 1 s to 3 s"}) == "20"
     assert labelled_scans({"classes": {"labelled": "800 scans of 384 recordings"}}) == "800"
     assert labelled_scans({"classes": "none: a has no labels"}) == ""
-
-
-def test_the_label_budget_has_mean_and_range_over_its_draws(tmp_path: Path) -> None:
-    common = {"method": "one-shot", "drawing": "spread", "scans": 50, "visible 1 s": 1.0, "occluded now": 2.0}
-    for draw, loss in enumerate((0.1, 0.3)):
-        append_row(tmp_path / "budget.csv", common | {"draw": draw, "visible now": loss})
-    label_curve([str(tmp_path / "budget.csv"), "--out", str(tmp_path / "one-shot.json")])
-    found = read_sections(tmp_path / "one-shot.json")["how many labels"]
-    row = ("spread", "one-shot", "50", "2", "0.200 [0.100, 0.300]", "1.000 [1.000, 1.000]", "2.000 [2.000, 2.000]")
-    assert found.tables["table"].rows == (row,)
-    assert found.values["spread, one-shot, 50, visible now"] == "0.20"
-    assert "one-shot" in (tmp_path / "budget.svg").read_text()
-
-
-def test_samples_become_a_row_for_each_ten_minutes_and_one_for_the_scoring(tmp_path: Path) -> None:
-    times = {30: "", 60: "0 0", 590: "1 2", 600: "3 4", 610: "5 6", 1205: "7 8", 1300: "9 10", 1310: "", 1320: ""}
-    lines = [f"{time_s},3,{time_s}.4,200.0,41,1.0,{2 * time_s}.0,{missed}" for time_s, missed in times.items()]
-    samples = tmp_path / "samples.csv"
-    samples.write_text("\n".join([",".join(SAMPLED), *lines]) + "\n")
-    assert table_of(samples).rows == (
-        ("1", "60", "200", "41", "120", "0, 0"),
-        ("10", "600", "200", "41", "1200", "3, 4"),
-        ("20", "1205", "200", "41", "2410", "7, 8"),
-        ("22", "1300", "200", "41", "2600", "9, 10"),
-        ("scoring, at most", "1320", "200", "41", "2640", ""),
-    )
 
 
 ONE = Cost("local", 1, 2, 10.0, 4.0, 4.0, 300.0, 0.5, 5.0, 0.1, 6.0)

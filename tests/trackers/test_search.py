@@ -11,8 +11,7 @@ import pytest
 pytest.importorskip("optuna")
 from gridtrack.trackers.contract import StretchScore
 from gridtrack.trackers.training.excerpts import SELECTION_STRATA
-from gridtrack.trackers.training.search import FEWEST_EXCERPTS, _scored, _study
-from gridtrack.trackers.training.searched_fit import selection_f1
+from gridtrack.trackers.training.searched_fit import FEWEST_EXCERPTS, _scored, _study, selection_f1
 
 SOURCE = SimpleNamespace(period_s=0.1)
 EXCERPTS = 24

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gridtrack.evaluation.engines.local import LocalEngine
+from gridtrack.evaluation.engines.engine import LocalEngine
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
 

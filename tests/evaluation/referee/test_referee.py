@@ -14,7 +14,7 @@ from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
 from gridtrack.evaluation.referee.motion import ObservedMotion
 from gridtrack.evaluation.referee.referee import WARM_UP, Delivery, Schedule, moments, scored_forecasts
 from gridtrack.evaluation.referee.strata import CELL_KINDS
-from gridtrack.evaluation.runs.objective import score_in_process
+from gridtrack.evaluation.runs.fit_regions import score_in_process
 from gridtrack.evaluation.scores.cells import Tally, count_cells
 from gridtrack.evaluation.scores.f1 import f1_of
 from gridtrack.evaluation.scores.thresholds import half

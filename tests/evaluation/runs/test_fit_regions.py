@@ -9,8 +9,13 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.evaluation.referee.kinds import regions_of
 from gridtrack.evaluation.referee.strata import CELL_KINDS, STRATA
-from gridtrack.evaluation.runs.fit_regions import FitScores, StretchRegions, cell_kinds_for, store_regions
-from gridtrack.evaluation.runs.objective import score_in_process
+from gridtrack.evaluation.runs.fit_regions import (
+    FitScores,
+    StretchRegions,
+    cell_kinds_for,
+    score_in_process,
+    store_regions,
+)
 from gridtrack.evaluation.runs.stretch_files import StoredStretch, store_stretch
 from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers.baselines import PersistenceTracker

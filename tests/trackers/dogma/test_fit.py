@@ -16,7 +16,7 @@ from gridtrack.trackers.site_map import count_frames
 from gridtrack.trackers.training import searched_fit
 from gridtrack.trackers.training.card import card_for
 from gridtrack.trackers.training.excerpts import CachedSource
-from gridtrack.trackers.training.search import FINALISTS
+from gridtrack.trackers.training.searched_fit import FINALISTS
 from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
 from tests.trackers.scores import of_every_stratum
 

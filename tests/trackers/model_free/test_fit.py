@@ -17,7 +17,7 @@ from gridtrack.trackers.model_free.residence import fit_residence, resampled
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.training import searched_fit
 from gridtrack.trackers.training.card import card_for
-from gridtrack.trackers.training.search import FINALISTS
+from gridtrack.trackers.training.searched_fit import FINALISTS
 from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
 from tests.trackers.scores import of_every_stratum
 

@@ -12,7 +12,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.model_free.estimators import SwitchingEstimator
 from gridtrack.trackers.model_free.kalman import KalmanEstimator
-from gridtrack.trackers.model_free.lifecycle import MOVING_MPS, initiate
+from gridtrack.trackers.model_free.pipeline import MOVING_MPS, initiate
 from gridtrack.trackers.model_free.segmentation import BACKGROUND, Cluster, clusters_of, cut_off_returns, segment
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import Shape

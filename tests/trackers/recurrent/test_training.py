@@ -21,7 +21,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits  # noqa: E402
 
 from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
 from gridtrack.common.geometry import SE2  # noqa: E402
-from gridtrack.trackers.recurrent import devices, training  # noqa: E402
+from gridtrack.trackers.recurrent import devices  # noqa: E402
 from gridtrack.trackers.recurrent import fit as fit_module  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker  # noqa: E402
@@ -225,7 +225,7 @@ def test_an_interrupt_keeps_the_best_weights_and_a_checkpoint_between_validation
         return card
 
     whole = run("whole")
-    monkeypatch.setattr(training, "CHECKPOINT_EVERY_S", 1e-6)
+    monkeypatch.setattr(fit_module, "CHECKPOINT_EVERY_S", 1e-6)
     drawn = []
 
     class InterruptedDataset(SequenceDataset):
