@@ -1,6 +1,6 @@
 """All benchmarks that run with the packages of `make test`, one after the other (half an hour).
 
-`python -m benchmarks`. `scale`, which starts clusters, is not among them.
+`python -m benchmarks`. The first lines of the others, `scale` and `stone_soup`, name their requirements.
 """
 
 from __future__ import annotations

@@ -11,7 +11,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from gridtrack.reports.pictures import SHADES, palette
+from gridtrack.common.grid import Mask
+from gridtrack.evaluation.referee.samples import Sample
+from gridtrack.reports.pictures import SHADES, UNOBSERVED, palette
 
 COLOURS = ("#1d4ed8", "#c2410c", "#0f766e", "#7e22ce")
 SETTINGS: dict[Any, Any] = {
@@ -43,6 +45,11 @@ def probability_picture(probability: NDArray[np.float32]) -> Picture:
     return np.asarray(palette()[np.rint(np.clip(probability, 0.0, 1.0) * (SHADES - 1)).astype(np.int64)])
 
 
+def frame_picture(visible: Mask, occupied: Mask) -> Picture:
+    """A frame (M, M) in the colours of the report."""
+    return np.asarray(palette()[np.where(visible, np.where(occupied, SHADES - 1, 0), UNOBSERVED)])
+
+
 def draw_pictures(rows: Sequence[Mapping[str, Picture]], path: Path) -> None:
     """Draw pictures in rows, each below its title."""
     columns = max(map(len, rows))
@@ -57,3 +64,14 @@ def draw_pictures(rows: Sequence[Mapping[str, Picture]], path: Path) -> None:
                 axis.set(xticks=(), yticks=())
                 axis.spines[:].set(visible=True, color="#999")
         write_svg(figure, path)
+
+
+def forecast_pictures(title: str, samples: Mapping[str, Sample], horizon_s: float) -> dict[str, Picture]:
+    """A row of pictures of one moment: the input, the frame that followed, and the forecast of each tracker for it."""
+    one = next(iter(samples.values()))
+    at = one.horizons_s.index(horizon_s)
+    return {
+        title: frame_picture(one.visible, one.occupied),
+        f"{horizon_s:g} s later": frame_picture(one.observed_visible[at], one.observed_occupied[at]),
+        **{name: probability_picture(sample.forecast[at]) for name, sample in samples.items()},
+    }

@@ -44,6 +44,7 @@ THEMES = {
     "training": (
         *("docs/weights.md", "docs/weights.md 3", "docs/scale.md 4", "docs/trackers/floor.md"),
         *("docs/trackers/model-free.md", "docs/trackers/one-shot.md", "docs/drives.md 2"),
+        "docs/results/moving/drives.md",
     ),
     "simulation": (
         *("docs/junction.md 2", "docs/drives.md", "data/drives/README.md"),

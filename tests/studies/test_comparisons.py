@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gridtrack.evaluation.runs.finished import FinishedTrial
@@ -19,7 +20,7 @@ from gridtrack.evaluation.runs.summarise import summarise
 from docs.test_commands import problem_of
 from scenes import drive, truth_scene
 from scenes.synthetic_run import description, write_trial
-from studies import real_results, variants
+from studies import moving, real_results, variants
 from studies.real_results import REAL
 from studies.real_results import sections_of as sections_of_real
 from studies.support.results_file import NONE, ResultSection, ResultTable, measured_table, read_sections
@@ -49,6 +50,8 @@ def trials_of(
     scored: int = 2,
     periods_s: Sequence[float] = PERIODS_S,
     longest_s: float = 1.0,
+    delivered: str = "",
+    start_s: int = 10,
 ) -> tuple[dict[str, RecordingDescription], list[FinishedTrial]]:
     """A comparison on recordings of these periods in turns, two forecasts on each; counts are random.
 
@@ -68,6 +71,8 @@ def trials_of(
             strata=tuple(STRATA),
             steps=steps[name],
             tracker=label.partition(" ")[0],
+            delivered=delivered,
+            start_s=start_s,
         )
         for name in names
         for label, skill in skills.items()
@@ -234,11 +239,88 @@ def test_the_real_recordings_are_described_one_by_one_and_missing_ones_are_named
     assert section.values["intervals"].startswith("too short for an interval")
 
 
+def drives(
+    folder: Path, kind: str, skill: float, floor: float = 0.3, *, cars: int, robots: int = 0, start_s: int = 10
+) -> moving.Comparison:
+    """A comparison of kalman with persistence and the oracle on drives, with one kind of poses."""
+    carriers = ["car"] * cars + ["robot"] * robots
+    names = [f"{carrier}-{200 + k}-{kind}" for k, carrier in enumerate(carriers)]
+    skills = {"kalman": skill, "persistence": floor, "oracle": 1.0}
+    how = {"periods_s": (0.125,), "delivered": kind, "start_s": start_s}
+    return moving.Comparison(kind, scores_of(folder / f"{kind}-{skill}", names, skills, **how))
+
+
+@pytest.fixture(scope="module")
+def perfect(tmp_path_factory: pytest.TempPathFactory) -> moving.Comparison:
+    """Twenty drives with perfect poses."""
+    return drives(tmp_path_factory.mktemp("drives"), "perfect", 0.6, cars=20)
+
+
+def ends_of(text: str) -> list[float]:
+    """`+0.100 [+.050, +.150]` as value, low and high."""
+    return [float(one.strip("[],")) for one in text.split()]
+
+
+def test_the_loss_without_ego_motion_is_paired_over_twenty_drives(perfect: moving.Comparison, tmp_path: Path) -> None:
+    section = moving.difference_section([perfect, drives(tmp_path, "ignored", 0.3, cars=20)], ["kalman"])
+    value, low, high = ends_of(section.values["kalman, perfect less ignored, dynamic, 1 s"])
+    assert 0.1 < low < value < high < 0.4
+    assert set(section.tables) == {"in motion", "dynamic", "visible", "hidden"}
+
+
+def test_a_loss_that_persistence_has_too_is_one_of_the_view(perfect: moving.Comparison, tmp_path: Path) -> None:
+    text = {}
+    for kind, floor in (("both-lose", 0.5), ("kalman-loses", 0.3)):
+        standing = drives(tmp_path, kind, 0.8, floor, cars=20)
+        section = moving.view_section([perfect, standing], ["persistence", "kalman"])
+        assert [row[0] for row in section.tables["dynamic"].rows] == ["kalman"]
+        text[kind] = section.values["kalman, dynamic, 1 s"]
+    value, low, high = ends_of(text["kalman-loses"])
+    assert -0.4 < low < value < high < -0.05
+    value, low, high = ends_of(text["both-lose"])
+    assert low < 0 < high
+    assert abs(value) < 0.1
+
+
+def test_scores_have_a_row_for_each_kind_and_tracker_after_the_oracle(tmp_path: Path) -> None:
+    both = [drives(tmp_path, kind, 0.8, cars=2, robots=2) for kind in ("perfect", "beside")]
+    rows = moving.score_tables(both, ["kalman"])["dynamic"].rows
+    assert [row[0] for row in rows] == ["oracle, perfect", "oracle, beside", "kalman, perfect", "kalman, beside"]
+    assert all(len(row) == 4 for row in rows)
+    by_carrier = moving.carrier_table(both, ["kalman"])
+    assert by_carrier.columns[1:3] == ("car, dynamic", "car, hidden")
+    assert [(row[0], len(row)) for row in by_carrier.rows] == [("kalman, perfect", 5), ("kalman, beside", 5)]
+
+
+def test_drives_that_were_scored_at_other_times_are_not_paired(tmp_path: Path) -> None:
+    first, later = (drives(tmp_path, f"from-{start_s}", 0.8, cars=2, start_s=start_s) for start_s in (10, 11))
+    with pytest.raises(SystemExit, match="scored at different times"):
+        first.less(later, "kalman")
+
+
+def test_trackers_differ_significantly_if_the_drives_show_it(perfect: moving.Comparison, tmp_path: Path) -> None:
+    for found, significant in ((perfect, True), (drives(tmp_path, "equal", 0.4, 0.4, cars=20), False)):
+        table = moving.pair_section(found).tables["pairs"]
+        (row,) = table.rows
+        assert (table.columns[1:], row[0]) == (("in motion", "dynamic", "visible"), "kalman less persistence")
+        assert ["°" not in text for text in row[1:]] == [significant] * 3
+
+
+def test_poses_are_measured_by_the_true_ones_over_two_and_a_half_seconds_and_at_the_end(tmp_path: Path) -> None:
+    for noise, least in ((0.0, 0.0), (0.2, 0.05)):
+        apart, end_m = moving.errors_of(drive.write_recording(tmp_path / "d.mcap", 4, pose_noise=(noise, 0.0)))
+        assert apart.shape == (40 - moving.APART, 2)
+        assert np.median(apart[:, 0]) >= least
+        assert end_m == pytest.approx(0.0, abs=1e-6) if not noise else end_m > 0.0
+
+
 RUNS = {
     "worlds_results": "--world indoors-hall-1010 --world outdoors-plaza-1004 --tracker persistence --tracker kalman"
     " --out TMP/run --results TMP/worlds.json",
     "real_results": "DATA --recording corridor --recording aces --tracker persistence --tracker kalman --out TMP/run"
     " --results TMP/real.json",
+    "moving": "--drive car-202 --drive car-204 --drive robot-201 --drive robot-203 --tracker persistence"
+    " --tracker kalman --out TMP/run --results TMP/drives.json",
 }
 """Arguments of the studies that compare trackers. TMP is a folder of the test."""
 
@@ -270,6 +352,10 @@ def test_a_study_compares_with_valid_commands_and_writes_its_results(
     monkeypatch.setattr("studies.support.comparison.gridtrack", gridtrack)
     monkeypatch.setattr("studies.worlds_results.laser_of", lambda _: STANDS)
     monkeypatch.setattr(real_results, "imported", lambda chosen, *_: [Path(f"{one.name}.mcap") for one in chosen])
+    monkeypatch.setattr(moving, "recording_of", lambda kind, drive, *_: Path(f"{drive}.mcap"))
+    monkeypatch.setattr(moving, "joined_recording", lambda kind, *_: Path("validation.mcap"))
+    monkeypatch.setattr(moving, "errors_of", lambda _: (np.ones((2, 2)), 1.0))
+    monkeypatch.setattr(moving, "KINDS", ("perfect", "ignored", "beside"))
     words = [word.replace("TMP", str(tmp_path)) for word in RUNS[name].split()]
     importlib.import_module(f"studies.{name}").main(words)
     sections = read_sections(Path(words[-1]))

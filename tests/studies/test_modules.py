@@ -12,6 +12,7 @@ import pytest
 
 from scenes.command_line import gridtrack
 from scenes.programs_here import programs_here
+from studies.support.shipped import JUNCTION
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = sorted(
@@ -38,6 +39,7 @@ QUICK = {
     "benchmarks.parts": "--runs 1",
     "benchmarks.scale": "--engine local --recordings 1 --out TMP/scale.json",
     "benchmarks.scoring": "--runs 1",
+    "benchmarks.stone_soup": "--people 3 --frames 24 --seeds 1 --out TMP/model-free.json",
     "studies.cards": "--out TMP",
     "studies.contact_truth": "--recordings 1 --stretch 0s-8s --tracker kalman --out TMP/contact.json",
     "studies.defined_pages": "--check",
@@ -48,6 +50,8 @@ QUICK = {
     "studies.motion_rule": "--recordings 1 --out TMP/motion.json",
     "studies.size": "",
     "studies.static_memory": "static-map --out TMP",
+    "studies.two_sensors": "persistence --minutes 1 --out TMP/two_sensors.json",
+    "studies.velocity_errors": "kalman --recordings 1 --out TMP/dogma.json",
 }
 """The arguments of each: the same code on seconds instead of minutes. TMP is a folder of the test."""
 SMALLER: dict[str, dict[str, Any]] = {
@@ -63,6 +67,8 @@ SMALLER: dict[str, dict[str, Any]] = {
     "studies.gate_power": {"REGIONS": {"dynamic": (4_000.0, 0.5)}, "BANDS": {"middle": 0.0}},
     "studies.motion_rule": {"PLACES": {"worlds": ("data/worlds/test", "indoors-corridor-1003.tracks")}},
     "studies.size": {"KINDS": ("common/*.py", "reports/*.js", "docs/glossary.md")},
+    "studies.two_sensors": {"VALIDATION_FRAMES": 64, "STRATA": ("dynamic", "visible", "occluded", "occluded dynamic")},
+    "studies.velocity_errors": {"RECORDINGS": [f"{JUNCTION / 'test-101.tracks'}@0s-12s"]},
 }
 """Constants of a module that are smaller here."""
 A_RUN = "needs the folder of a comparison"
@@ -70,8 +76,11 @@ DRAWN = "test_comparisons.py runs it on drawn comparisons"
 LONG = {
     "benchmarks.harness": "goes through the whole demo recording three times",
     "benchmarks.recurrent": "trains on whole batches",
+    "studies.drive_recordings": "needs SUMO",
     "studies.kept_summary": "test_results.py runs it",
     "studies.kill_points": "compares three times for one kill: half a minute",
+    "studies.moving": DRAWN,
+    "studies.real_drives": "needs recordings that do not ship",
     "studies.real_results": DRAWN,
     "studies.report_screenshots": A_RUN,
     "studies.same_sums": A_RUN,
