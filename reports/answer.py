@@ -11,7 +11,7 @@ from gridtrack.reports.measurements import keeps_up_of
 from gridtrack.reports.notices import failures_of
 from gridtrack.reports.run import ReportedRun
 from gridtrack.reports.run_description import Fact
-from gridtrack.reports.table import HeadlineTable, headline_tables, main_tables
+from gridtrack.reports.table import HeadlineTable, headline_tables, main_tables, name_in
 
 MOST_NAMES = 8
 """Further names of a line are counted, if they are more than one."""
@@ -95,7 +95,7 @@ def _keeps_up(run: ReportedRun) -> Fact:
         trials = {name: trial for name, trial in row.recordings.items() if name in run.recordings}
         verdicts_of = (keeps_up_of(one, run.summary.recordings[name].period_s * 1e3) for name, one in trials.items())
         if found := list(filter(None, verdicts_of)):
-            verdicts[label] = min(found, key=KEEPING_UP.index)
+            verdicts[name_in(run, label, run.recordings[0])] = min(found, key=KEEPING_UP.index)
     return Fact(KEEPS_UP, _grouped(verdicts) or UNTIMED)
 
 

@@ -180,15 +180,15 @@ class _Decision:
             yield f"{subject} worse than {', and than '.join(worse)}."
         for words, rows, test in tested:
             if not test.decided:
-                also = self._also_alike() if rows is self._next else ""
-                yield f"There is no evidence that {who} better than {words}{also}: {self._missing(test)}."
+                yield f"There is no evidence that {who} better than {words}: {self._missing(test)}."
+                if rows is self._next and (alike := self._also_alike()):
+                    yield f"Nor is there evidence that {who} better than {_names(alike)}."
 
-    def _also_alike(self) -> str:
+    def _also_alike(self) -> list[TableRow]:
         """The trackers besides the next one from which the best rows do not differ."""
         rest = [row for row in self.table.rows_in("ranked") if row not in self._top and row not in self._next]
         found = [(row, self._weakest([row])) for row in rest]
-        alike = [row for row, test in found if test is not None and not test.decided]
-        return f", or than {_names(alike)}" if alike else ""
+        return [row for row, test in found if test is not None and not test.decided]
 
     def _gain(self, test: _Test) -> float:
         """The score of the best row less the other's."""

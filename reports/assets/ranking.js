@@ -112,7 +112,7 @@ function drawRow(row, { value, low, high }, x, place, end, output) {
 function caption(chosen) {
   const tests = testsOf(chosen), hasIntervals = rankedRows(chosen).some((row) => pointsIn(chosen)(row).low !== null);
   const own = `${scoreWords(outputNamed(chosen.score))}${hasIntervals ? ", with 95 % intervals" : ""}`;
-  const marks = chosen.reference === NO_REFERENCE ? "" : ` ▲ better and ▼ worse than the reference${tests ? "" : ", by their intervals"}.`;
+  const marks = chosen.reference === NO_REFERENCE ? "" : ` ▲ better, ▼ worse${tests ? "" : " by intervals"}.`;
   if (!tests) return `${own}. Not tested: ${recordingNamed(chosen.recording).untested}.${marks}`;
   return `${own}. A bar joins rows that do not differ significantly: ${tests.pairs} pairs, ${tests.units} units, Holm, p < 0.05.${marks} ${manyRankings(chosen)}`;
 }

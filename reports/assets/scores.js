@@ -79,7 +79,14 @@ export function scoresOf(recording, stratum, has = () => true) {
 }
 
 export const allSteps = ({ recording }) => recordingNamed(recording).horizons_s.map((_, step) => step);
-const laterSteps = (chosen) => allSteps(chosen).slice(1);
+
+// The steps ahead at which any row has the chosen score, if there are some: a score may have only a few horizons.
+function laterSteps(chosen) {
+  const { rows } = recordingNamed(chosen.recording), steps = allSteps(chosen).slice(1);
+  const hasValue = (step) => rows.some((row) => pointOf(row, chosen.stratum, chosen.score, step).value !== null);
+  const scored = chosen.score ? steps.filter(hasValue) : [];
+  return scored.length ? scored : steps;
+}
 
 // The choice of the time ahead, in seconds: recordings of other rates have other steps. `steps`: only these.
 export function aheadChoice(chosen, steps = laterSteps(chosen)) {
