@@ -32,7 +32,7 @@ from scenes.programs_here import programs_here
 
 LEG_TRACKER = StreamSpec(GridSpec(100, 0.1, (-2.0, -4.5)), 0.1, "leg_tracker")
 JUNCTION = StreamSpec(GridSpec(100, 0.2, (-4.0, -16.0)), 0.125, "junction")
-ANYWHERE = StreamSpec(GridSpec(60, 0.2), 0.125, "anywhere")
+ANYWHERE = StreamSpec(GridSpec(40, 0.2), 0.125, "anywhere")
 SMALL = StreamSpec(GridSpec(40, 0.2), 0.125, "here")
 
 
