@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gridtrack.evaluation.runs.summary import read_summary
+from gridtrack.evaluation.scores.registry import built_in, scores
 from gridtrack.recordings import packaged_recording
 
 from scenes.command_line import gridtrack
@@ -116,3 +117,7 @@ def test_a_format_of_another_package_is_read_by_every_command_that_reads_recordi
     asked = ("--weights", "weights", "--tracker", "static-map", "--tracker", "blank", "--out", "run")
     gridtrack("compare", "--no-floors", f"{walk}@7s-15s", *named, *asked, "--horizon", "1s", "--jobs", "1")
     assert read_summary(tmp_path / "run").trackers["static-map"].recordings.keys() == {"walk@7s-15s"}
+
+
+def test_a_built_in_score_that_is_asked_for_by_name_is_there_once():
+    assert scores(("f1", "f1")) == built_in()

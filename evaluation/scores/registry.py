@@ -33,10 +33,8 @@ def built_in() -> tuple[ScoreDefinition, ...]:
 
 def scores(foreign: Sequence[str] = ()) -> tuple[ScoreDefinition, ...]:
     """The built-in scores, then the scores of other packages with these names. Raises ConfigurationError."""
-    known = {score.name: score for score in built_in()}
-    for name in foreign:
-        known.setdefault(name, _foreign(name))
-    return tuple(known.values())
+    known = {score.name for score in built_in()}
+    return (*built_in(), *(_foreign(name) for name in dict.fromkeys(foreign) if name not in known))
 
 
 def _foreign(name: str) -> ScoreDefinition:
