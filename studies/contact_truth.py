@@ -26,7 +26,7 @@ from gridtrack.evaluation.referee.referee import Delivery, ScoredForecast, score
 from gridtrack.evaluation.referee.splits import EvaluationSplit, Sampling, plan_split
 from gridtrack.evaluation.referee.targets import NOT_SCORED
 from gridtrack.evaluation.runs.scorekeeper import facts_of
-from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT, HORIZONS_S
+from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT, CONTACT_HORIZONS_S
 from gridtrack.evaluation.scores.definition import Floats, Sums
 from gridtrack.evaluation.scores.robot import SMALL_ROBOT, parse_robot
 from gridtrack.evaluation.scores.thresholds import half
@@ -232,7 +232,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     torch.set_num_threads(1)
     names, units = tuple(dict.fromkeys((REFERENCE, *(given.tracker or TRACKERS)))), []
     for path in PLACES[given.place]()[: given.recordings]:
-        split = plan_split(f"{path}@{given.stretch}", None, Sampling(HORIZONS_S[-1], every_s=EVERY_S))
+        split = plan_split(f"{path}@{given.stretch}", None, Sampling(CONTACT_HORIZONS_S[-1], every_s=EVERY_S))
         units.append(sums_of(split, names, given.robot))
         print(f"{split.name}: done", flush=True)
     section = section_of(units, f"{COMMAND} --place {given.place}{' --robot ' * bool(given.robot)}{given.robot}")

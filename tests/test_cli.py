@@ -112,7 +112,11 @@ def test_debug_shows_the_traceback_of_an_error_and_keeps_its_exit_code():
 def test_a_signal_that_ends_a_job_or_a_session_has_the_effect_of_ctrl_c(number, monkeypatch):
     found = []
     monkeypatch.setattr("gridtrack.cli.app", lambda *_, **how: found.append(signal.getsignal(number)))
-    gridtrack("--version")
+    before = signal.signal(number, signal.SIG_DFL)  # one that the shell ignores stays ignored
+    try:
+        gridtrack("--version")
+    finally:
+        signal.signal(number, before)
     assert found == [signal.default_int_handler]
 
 

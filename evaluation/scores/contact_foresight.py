@@ -52,7 +52,7 @@ from gridtrack.evaluation.scores.pr_auc import area_under_precision_recall
 
 ROBOTS_AHEAD_S = 1.0
 """The horizon of the paths that are kept to be shown, seconds."""
-HORIZONS_S = (0.5, 1.0, 2.0)
+CONTACT_HORIZONS_S = (0.5, 1.0, 2.0)
 """The horizons of contacts, seconds; paths are as long as the last one."""
 LEAST_PATHS = 50
 """A forecast with fewer paths is left out."""
@@ -66,7 +66,7 @@ _SLICES = ("dynamic", "in-motion", "standing")
 _HIDDEN = "occluded dynamic"
 _DISTANCES = tuple(f"contacts {name}" for name in RANGE_NAMES)
 _DENSITIES = ("contacts among few", "contacts in a crowd")
-_TIMES = tuple(f"contacts {begin:g}-{end:g} s ahead" for begin, end in pairwise((0.0, *HORIZONS_S)))
+_TIMES = tuple(f"contacts {begin:g}-{end:g} s ahead" for begin, end in pairwise((0.0, *CONTACT_HORIZONS_S)))
 _HISTOGRAMS = {
     "contacts": PROBABILITY_BINS,
     "clears": PROBABILITY_BINS,
@@ -92,13 +92,13 @@ def contact_strata(facts: TrialFacts) -> tuple[str, ...]:
 
 def longest(facts: TrialFacts) -> int:
     """The last step that has this score."""
-    return min(facts.steps, nearest_step(HORIZONS_S[-1], facts.period_s))
+    return min(facts.steps, nearest_step(CONTACT_HORIZONS_S[-1], facts.period_s))
 
 
 def counted_steps(facts: TrialFacts) -> tuple[int, ...]:
-    """The steps (H,) that have this score: those of HORIZONS_S, as far as forecasts reach, and the last one."""
+    """The steps (H,) that have this score: those of CONTACT_HORIZONS_S, as far as forecasts reach, and the last one."""
     last = longest(facts)
-    steps = {nearest_step(horizon_s, facts.period_s) for horizon_s in HORIZONS_S} | {last}
+    steps = {nearest_step(horizon_s, facts.period_s) for horizon_s in CONTACT_HORIZONS_S} | {last}
     return tuple(sorted(step for step in steps if 1 <= step <= last))
 
 
@@ -225,7 +225,7 @@ def _slices_of(events: Events, forecast: ScoredForecast, facts: TrialFacts) -> N
     regions = forecast.region_maps.visible.flat[cell]
     for band, name in enumerate(_DISTANCES):
         slices[name][met] = regions % RANGES == band
-    ends = np.searchsorted([nearest_step(horizon_s, facts.period_s) for horizon_s in HORIZONS_S], step)
+    ends = np.searchsorted([nearest_step(horizon_s, facts.period_s) for horizon_s in CONTACT_HORIZONS_S], step)
     for time, name in enumerate(_TIMES):
         slices[name][met] = ends == time
     for name in _DENSITIES:
@@ -447,5 +447,5 @@ CONTACT_FORESIGHT = ScoreDefinition(
     new_memory=lambda facts: [],
     events=RareEvents("contacts", lambda sums: sums.block("contacts").sum(axis=-1)),
     stratum=_SLICES[0],
-    horizons_s=HORIZONS_S,
+    horizons_s=CONTACT_HORIZONS_S,
 )
