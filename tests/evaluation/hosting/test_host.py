@@ -88,9 +88,9 @@ from gridtrack.trackers.selection import launch
 options, log = {{"attacks": [["outlives", {LEFT!r}]]}}, Path({str(tmp_path / "stderr.log")!r})
 TrackerProcess(launch("burglar"), StreamSpec(GridSpec(), 0.125), options, Limits(), log).__enter__().reset(0)
 """
-    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    # the tracker may answer once more before it ends with its supervisor: with or without an error
+    subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
     left = left_behind(LEFT)
     for process in left:
         process.kill()
-    assert "TrialEnded" in ended.stderr
     assert len(left) == 1
