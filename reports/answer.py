@@ -35,11 +35,9 @@ class Answer:
     @property
     def summary(self) -> str:
         """A line on the recordings, and on whether trackers keep up with the sensor, if they were timed."""
-        shown = [f"{fact.name} {fact.value}" for fact in self.facts[:1]]
-        shown += [
-            f"{fact.name}: {fact.value}" for fact in self.facts if fact.name == KEEPS_UP and fact.value != UNTIMED
-        ]
-        return ". ".join(shown)
+        compared = f"{self.facts[0].name} {self.facts[0].value}"
+        (timed,) = (fact for fact in self.facts if fact.name == KEEPS_UP)
+        return compared if timed.value == UNTIMED else f"{compared}. {timed.name}: {timed.value}"
 
 
 def answer_of(run: ReportedRun) -> Answer:

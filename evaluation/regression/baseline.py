@@ -17,7 +17,7 @@ from gridtrack.evaluation.regression.measurement import BASELINE_SCHEMA, Baselin
 from gridtrack.evaluation.regression.pairing import require_comparable
 
 MAX_BASELINE_BYTES = 16 << 20
-"""A larger file is refused before it is read; twenty recordings of six trackers take a hundredth of it."""
+"""A larger file is refused before it is read; twenty recordings of six trackers take about a tenth of it."""
 _LIST_OF_NUMBERS = re.compile(r"\[\n[-0-9.eE*\",\s]+\]")
 _SUMS_BY_BAND = re.compile(r"\{\s*\"\w+\": \[[-0-9.eE*\",]+\](,\s+\"\w+\": \[[-0-9.eE*\",]+\])*\s+\}")
 

@@ -149,7 +149,8 @@ def _add_contacts(
     steps, last = np.array(counted_steps(facts)), longest(facts)
     states = np.stack([target.state for target in forecast.targets[1 : last + 1]])
     events = events_of(paths, states, has_truth=facts.has_truth)
-    slices = _slices_of(events, forecast, facts)
+    of_frame = _of_frame(forecast, facts)
+    slices = _slices_of(events, forecast, facts) & of_frame[:, None]
     largest, independent = risks_of(paths, np.arange(len(paths)), occupancy)
     largest = np.ascontiguousarray(largest[:, steps - 1])
     independent = np.ascontiguousarray(independent[:, steps - 1])
@@ -157,7 +158,6 @@ def _add_contacts(
     counts = within["unknown"], within["seconds"]
     _add_paths(steps, largest, independent, events.contact, events.unseen, slices, *counts, *histograms)
     within["seconds"][:] *= facts.period_s
-    of_frame = _of_frame(forecast, facts)
     for name in _SHARED:
         shared = within.block(name) if name in _HISTOGRAMS else within[name][..., None]
         shared[:] = shared[:, :1] * of_frame[:, None]
@@ -241,7 +241,7 @@ def _slices_of(events: Events, forecast: ScoredForecast, facts: TrialFacts) -> N
             own[target.cells] = target.labels
         for number, name in enumerate(facts.classes):
             slices[f"dynamic {name}"][met] = labels[step, cell] == number
-    return np.stack(list(slices.values())) & _of_frame(forecast, facts)[:, None]
+    return np.stack(list(slices.values()))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -329,7 +329,7 @@ def _follow(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _add_lead_times(steps, risks, since_s, contact, ends_s, slices, lead_s, followed):  # type: ignore[no-untyped-def]
-    """Add the seconds (H, K, C) from the first forecast whose alarm stays on until the contact, by its threshold.
+    """Add the seconds (H, K, C) from the first forecast with an alarm that stays on until the contact, by threshold.
 
     The alarm stays on from a forecast on if this one and all later ones before the contact have a risk (T, N, H) of at
     least the threshold: the smallest of these risks decides.

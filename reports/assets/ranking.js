@@ -110,7 +110,7 @@ function drawRow(row, { value, low, high }, x, place, end, output) {
 }
 
 function caption(chosen) {
-  const tests = testsOf(chosen), hasIntervals = rankedRows(chosen).some((row) => pointsIn(chosen)(row).low !== null);
+  const tests = testsOf(chosen), at = pointsIn(chosen), hasIntervals = rankedRows(chosen).some((row) => at(row).low !== null);
   const own = `${scoreWords(outputNamed(chosen.score))}${hasIntervals ? ", with 95 % intervals" : ""}`;
   const marks = chosen.reference === NO_REFERENCE ? "" : ` ▲ better, ▼ worse${tests ? "" : " by intervals"}.`;
   if (!tests) return `${own}. Not tested: ${recordingNamed(chosen.recording).untested}.${marks}`;

@@ -202,7 +202,7 @@ def test_files_in_its_memory_count_as_memory(attack, folder):
 
 
 def test_files_of_the_host_do_not_count_while_the_sandbox_mounts_its_own(tmp_path):
-    """Once in some thousand starts the size was that of the host's /tmp, and the device that of the sandbox's."""
+    """Once in some thousand starts the size of the host's /tmp was taken for the sandbox's own."""
     place, other = tmp_path / "place", tmp_path / "other"
     ended = threading.Event()
     ((disk, _), on_disk), *_ = used("/").items()

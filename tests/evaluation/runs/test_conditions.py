@@ -158,7 +158,7 @@ def test_degraded_input_is_the_same_for_all_and_is_scored_against_the_undegraded
     # at 1 every frame is lost, and persistence calls no unseen cell occupied
     undegraded, *_, lost = (point.scores for point in curves["frame_drop"])
     assert lost["f1"]["visible"] == (0.0,) * 11
-    # paths and contacts are those of the undegraded frames, and equal risks foresee as many contacts as clear paths
+    # paths and contacts follow from the undegraded frames; equal risks foresee as many contacts as clear paths
     assert lost["contact_foresight"]["dynamic"][5] == 0.05 < undegraded["contact_foresight"]["dynamic"][5]
     assert summary.recordings["room"].parity is True
 
