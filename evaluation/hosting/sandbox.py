@@ -8,6 +8,7 @@ after the end of the process. docs/wire.md describes its guarantees and its limi
 from __future__ import annotations
 
 import errno
+import fcntl
 import filecmp
 import os
 import shutil
@@ -44,11 +45,17 @@ GRIDTRACK_DATA = "data"
 """Recordings and weights of the package, which an ordinary installation has beside its code."""
 GRIDTRACK_CODE = ("__init__.py", "common", "trackers")
 """The parts of gridtrack that a tracker imports. In an editable installation recordings and runs lie beside them."""
-REFUSED_CALLS = ("add_key", "request_key", "keyctl", "mincore", "preadv2", "fadvise64", "io_uring_setup")
-"""System calls by which a program could store data for its next start: in the kernel's keyrings, and in the choice of
-the pages of a file that the kernel has in memory."""
+REFUSED_CALLS = (
+    *("add_key", "request_key", "keyctl", "mincore", "preadv2", "fadvise64", "io_uring_setup"),
+    *("flock", "inotify_init", "inotify_init1", "fanotify_init"),
+)
+"""System calls by which a program could store data for its next start, in the kernel's keyrings and in the choice of
+the pages of a file that the kernel has in memory, or learn that another one has locked or opens a file."""
+REFUSED_COMMANDS = (fcntl.F_GETLK, 36, fcntl.F_SETLEASE, fcntl.F_NOTIFY)
+"""Commands of the system call `fcntl` that tell of the locks of others; 36 is F_OFD_GETLK."""
 CACHESTAT = 451
 """The number of a system call of this kind that older versions of libseccomp do not know by name."""
+LOCKS = "/proc/locks"
 CACHES, CACHE_ROOM = "/run/caches", 1 << 20
 COPY = f'n=0; while [ "$1" != -- ]; do cp {CACHES}/$n/* "$1"/; n=$((n+1)); shift; done; shift; exec "$@"'
 
@@ -136,6 +143,8 @@ def _filter_program() -> bytes:
     rules = pyseccomp.SyscallFilter(pyseccomp.ALLOW)
     for call in (*REFUSED_CALLS, CACHESTAT):
         rules.add_rule(pyseccomp.ERRNO(errno.ENOSYS), call)
+    for command in REFUSED_COMMANDS:
+        rules.add_rule(pyseccomp.ERRNO(errno.ENOSYS), "fcntl", pyseccomp.Arg(1, pyseccomp.EQ, command))
     with tempfile.TemporaryFile() as file:
         rules.export_bpf(file)
         file.seek(0)
@@ -220,6 +229,7 @@ def confined(
     for path in SYSTEM:
         options += ["--ro-bind-try", path, path]
     options += ["--ro-bind-try", PROCESSORS, PROCESSORS, "--proc", "/proc", "--dev", "/dev"]
+    options += ["--ro-bind", "/dev/null", LOCKS]
     for path in IN_MEMORY:
         options += ["--size", size, "--tmpfs", path]
     options += view.arguments()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import json
 import mmap
 import os
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -24,6 +26,7 @@ from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
 CLONE_NEWUSER = 0x10000000
 ADD_KEY, KEYCTL = {"x86_64": (248, 250), "aarch64": (217, 219)}[os.uname().machine]
 KEYCTL_UNLINK, KEYCTL_SEARCH = 9, 10
+F_OFD_GETLK, IN_OPEN = 36, 0x20
 BLOCK = 1 << 20
 
 
@@ -78,8 +81,12 @@ def calls(port: str) -> bool:
 
 def looks(_: str) -> list[str]:
     """The command lines of all processes in sight."""
-    found = [entry / "cmdline" for entry in Path("/proc").iterdir() if entry.name.isdigit()]
-    return [path.read_bytes().replace(b"\0", b" ").decode(errors="replace") for path in found]
+    found = []
+    for entry in Path("/proc").iterdir():
+        with suppress(OSError):  # it has ended
+            if entry.name.isdigit():
+                found.append((entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace"))
+    return found
 
 
 def reads_memory(pid: str) -> bool:
@@ -181,6 +188,31 @@ def finds_pages(path: str) -> list[bool]:
     return found
 
 
+def senses_locks(path: str) -> list[str]:
+    """The ways in which this process learns that another one has locked a file, or opens it."""
+    question = struct.pack("hhqqi", fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
+    inotify = ctypes.CDLL(None).inotify_init1(os.O_NONBLOCK)
+    found = ["inotify"] if ctypes.CDLL(None).inotify_add_watch(inotify, path.encode(), IN_OPEN) >= 0 else []
+    with open(path, "rb") as file:
+        for name, command in (("F_GETLK", fcntl.F_GETLK), ("F_OFD_GETLK", F_OFD_GETLK)):
+            with suppress(OSError):
+                answer = struct.unpack("hhqqi", fcntl.fcntl(file, command, question))
+                found += [name] if answer[0] == fcntl.F_RDLCK else []
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            found.append("flock")
+        except OSError:
+            pass
+        with suppress(OSError):
+            fcntl.fcntl(file, fcntl.F_SETLEASE, fcntl.F_RDLCK)
+            found.append("F_SETLEASE")
+        inode = f":{os.fstat(file.fileno()).st_ino} "
+    with suppress(OSError):
+        found += ["/proc/locks"] * (inode in Path("/proc/locks").read_text())
+    return found
+
+
 def variables(_: str) -> dict[str, str]:
     """Its environment."""
     return dict(os.environ)
@@ -204,6 +236,7 @@ ATTACKS = {
         finds_a_key,
         leaves_pages,
         finds_pages,
+        senses_locks,
         variables,
     )
 }

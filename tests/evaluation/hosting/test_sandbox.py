@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import mmap
 import os
@@ -170,6 +171,19 @@ def test_the_pages_that_a_file_has_in_memory_cannot_be_asked(attack, tmp_path, c
         os.fsync(file)
     _, found = attack(("leaves_pages", own), ("finds_pages", own), confined=confined)
     assert len(found) == (0 if confined else 16)
+
+
+@pytest.mark.parametrize("confined", [False, True], ids=["open", "sandbox"])
+def test_locks_on_a_file_that_two_trackers_read_tell_them_nothing(attack, tmp_path, confined):
+    own = tmp_path / "site" / "weights.bin"
+    own.parent.mkdir(exist_ok=True)
+    own.write_bytes(b"weights")
+    with own.open("rb") as file:
+        fcntl.lockf(file, fcntl.LOCK_SH)
+        fcntl.flock(file, fcntl.LOCK_SH)
+        (found,) = attack(("senses_locks", own), confined=confined)
+    every = ["inotify", "F_GETLK", "F_OFD_GETLK", "flock", "F_SETLEASE", "/proc/locks"]
+    assert found == ([] if confined else every)
 
 
 @pytest.mark.parametrize("confined", [False, True], ids=["open", "sandbox"])
