@@ -76,7 +76,7 @@ class Ratio:
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A value (...) that is no ratio of sums, such as an area; `size`: how much its sums count beside other sums."""
+    """A value (...) that is no ratio of sums, such as an area; `size`: its number of events, beam ends or forecasts."""
 
     value: Floats
     size: Floats

@@ -26,12 +26,12 @@ LEAST_AGREEING = 6
 """Units that agree exactly have no spread to go by: with fewer than six a sign test cannot be significant."""
 TOO_SHORT = "too short for an interval"
 HALF_A_COUNT = 0.5
-"""Added to counts of cells before the logarithm. A sum of losses is no count: half a nat may be most of it."""
+"""Added to counts of cells or events before the logarithm. A sum of losses is no count: half a nat may be most of
+it."""
 WITHIN_ROUNDING = 1e-9
 """Smaller differences count as zero."""
-_NEAREST_TO_0_OR_1 = 1e-9
-"""Scores without a unit are no nearer to 0 and 1, where log odds are infinite; a sum that is no count is no smaller
-share of that over all units."""
+_SMALLEST_SHARE = 1e-9
+"""A sum that is no count is, before the logarithm, no smaller share of that over all units."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,11 +152,18 @@ def _interval_of_ratio(found: Replicates, scale: Scale, level: float) -> tuple[F
 
 
 def _interval_of_measure(found: Replicates, scale: Scale, level: float) -> tuple[Floats, Floats]:
-    """NaN for a value on a logarithmic scale that is 0, also without one of the units."""
+    """Half a count is added to each side of the odds: the size of a unit is its number of events. Where the value is 0
+    in all units, or 1 in all, the interval is that point; NaN on a logarithmic scale, also without one of the units.
+    """
     forth, back = (scipy.special.logit, scipy.special.expit) if scale == "odds" else (np.log, np.exp)
-    bounds = (_NEAREST_TO_0_OR_1, 1 - _NEAREST_TO_0_OR_1) if scale == "odds" else (0.0, np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
-        error = _standard_error(forth(np.clip(found.without, *bounds)))
+        if scale == "odds":
+            events = _without_each(found.size)
+            sides = (found.without * events, (1 - found.without) * events)
+            of_value, of_other = (np.log(np.maximum(side, 0.0) + HALF_A_COUNT) for side in sides)
+            error = _standard_error(of_value - of_other)
+        else:
+            error = _standard_error(np.log(found.without))
         centre = forth(found.value)
     reach = _quantile(degrees_of_freedom(found.size), level) * error
     low, high = (np.where(np.isnan(found.value), np.nan, back(centre + side * reach)) for side in (-1, 1))
@@ -237,7 +244,7 @@ def _without_each(sums: Floats) -> Floats:
 def _log_without_each(sums: Floats, *, counted: bool) -> Floats:
     """The logarithm (U, ...) of the total without each unit in turn; `counted`: with half a count more."""
     without = _without_each(sums)
-    least = np.maximum(_NEAREST_TO_0_OR_1 * sums.sum(axis=0), np.finfo(np.float64).tiny)
+    least = np.maximum(_SMALLEST_SHARE * sums.sum(axis=0), np.finfo(np.float64).tiny)
     log: Floats = np.log(without + HALF_A_COUNT if counted else np.maximum(without, least))
     return log
 

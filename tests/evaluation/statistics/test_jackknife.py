@@ -197,6 +197,21 @@ def test_one_unit_that_holds_all_the_hits_says_little():
     assert high > 0.9
 
 
+@pytest.mark.parametrize("side", [0.0, 1.0])
+def test_a_rate_that_one_event_keeps_from_its_end_is_nearly_sure(side):
+    """A thousand contacts in each of twenty recordings, all but one of 20,000 foreseen, or all but one missed."""
+    size = np.full(20, 1000.0)
+    events = size.sum()
+    without = np.full(20, abs(side - 1 / (events - 1000)))
+    without[7] = side
+    found = Replicates(np.array(abs(side - 1 / events)), without, size)
+    ends = np.abs(side - np.array(ends_of(found, "odds")))
+    assert (0 < ends).all()
+    assert (ends < 1e-3).all()
+    sure = Replicates(np.array(side), np.full(20, side), size)
+    assert ends_of(sure, "odds") == (side, side)
+
+
 def test_the_same_counts_differ_by_exactly_nothing():
     counts = counts_of(np.random.default_rng(7), shape=(21, 8))
     difference = differences(counts, counts.copy())
@@ -299,9 +314,10 @@ def area_by_hand(cells, positives):
 def test_the_interval_of_pr_auc_is_the_jackknife_of_its_log_odds_computed_one_unit_at_a_time():
     cells, positives = histograms(np.random.default_rng(5))
     without = np.array([area_by_hand(*(np.delete(one, u, axis=0) for one in (cells, positives))) for u in range(20)])
-    odds = np.log(without / (1 - without))
-    error = np.sqrt(19 / 20 * np.sum((odds - odds.mean()) ** 2))
     sizes, value = positives.sum(axis=(1, 2)), area_by_hand(cells, positives)
+    kept = sizes.sum() - sizes
+    odds = np.log(without * kept + 0.5) - np.log((1 - without) * kept + 0.5)
+    error = np.sqrt(19 / 20 * np.sum((odds - odds.mean()) ** 2))
     reach = stats.t.ppf(0.975, sizes.sum() ** 2 / (sizes**2).sum() - 1) * error
     ends = 1 / (1 + np.exp(-(np.log(value / (1 - value)) + np.array([-1, 1]) * reach)))
     found = pr_auc_of(cells, positives)
