@@ -193,7 +193,7 @@ def senses_locks(path: str) -> list[str]:
     question = struct.pack("hhqqi", fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
     inotify = ctypes.CDLL(None).inotify_init1(os.O_NONBLOCK)
     found = ["inotify"] if ctypes.CDLL(None).inotify_add_watch(inotify, path.encode(), IN_OPEN) >= 0 else []
-    with open(path, "rb") as file:
+    with Path(path).open("rb") as file:
         for name, command in (("F_GETLK", fcntl.F_GETLK), ("F_OFD_GETLK", F_OFD_GETLK)):
             with suppress(OSError):
                 answer = struct.unpack("hhqqi", fcntl.fcntl(file, command, question))

@@ -206,7 +206,7 @@ def test_a_rate_that_one_event_keeps_from_its_end_is_nearly_sure(side):
     without[7] = side
     found = Replicates(np.array(abs(side - 1 / events)), without, size)
     ends = np.abs(side - np.array(ends_of(found, "odds")))
-    assert (0 < ends).all()
+    assert (ends > 0).all()
     assert (ends < 1e-3).all()
     sure = Replicates(np.array(side), np.full(20, side), size)
     assert ends_of(sure, "odds") == (side, side)
