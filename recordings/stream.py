@@ -110,6 +110,10 @@ class GridStream:
         """The time of the first frame since the first scan of the recording, seconds."""
         return self._ticks[0] * self.period_s
 
+    def stamp_ns(self, index: int) -> int:
+        """The stamp of a frame of this stretch."""
+        return self.recording.survey.first_ns + self._ticks[index] * self.period_ns
+
     @property
     def recorded(self) -> RecordedTime:
         """The time that the frames cover."""

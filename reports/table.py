@@ -29,6 +29,9 @@ LEAK = "learned from these frames"
 MEMORY = "may remember"
 """The mark of a row with a sign that it remembers a recording."""
 
+RECORDED = "recorded: causality not checked"
+"""The mark of a row of recorded forecasts."""
+
 RowGroup = Literal["ceiling", "ranked", "floor", "unranked"]
 """The ceiling; complete trials of trackers; complete trials of the floor; trials that are incomplete, or scored on
 frames of their training."""
@@ -170,7 +173,8 @@ class TableRow:
         if self.group == "unranked":
             return self.outcome
         below = f"below {self.trial.best_floor}" if self.trial.below_floor else ""
-        return ", ".join(filter(None, (below, MEMORY if self.trial.memory else "")))
+        recorded = (self.trial.made_by, RECORDED) if self.entry.role == "recorded" else ()
+        return ", ".join(filter(None, (below, MEMORY if self.trial.memory else "", *recorded)))
 
     @property
     def frames(self) -> str:

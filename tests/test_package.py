@@ -83,7 +83,9 @@ def test_no_other_package_may_import_a_concrete_tracker():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     contracts = project["tool"]["importlinter"]["contracts"]
     (forbidden,) = [one["forbidden_modules"] for one in contracts if "concrete tracker" in one["name"]]
-    groups = (project["project"]["entry-points"][f"gridtrack.{name}"].values() for name in ("trackers", "floors"))
+    groups = (
+        project["project"]["entry-points"][f"gridtrack.{name}"].values() for name in ("trackers", "floors", "recorded")
+    )
     assert set(forbidden) == {".".join(re.split("[.:]", value)[:3]) for values in groups for value in values}
 
 

@@ -21,8 +21,8 @@ API_WITHOUT_FIT = 1
 """The version before, which differs in `fit` only."""
 MAX_FUTURES = 64
 """The most sampled futures of one forecast; it bounds the size of an answer before memory is allocated."""
-Role = Literal["tracker", "floor"]
-"""The role of a row in a comparison: a tracker, or a floor, which every tracker must beat."""
+Role = Literal["tracker", "floor", "recorded"]
+"""The role of a row in a comparison: a tracker, a floor, which every tracker must beat, or forecasts from a file."""
 ComparedPart = Literal["occupancy", "classes"]
 """The part of their forecasts by which two rows are compared."""
 
@@ -201,7 +201,8 @@ class Tracker(ABC):
     learns_general: ClassVar[bool] = False
     """Whether `fit` can learn for any place (`FitTask.general`)."""
     role: ClassVar[Role] = "tracker"
-    """A floor is a row that every tracker must beat, such as persistence."""
+    """A floor is a row that every tracker must beat, such as persistence. Only the role "recorded" may leave cells
+    without a forecast (NaN), and frames with NaN in all cells."""
     reference_for: ClassVar[frozenset[ComparedPart]] = frozenset()
     """The comparisons in which this tracker is the reference of the other rows, unless the user names another row."""
 

@@ -157,14 +157,14 @@ def forecast_limit(grid: GridSpec, steps: int, classes: int) -> int:
     return (steps + 1) * grid.size**2 * of_a_cell + MAX_OBJECTS * (8 + 4 * (5 + 2 + 16 + 1))
 
 
-def forecast_from(message: Message, grid: GridSpec, steps: int, classes: int) -> Forecast:
+def forecast_from(message: Message, grid: GridSpec, steps: int, classes: int, *, gaps: bool = False) -> Forecast:
     """The forecast in the answer to `predict`: shapes, types and ranges of `Forecast` are checked. Raises WireError.
 
-    `classes`: number of classes of the tracker.
+    `classes`: number of classes of the tracker; `gaps`: its occupancy may be NaN, in cells without a forecast.
     """
     semantics = None
     occupancy = _plane(message, "occupancy", (steps + 1, *grid.shape))
-    _in_unit_range("occupancy", occupancy)
+    _in_unit_range("occupancy", np.nan_to_num(occupancy) if gaps else occupancy)
     if "semantics" in message.arrays:
         if not classes:
             raise WireError("semantics from a tracker that names no classes")

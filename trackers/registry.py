@@ -22,6 +22,11 @@ from gridtrack.trackers.contract import API, API_WITHOUT_FIT, ComparedPart, Role
 TRACKER_GROUP = "gridtrack.trackers"
 FLOOR_GROUP = "gridtrack.floors"
 """The entry points of the trackers that are added to every comparison; their role is "floor"."""
+RECORDED_GROUP = "gridtrack.recorded"
+"""The entry points of the trackers that read forecasts from a file, named by their option `file`; they run only by
+name, and their role is "recorded"."""
+ROLES = {FLOOR_GROUP: "floor", RECORDED_GROUP: "recorded"}
+"""The role of the trackers in a group of entry points."""
 INSTALLED = ("site-packages", "dist-packages")
 """Names of folders of installed libraries."""
 OPTIONAL_REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+).*\bextra\s*==\s*['\"]([^'\"]+)")
@@ -30,12 +35,17 @@ OPTIONAL_REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+).*\bextra\s*==\s*['\"]([^'\
 
 def entries() -> dict[str, Registration]:
     """Every registered tracker by name, in order, none of them imported; broken ones carry their `problem`."""
-    return dict(sorted((registrations(TRACKER_GROUP) | floors()).items()))
+    return dict(sorted((registrations(TRACKER_GROUP) | floors() | recorded()).items()))
 
 
 def floors() -> dict[str, Registration]:
     """The registered trackers that are added to every comparison, by name, as in `entries`."""
     return registrations(FLOOR_GROUP)
+
+
+def recorded() -> dict[str, Registration]:
+    """The registered trackers that read forecasts from a file, by name, as in `entries`."""
+    return registrations(RECORDED_GROUP)
 
 
 def missing_extra(entry: Registration) -> str:
@@ -84,8 +94,9 @@ def load(name: str) -> type[Tracker]:
     if problem:
         raise PluginError(f"{where}: {problem}")
     tracker: type[Tracker] = found
-    if name in floors() and tracker.role != "floor":
-        raise PluginError(f'{where}: registered in {FLOOR_GROUP}, and its role is {tracker.role!r}: set role = "floor"')
+    for group, role in ROLES.items():
+        if name in registrations(group) and tracker.role != role:
+            raise PluginError(f'{where}: registered in {group}, and its role is {tracker.role!r}: set role = "{role}"')
     return tracker
 
 

@@ -106,10 +106,12 @@ class TrackerProcess:
         limits: Limits,
         stderr_path: Path,
         recordings: Iterable[Path] = (),
+        files: Iterable[Path] = (),
         *,
         classes_used: bool = True,
     ) -> None:
-        """`recordings`: the source of the frames; the process gets no environment variable that names one.
+        """`recordings`: the source of the frames; the process gets no environment variable that names one. `files`: its
+        inputs beside its weights, which it sees in a sandbox too.
 
         Without `classes_used` class probabilities are checked and not kept. The caller may hold forecasts of
         `limits.memory_mb` in total.
@@ -119,7 +121,7 @@ class TrackerProcess:
         self.options = dict(options)
         self.limits = limits
         self.stderr_path = stderr_path
-        self._recordings = tuple(recordings)
+        self._recordings, self._files = tuple(recordings), tuple(files)
         self.timings = Timings()
         self.last_call: Call | None = None
         self._recoveries = [0]
@@ -135,7 +137,7 @@ class TrackerProcess:
 
     def __enter__(self) -> TrackerProcess:
         card = self.stream.weights and self.stream.weights.absolute()
-        files = (card, card.with_suffix(ARRAYS_SUFFIX)) if card else ()
+        files = (*self._files, card, card.with_suffix(ARRAYS_SUFFIX)) if card else self._files
         self._dialogue = _dialogue(self.launch, self.limits, self.stderr_path, self._recordings, files)
         request = Request("start", "started", {"stream": messages.stream_fields(self.stream), "options": self.options})
         with self._ending_on_error():
@@ -186,7 +188,8 @@ class TrackerProcess:
                 )
                 raise TrialEnded("out-of-memory", f"{what}: {reason}") from error
             self.timings.add_predict(self._call(answer))
-            forecast = messages.forecast_from(answer, grid, steps, classes)
+            gaps = self.description.role == "recorded"
+            forecast = messages.forecast_from(answer, grid, steps, classes, gaps=gaps)
             self._refuse_other_parts(forecast)
             if forecast.semantics is not None and not self._classes_used:
                 forecast = messages.without_semantics(forecast)

@@ -93,6 +93,17 @@ class ScoredForecast:
         return found
 
     @property
+    def occupancy(self) -> NDArray[np.float32]:
+        """P(occupied) (steps+1, M, M) as it is scored: a visible cell without a forecast (NaN) is wrong, 0 if it is
+        occupied and 1 if it is free."""
+        return self.once(_without_gaps)
+
+    @property
+    def missing(self) -> bool:
+        """Whether there is no forecast of this frame: NaN in all cells."""
+        return bool(np.isnan(self.forecast.occupancy).all())
+
+    @property
     def frames(self) -> tuple[GridFrame, ...]:
         """The frames t..t+steps in the window of frame t."""
         return tuple(target.frame for target in self.targets)
@@ -101,6 +112,15 @@ class ScoredForecast:
     def stamp_ns(self) -> int:
         """Stamp of frame t, at which the forecast was made."""
         return self.targets[0].frame.stamp_ns
+
+
+def _without_gaps(scored: ScoredForecast) -> NDArray[np.float32]:
+    occupancy = scored.forecast.occupancy
+    gaps = np.isnan(occupancy)
+    if not gaps.any():
+        return occupancy
+    occupied = np.stack([target.state & 1 for target in scored.targets]).astype(np.bool_)
+    return np.where(gaps, np.where(occupied, np.float32(0.0), np.float32(1.0)), occupancy)
 
 
 def scored_forecasts(

@@ -147,7 +147,7 @@ class SampleWriter:
             self._write_occupancy(f"/came/{horizon:g}s", stamp_ns, frames[step])
             known = scored_planes(scored.targets[step], scored.region_maps.dynamic)
             self._write(f"/scored/{horizon:g}s", stamp_ns, known, (*SCORED_FIELDS, SHADE))
-            forecast = probability_plane(scored.forecast.occupancy[step])
+            forecast = probability_plane(np.nan_to_num(scored.forecast.occupancy[step], nan=0.5))
             self._write(f"/forecast/{horizon:g}s", stamp_ns, forecast, PROBABILITY_FIELDS)
 
     def _write_occupancy(self, topic: str, stamp_ns: int, frame: GridFrame) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, WeightsError, did_you_mean
-from gridtrack.common.files import check_path
+from gridtrack.common.files import check_path, sha256_of
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.notices import Notice
 from gridtrack.evaluation.hosting.limits import Limits
@@ -36,6 +36,7 @@ from gridtrack.evaluation.runs.learned import (
     refuse_leaks,
     weights_in,
 )
+from gridtrack.evaluation.runs.recorded_rows import check_recorded, recorded_file, with_own_file
 from gridtrack.evaluation.runs.run_record import RunConfiguration, TrialIdentity, identity_of
 from gridtrack.evaluation.runs.settings import CompareSettings, check_together
 from gridtrack.evaluation.runs.summary import ALL_RECORDINGS
@@ -97,6 +98,11 @@ class Trial:
         return self.launch.external or is_plugin(self.launch)
 
     @property
+    def recorded(self) -> Path | None:
+        """The file of a row of recorded forecasts; None for a tracker. Raises ConfigurationError without a file."""
+        return recorded_file(self.selection) if self.selection.name in registry.recorded() else None
+
+    @property
     def test(self) -> GridStream:
         """The test stretch, with the returns that this tracker requested."""
         return with_points(self.split.test, self.selection.points)
@@ -141,6 +147,7 @@ class Trial:
             self.limits,
             log,
             [stretch.recording.path for stretch in stretches if stretch],
+            (self.recorded,) if self.recorded else (),
             classes_used=scored and bool(stream.classes),
         )
 
@@ -179,6 +186,7 @@ class Trial:
             argv=tuple(self.launch.argv if self.launch.external else self.launch.argv[1:]),
             seed=self.seed,
             threads=self.limits.threads,
+            file_sha256=sha256_of(self.recorded) if self.recorded else "",
         )
 
 
@@ -246,6 +254,7 @@ def resolve(
     selections = parse_selections([*(settings.trackers or _every_tracker(external)), *floors])
     _refuse_oracle_label(selections)
     _refuse_unknown_reference(settings.reference, selections)
+    _refuse_recorded_live(settings, selections)
     launches = {selection.label: launch(selection.name, external) for selection in selections}
     for selection in selections:
         _check_options(selection, launches[selection.label], settings.limits)
@@ -259,9 +268,10 @@ def resolve(
         for place, split in places.items()
         for selection in selections
     }
-    trials = tuple(
-        Trial(
-            selection,
+
+    def trial(selection: Selection, split: EvaluationSplit, others: tuple[EvaluationSplit, ...]) -> Trial:
+        return Trial(
+            with_own_file(selection, split) if selection.name in registry.recorded() else selection,
             launches[selection.label],
             split,
             weights[selection.label, _place_of(split)][0],
@@ -271,11 +281,11 @@ def resolve(
             settings.scores,
             settings.robot,
         )
-        for split, others in zip(splits, _others_of_recording(splits), strict=True)
-        for selection in selections
-    )
-    for trial in trials:
-        _refuse_thresholds_of_another_site(trial)
+
+    of_splits = list(zip(splits, _others_of_recording(splits), strict=True))
+    trials = tuple(trial(selection, split, others) for split, others in of_splits for selection in selections)
+    for one in trials:
+        _refuse_thresholds_of_another_site(one)
     of_weights = (notice for _, notices in weights.values() for notice in notices)
     notices = [*left_out, *(notice for split in splits for notice in split.notices), *of_weights, *_notices(trials)]
     notices += _leak_notices(settings, trials)
@@ -294,6 +304,8 @@ def _leak_notices(settings: CompareSettings, trials: Sequence[Trial]) -> list[No
 def _notices(trials: Sequence[Trial]) -> Iterator[Notice]:
     """Notices about the trials before they run."""
     for trial in trials:
+        if trial.recorded:
+            yield from check_recorded(trial.selection, trial.split)
         if trial.limits.sandbox and is_plugin(trial.launch):
             yield _beside_gridtrack(trial.label)
         if trial.weights and trial.weights.card.interrupted:
@@ -345,9 +357,10 @@ def _beside_gridtrack(label: str) -> Notice:
 
 
 def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
-    """Names of all trackers but the floors; `gridtrack trackers list` reports trackers that cannot be selected."""
-    floors = registry.floors()
-    return (*(name for name in registry.entries() if VALID_NAME.fullmatch(name) and name not in floors), *external)
+    """Names of all trackers but the floors, and those that need a file; `gridtrack trackers list` reports trackers that
+    cannot be selected."""
+    others = {*registry.floors(), *registry.recorded()}
+    return (*(name for name in registry.entries() if VALID_NAME.fullmatch(name) and name not in others), *external)
 
 
 def _added_floors(settings: CompareSettings) -> tuple[list[str], list[Notice]]:
@@ -390,6 +403,12 @@ def _refuse_oracle_label(selections: Sequence[Selection]) -> None:
             f"'{ORACLE}' is the referee's own row, the ceiling of the scores: give the tracker another label,"
             " as in --tracker LABEL=NAME"
         )
+
+
+def _refuse_recorded_live(settings: CompareSettings, selections: Sequence[Selection]) -> None:
+    recorded = [selection.label for selection in selections if selection.name in registry.recorded()]
+    if recorded and settings.follow:
+        raise ConfigurationError(f"--follow: {recorded[0]} reads recorded forecasts: compare the finished recording")
 
 
 def _refuse_unknown_reference(reference: str | None, selections: Sequence[Selection]) -> None:

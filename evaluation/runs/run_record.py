@@ -133,6 +133,8 @@ class TrialIdentity(ResultModel):
     """The command that starts the tracker; of a built-in tracker without the interpreter."""
     seed: int = 0
     threads: int = 1
+    file_sha256: str = ""
+    """Of the file of recorded forecasts; empty for a tracker."""
 
 
 class RunConfiguration(ResultModel):

@@ -114,8 +114,8 @@ def engine_of(settings: CompareSettings, progress: JobObserver) -> Engine:
 def one_of_each_recording(jobs: Sequence[RunJob]) -> Iterator[Sequence[RunJob]]:
     """The jobs in rounds with one job of each recording.
 
-    Trackers that run at the same time can talk even in a sandbox, by locks on a file that both can read: one that is
-    ahead on a recording could tell its future.
+    Trackers that run at the same time can talk even in a sandbox, by the processor time: one that is ahead on a
+    recording could tell its future.
     """
     by_recording: dict[Path, list[RunJob]] = {}
     for job in jobs:
@@ -179,13 +179,13 @@ class Stages:
         if degradation is None:
             return
         done = {name for name, r in self._records.items() if r.robustness and r.robustness.degradation == degradation}
-        trials = [trial for trial in self._complete() if trial.name not in done]
+        trials = [trial for trial in self._live() if trial.name not in done]
         self._execute([RobustnessJob(t, self._records[t.name], self._folder / t.name, self._shared) for t in trials])
 
     def measure_alone(self) -> None:
         """Run the passes that need the machine for one tracker alone, if they are requested and missing."""
         settings = self._plan.settings
-        for trial in self._complete():
+        for trial in self._live():
             record, folder = self._records[trial.name], self._folder / trial.name
             if settings.latency and record.latency_ms is None:
                 with self._measuring(trial, "latency, alone on the machine"):
@@ -201,6 +201,10 @@ class Stages:
 
     def _complete(self) -> list[Trial]:
         return [trial for trial in self._plan.trials if self._records[trial.name].outcome == "ok"]
+
+    def _live(self) -> list[Trial]:
+        """The complete trials of trackers that run; the input and the time of recorded forecasts cannot change."""
+        return [trial for trial in self._complete() if self._records[trial.name].role != "recorded"]
 
     def _execute(self, jobs: Sequence[RunJob]) -> None:
         """Execute `jobs`: all at once as far as the engine can, in a sandbox one of each recording at a time."""

@@ -13,7 +13,7 @@ from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.passes import Deadline, Latency, Robustness
 from gridtrack.evaluation.runs.result_files import Curve, Curves, Number, ResultModel, read_model, write_model
 from gridtrack.evaluation.runs.run_record import LONGEST_S, RecordingSummary, refuse_unordered
-from gridtrack.evaluation.runs.trial_record import Times
+from gridtrack.evaluation.runs.trial_record import Times, all_scored
 from gridtrack.evaluation.scores.definition import LEADING_HORIZONS_S, Output, ScoreDefinition
 from gridtrack.evaluation.scores.registry import output_named
 from gridtrack.trackers.contract import ComparedPart, Role
@@ -144,6 +144,10 @@ class ScopeSummary(ResultModel):
     """Scored frames, and frames for thresholds, that its weights learned from: not ranked."""
     frames_scored: int = 0
     frames_expected: int = 0
+    frames_missing: int = 0
+    """Frames without a recorded forecast: not scored."""
+    made_by: Line = ""
+    """How recorded forecasts were made, by their file."""
     threshold_chosen_on: str = ""
     """The validation stretch; empty without one, or if recordings differ in it."""
     thresholds: dict[str, Curve] = Field(default_factory=dict)
@@ -162,7 +166,7 @@ class ScopeSummary(ResultModel):
     @property
     def complete(self) -> bool:
         """Whether every forecast was scored."""
-        return self.outcome == "ok" and 0 < self.frames_scored == self.frames_expected
+        return self.outcome == "ok" and all_scored(self.frames_scored, self.frames_missing, self.frames_expected)
 
     @property
     def ranked(self) -> bool:

@@ -6,11 +6,13 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from gridtrack.common.errors import RecordingError, bounded_line
 from gridtrack.common.files import remove_partial_files
+from gridtrack.common.forecast_file import open_forecasts
 from gridtrack.evaluation.engines.engine import Interrupted
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.tracker_process import TrackerDescription
@@ -23,6 +25,7 @@ from gridtrack.evaluation.runs.scorekeeper import SCORE_FILES, Scorekeeper, fact
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds, thresholds_of_card, trial_key
 from gridtrack.evaluation.runs.sums import SUMS_FILE
 from gridtrack.evaluation.runs.trial_record import (
+    MOST_MISSING,
     OUTCOME_FILE,
     ThresholdsUsed,
     Times,
@@ -32,7 +35,7 @@ from gridtrack.evaluation.runs.trial_record import (
 )
 from gridtrack.evaluation.scores.cells import Tally, count_cells
 from gridtrack.evaluation.scores.registry import scores
-from gridtrack.evaluation.scores.thresholds import Thresholds, best_thresholds, half
+from gridtrack.evaluation.scores.thresholds import LABEL_FREE, Thresholds, best_thresholds, half
 
 STDERR_LOG = "stderr.log"
 REPLACED = (OUTCOME_FILE, *SCORE_FILES, PRIOR_FILE)
@@ -61,7 +64,7 @@ class TrialRun:
         self._thresholds: Thresholds | None = None
         self._test = trial.split.schedule
         self._delivery = Delivery(trial.test, on_frame, regions.test)
-        self._scored = 0
+        self._scored = self._missing = 0
         self._description: TrackerDescription | None = None
         self._start_s = self._wall_s = 0.0
         self._interrupted = False
@@ -96,6 +99,8 @@ class TrialRun:
             return "not-applicable", str(error)
         except Exception as error:  # noqa: BLE001 a full disk or a defect in the scoring must not stop the other trials
             return "failed", error_with_location(error)
+        if self._missing > MOST_MISSING * self._test.expected:
+            return "ok", f"{self._missing} of {self._test.expected} frames have no recorded forecast"
         return "ok", ""
 
     def _refuse_moving(self, description: TrackerDescription) -> None:
@@ -127,18 +132,25 @@ class TrialRun:
     def _choose_thresholds(self) -> Thresholds:
         """Stream the validation stretch and choose the thresholds on it.
 
-        Without such a stretch they come from the card, and are 0.5 if it has none.
+        Without such a stretch they come from the card, and are 0.5 if it has none. Recorded forecasts without one, or
+        with none there, have label-free thresholds.
         """
         stretch = self.trial.validation
         if stretch is None:
-            return thresholds_of_card(self.trial) or half(self.trial.split.steps, self.trial.split.strata)
+            return thresholds_of_card(self.trial) or self._unchosen()
         delivery = Delivery(stretch, self._on_frame, self._regions.validation)
         try:
             with self._clock():
                 tally = validation_tally(self._process, delivery, self.trial.split, self.trial.seed)
         except TrialEnded as ended:
             raise TrialEnded(ended.outcome, f"in the validation stretch {stretch.name}: {ended.reason}") from None
-        return best_thresholds(tally, stretch.name)
+        return best_thresholds(tally, stretch.name) if tally.cells.any() else self._unchosen()
+
+    def _unchosen(self) -> Thresholds:
+        """The thresholds that nothing was chosen on."""
+        split = self.trial.split
+        found = half(split.steps, split.strata)
+        return replace(found, chosen_on=LABEL_FREE) if self._process.description.role == "recorded" else found
 
     def _score(self, thresholds: Thresholds) -> None:
         """Stream the test stretch and write the score of each forecast once its last frame is observed."""
@@ -146,6 +158,9 @@ class TrialRun:
         facts = facts_of(split, thresholds, self.trial.robot, self._process.description.classes)
         with Scorekeeper(self._folder, split, facts, scores(self.trial.scores)) as scorekeeper:
             for scored in scored_forecasts(self._tracker(), self._delivery, self._test, self.trial.seed):
+                if scored.missing:
+                    self._missing += 1
+                    continue
                 scorekeeper.add(scored, self._delivery.digest)
                 self._scored = scorekeeper.scored
 
@@ -166,6 +181,7 @@ class TrialRun:
                 "outcome": ending,
                 "reason": reason,
                 "frames_scored": self._scored if self._has_scores() else 0,
+                "frames_missing": self._missing,
                 "frames_delivered": self._delivery.frames,
                 "delivered": self._delivery.digest,
                 "thresholds": ThresholdsUsed.of(chosen),
@@ -202,7 +218,9 @@ def validation_tally(tracker: TrackerLike, delivery: Delivery, split: Evaluation
     """The counts of `tracker` on the validation stretch of `split`, which `delivery` delivers."""
     tally = Tally.empty(split.steps, split.strata)
     for scored in scored_forecasts(tracker, delivery, split.validation_schedule, seed):
-        tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
+        if scored.missing:
+            continue
+        tally.add(count_cells(scored.occupancy, scored.targets, scored.region_maps, scored.ages))
     return tally
 
 
@@ -219,6 +237,7 @@ def unstarted(trial: Trial) -> TrialRecord:
         card=trial.weights.kind if trial.weights else "",
         leak="; ".join(trial.leaks),
         may_remember=trial.is_users and not trial.limits.sandbox,
+        made_by=open_forecasts(trial.recorded).note if trial.recorded else "",
     )
 
 

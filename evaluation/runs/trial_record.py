@@ -20,6 +20,8 @@ from gridtrack.trackers.contract import ComparedPart, Role
 TRIAL_SCHEMA: Final = 3
 OUTCOME_FILE = "outcome.json"
 MAX_OUTCOME_BYTES = 1 << 24
+MOST_MISSING = 0.1
+"""With a larger share of frames without a recorded forecast a trial is partial: the others may be easier."""
 
 TrialEnding = Outcome | Literal["interrupted", "failed"]
 """How a trial ended; `interrupted` with its run, `failed` if the scoring failed and not the tracker."""
@@ -68,6 +70,8 @@ class TrialRecord(ResultModel):
     """Why it ended, in one line; empty for `ok`."""
     frames_scored: int = 0
     frames_expected: int = 0
+    frames_missing: int = 0
+    """Frames without a forecast, of a row of recorded forecasts: they are not scored."""
     frames_delivered: int = 0
     """Of the test stretch."""
     delivered: str = ""
@@ -79,6 +83,8 @@ class TrialRecord(ResultModel):
     """The classes that the tracker gives probabilities for."""
     role: Role = "tracker"
     """The tracker's word, not checked; `tracker` if it did not start."""
+    made_by: Line = ""
+    """How recorded forecasts were made, by their file; empty for a tracker."""
     reference_for: tuple[ComparedPart, ...] = ()
     """The comparisons in which the other rows are compared with this tracker by default."""
     code_sha256: str = ""
@@ -111,8 +117,8 @@ class TrialRecord(ResultModel):
 
     @property
     def complete(self) -> bool:
-        """Whether every forecast of the test stretch was scored."""
-        return self.outcome == "ok" and 0 < self.frames_scored == self.frames_expected
+        """Whether every forecast of the test stretch was scored, but for a share of MOST_MISSING."""
+        return self.outcome == "ok" and all_scored(self.frames_scored, self.frames_missing, self.frames_expected)
 
     def changed_file(self, folder: Path) -> Path | None:
         """The first file in the trial's folder that is not the one that the trial wrote; a file may be missing."""
@@ -133,6 +139,11 @@ class TrialRecord(ResultModel):
     def write(self, folder: Path) -> None:
         """Write it into the trial's folder. Raises OSError."""
         write_model(folder / OUTCOME_FILE, self)
+
+
+def all_scored(scored: int, missing: int, expected: int) -> bool:
+    """Whether all expected frames were scored, but for missing recorded forecasts, a share of MOST_MISSING at most."""
+    return 0 < scored == expected - missing and missing <= MOST_MISSING * expected
 
 
 def code_differs(*sha256s: str) -> bool:
@@ -173,7 +184,9 @@ class RequestedMeasurements(Protocol):
 
 
 def missing_measurements(requested: RequestedMeasurements, record: TrialRecord) -> Iterator[str]:
-    """A line for each requested measurement that is missing in the record of a complete trial."""
+    """A line for each requested measurement that is missing in the record of a complete trial of a live tracker."""
+    if record.role == "recorded":
+        return
     missing = {
         "--latency": requested.latency and record.latency_ms is None,
         "--deadline": requested.deadline and record.deadline is None,

@@ -44,7 +44,7 @@ def _count(forecast: ScoredForecast, facts: TrialFacts, memory: None) -> Floats:
     Metres by which beams are expected to end behind their returns (late), and before them (early), and the number of
     beams by the size of the error.
     """
-    occupancy = forecast.forecast.occupancy
+    occupancy = forecast.occupancy
     found = np.zeros((len(forecast.targets), 1, 2 + BINS))
     for n, target in enumerate(forecast.targets):
         error_m = facts.cell_m * (expected_ranges(occupancy[n], target.beams) - target.beams.ranges)

@@ -133,7 +133,7 @@ def for_calibration(counts: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def cells_of(forecast: ScoredForecast) -> Tally:
     """The counts of a forecast, in its strata."""
-    return count_cells(forecast.forecast.occupancy, forecast.targets, forecast.region_maps, forecast.ages)
+    return count_cells(forecast.occupancy, forecast.targets, forecast.region_maps, forecast.ages)
 
 
 def count_cells(

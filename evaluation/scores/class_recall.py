@@ -30,7 +30,7 @@ def _count(forecast: ScoredForecast, facts: TrialFacts, memory: None) -> Floats:
     for n, target in enumerate(forecast.targets):
         dynamic = kinds[target.cells] == _DYNAMIC
         cells, labels = target.cells[dynamic], target.labels[dynamic]
-        p = forecast.forecast.occupancy[n].reshape(-1)[cells]
+        p = forecast.occupancy[n].reshape(-1)[cells]
         hidden = (target.state.reshape(-1)[cells] != SEEN_OCCUPIED).astype(np.int64)
         missed = np.stack([p < thresholds[n, columns][hidden], p < np.float32(0.5)], axis=1)
         for i in range(2):

@@ -21,7 +21,7 @@ from gridtrack.evaluation.scores.definition import (
     divided,
 )
 from gridtrack.evaluation.scores.relations import share_of_oracle
-from gridtrack.evaluation.scores.thresholds import LabelFreeThresholds, half
+from gridtrack.evaluation.scores.thresholds import LABEL_FREE, LabelFreeThresholds, half
 
 COUNTS = ("tp", "fp", "fn", "tn")
 THRESHOLDS = ("chosen", "half", "visible", "label-free")
@@ -36,10 +36,10 @@ def _parts(facts: TrialFacts) -> tuple[str, ...]:
 
 def _count(forecast: ScoredForecast, facts: TrialFacts, memory: LabelFreeThresholds) -> Floats:
     """TP, FP, FN and TN (S, K, 16), cells, at each of THRESHOLDS."""
-    tally, chosen = forecast.once(cells_of), facts.thresholds.bins
+    tally, label_free = forecast.once(cells_of), memory.bins(forecast.stamp_ns)
+    chosen = label_free if facts.thresholds.chosen_on == LABEL_FREE else facts.thresholds.bins
     visible = chosen[:, [facts.strata.index("visible")]]
     bins = (chosen, half(facts.steps, facts.strata).bins, np.broadcast_to(visible, chosen.shape))
-    label_free = memory.bins(forecast.stamp_ns)
     memory.add(forecast.frames[-1].stamp_ns, tally)
     return np.concatenate([tally.confusion(own) for own in (*bins, label_free)], axis=-1).astype(np.float64)
 

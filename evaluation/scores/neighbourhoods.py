@@ -51,7 +51,7 @@ def neighbourhood_strata(strata: Sequence[str]) -> tuple[str, ...]:
 
 def neighbourhoods_of(forecast: ScoredForecast) -> NeighbourhoodSums:
     """The sums of a forecast."""
-    return sum_neighbourhoods(forecast.forecast.occupancy, forecast.targets, forecast.region_maps, forecast.ages)
+    return sum_neighbourhoods(forecast.occupancy, forecast.targets, forecast.region_maps, forecast.ages)
 
 
 def sum_neighbourhoods(

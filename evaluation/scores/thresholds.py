@@ -25,6 +25,8 @@ NEAREST_TO_HALF = 1 + np.abs(PROBABILITY_EDGES[1:PROBABILITY_BINS] - 0.5).argsor
 """The bins that may be thresholds, the nearest to 0.5 first."""
 _CALIBRATION_NEAREST_TO_HALF = 1 + np.abs(CALIBRATION_EDGES[1:CALIBRATION_BINS] - 0.5).argsort(kind="stable")
 """The bins for calibration with lower edges that may be thresholds, the nearest to 0.5 first."""
+LABEL_FREE = "its earlier forecasts, without labels"
+"""Thresholds chosen on this are those of `LabelFreeThresholds`; the stored ones stand for them in pictures."""
 
 
 @dataclass(frozen=True, slots=True)

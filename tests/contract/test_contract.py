@@ -25,7 +25,7 @@ from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.runs.learned import find_weights
 from gridtrack.trackers.contract import StreamSpec
-from gridtrack.trackers.registry import entries
+from gridtrack.trackers.registry import entries, recorded
 from gridtrack.trackers.selection import launch
 
 from scenes.programs_here import programs_here
@@ -34,9 +34,10 @@ LEG_TRACKER = StreamSpec(GridSpec(100, 0.1, (-2.0, -4.5)), 0.1, "leg_tracker")
 JUNCTION = StreamSpec(GridSpec(100, 0.2, (-4.0, -16.0)), 0.125, "junction")
 ANYWHERE = StreamSpec(GridSpec(40, 0.2), 0.125, "anywhere")
 SMALL = StreamSpec(GridSpec(40, 0.2), 0.125, "here")
+LIVE = sorted(entries().keys() - recorded().keys())
 
 
-@pytest.mark.parametrize("name", entries())
+@pytest.mark.parametrize("name", LIVE)
 def test_a_registered_tracker_satisfies_the_contract(name: str, trackers_here: None) -> None:
     """A learned tracker has general weights here: weights of a site are for a larger grid; the next test uses them."""
     learned = find_weights(name, "anywhere", None)
@@ -47,7 +48,7 @@ def test_a_registered_tracker_satisfies_the_contract(name: str, trackers_here: N
     assert len(results) == len(CLAUSES)
 
 
-@pytest.mark.parametrize("name", entries())
+@pytest.mark.parametrize("name", LIVE)
 def test_a_registered_tracker_forecasts_the_same_in_its_own_process(name: str, tmp_path: Path) -> None:
     """With other hashes of strings, and nothing that other trackers have imported."""
     forecasts = []

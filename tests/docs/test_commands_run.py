@@ -30,7 +30,7 @@ THEMES = {
     "hall": (
         *("README.md", "docs/export.md", "docs/export.md 2", "docs/importing.md", "docs/importing.md 2"),
         *("docs/scale.md", "docs/scale.md 2", "docs/scale.md 3", "docs/weights.md 2", "docs/statistics.md"),
-        *("docs/viewers.md", "docs/viewers.md 2", "docs/follow.md"),
+        *("docs/viewers.md", "docs/viewers.md 2", "docs/follow.md", "docs/recorded.md"),
     ),
     "formats": (
         *(f"docs/importing.md {number}" for number in range(3, 8)),
