@@ -22,7 +22,10 @@ Nothing is unpickled. Arrays that are not compressed stay on disk until they are
 
 from __future__ import annotations
 
+import sys
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,6 +49,11 @@ MAX_SMALL_BYTES = 1 << 28
 MAX_UNPACKED_BYTES = 1 << 31
 """Limit of a compressed array, which is unpacked as a whole."""
 MAX_SIDE, MAX_LEADS, MAX_NOTE = 4096, 1000, 200
+DAMAGE = (
+    *(OSError, ValueError, EOFError, NotImplementedError, RuntimeError),
+    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError, TypeError),
+)
+"""Errors of zipfile and numpy for damaged files."""
 _LOCAL_HEADER = 30
 """Bytes of the header of a member of a zip file before its name."""
 
@@ -204,7 +212,11 @@ def _text(path: Path, arrays: Mapping[str, NDArray[Any]], name: str, allowed: tu
     found = arrays.get(name)
     if found is None:
         return allowed[0] if allowed else ""
-    text = str(found) if found.shape == () and found.dtype.kind == "U" else ""
+    text = ""
+    if found.shape == () and found.dtype.kind == "U":
+        # numpy makes text of any numbers, and Python fails on those above its last character
+        codes = np.frombuffer(found.tobytes(), np.dtype(np.uint32).newbyteorder(found.dtype.byteorder))[:MAX_NOTE]
+        text = "".join(chr(code) for code in codes if code <= sys.maxunicode).rstrip("\0")
     if not text or (allowed and text not in allowed):
         raise RecordingError(f"{path}: {name} must be {' or '.join(allowed) or 'text'}")
     return text
@@ -236,7 +248,7 @@ def _arrays_in(path: Path) -> dict[str, NDArray[Any]]:
             return {file.stem: _read_file(file) for file in sorted(path.glob("*.npy"))}
         with open_regular(path) as file, zipfile.ZipFile(file) as packed:
             return {member.filename.removesuffix(".npy"): _read_member(packed, member) for member in packed.infolist()}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+    except DAMAGE as error:
         reason = getattr(error, "strerror", None) or one_line(str(error), 200)
         raise RecordingError(f"{path}: no arrays of forecasts (.npz, or a folder of .npy files): {reason}") from None
 

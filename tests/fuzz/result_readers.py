@@ -15,8 +15,11 @@ from fuzz.containers import (
     damaged_mcap,
     damaged_safetensors,
 )
-from fuzz.damage import Choices, damaged_json, damaged_text, damaged_value, dumped, one_of
+from fuzz.damage import Choices, damaged_bytes, damaged_json, damaged_text, damaged_value, dumped, one_of
 from fuzz.reader import CLASSES, GRID, Reader, on_file
+from gridtrack.common.forecast_file import open_forecasts, write_forecasts
+from gridtrack.common.forecast_reader import ForecastReader
+from gridtrack.common.geometry import SE2
 from gridtrack.evaluation.referee.samples import read_samples
 from gridtrack.evaluation.regression.baseline import digest_of, read_baseline
 from gridtrack.evaluation.regression.history import new_entry, read_history, write_entry
@@ -139,6 +142,37 @@ def damaged_entry(choices: Choices, content: bytes) -> bytes:
     return dumped(found | {"digest": digest_of(found)} if isinstance(found, dict) else found)
 
 
+def forecasts(folder: Path) -> None:
+    """As a zip of arrays, and as its arrays in a folder."""
+    arrays = {
+        "occupancy": np.full((3, 2, *GRID.shape), 0.5, np.float16),
+        "stamp_ns": np.arange(3) * 10**8,
+        "lead_s": np.array([0.0, 0.1]),
+        "cell_m": np.array(GRID.cell_m),
+        "origin_xy": np.array(GRID.origin),
+        "note": np.array("objects"),
+    }
+    write_forecasts(folder / "a.npz", arrays)
+    (folder / "a").mkdir()
+    for name, array in arrays.items():
+        np.save(folder / "a" / f"{name}.npy", array)
+
+
+def damage_forecasts(choices: Choices, folder: Path) -> None:
+    on_file("a.npz" if choices.below(2) else "a/*.npy", damaged_bytes)(choices, folder)
+
+
+def read_forecasts(folder: Path) -> str:
+    found = [_read_forecasts(folder / "a"), _read_forecasts(folder / "a.npz")]
+    return f"{found} forecasts"
+
+
+def _read_forecasts(path: Path) -> int:
+    file = open_forecasts(path)
+    ForecastReader(file, GRID, 0.1).at(int(file.stamp_ns[0]), SE2(), STEPS)
+    return len(file)
+
+
 def text_file(name: str, text: str) -> Callable[[Path], object]:
     return lambda folder: (folder / name).write_text(text)
 
@@ -149,6 +183,7 @@ RECIPE = 'tracker = "kalman"\nrecordings = ["a.mcap@0s-5s"]\nseed = 3\nrate_hz =
 READERS: dict[str, Reader] = {
     "weights": Reader(weights, damage_weights, read_weights),
     "run": Reader(run_folder, damage_run, read_run),
+    "forecasts": Reader(forecasts, damage_forecasts, read_forecasts),
     "samples": Reader(
         lambda folder: write_samples(folder / "forecasts.mcap"),
         on_file("forecasts.mcap", damaged_mcap),
