@@ -28,11 +28,12 @@ COMMANDS = {
     "regress": "Compare a run with a baseline: is any tracker worse?",
     "train": "Train a tracker for a site or, with --general, for any site.",
     "trackers": "The trackers: list, show, check, new.",
+    "suite": "Suites of recordings with published rows: list, run, row, page.",
     "recording": "Recordings: info, import, view, layout.",
     "simulate": "Recordings with ground truth: junction, junction-set, drive-set, worlds, tracks, check.",
 }
 """The commands, each in the module of its name, and their help."""
-STARTS_TRACKERS = ("compare", "regress", "train", "trackers")
+STARTS_TRACKERS = ("compare", "regress", "suite", "train", "trackers")
 """Commands that run the code of trackers in processes below this one."""
 CRASHED = 3
 ENDS = (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)

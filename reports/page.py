@@ -77,7 +77,7 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
     players, damaged = players_of(runs, tables, PAGE_BYTES - len(data_in_page(scores)))
     script = joined_script()
     return (
-        _environment()
+        page_environment()
         .get_template("page.html.j2")
         .render(
             title=title_of(runs),
@@ -110,10 +110,10 @@ def render_page(runs: Sequence[ReportedRun]) -> str:
 def render_tables(run: Path) -> str:
     """The main tables of a run as HTML, for a notebook. Raises RunError and ReportError."""
     tables = main_tables(headline_tables(read_runs([run])))
-    return _environment().get_template("tables.html.j2").render(tables=tables)
+    return page_environment().get_template("tables.html.j2").render(tables=tables)
 
 
-def _environment() -> Environment:
+def page_environment() -> Environment:
     """Templates with every value escaped: names and reasons in a run's folder are not trusted."""
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),

@@ -39,13 +39,18 @@ def write_baseline(path: Path, baseline: Baseline) -> None:
     Raises BaselineError if another file is at `path`, or it cannot be written.
     """
     _refuse_other_content(path)
-    text = json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=0, allow_nan=False)
-    for on_one_line in (_LIST_OF_NUMBERS, _SUMS_BY_BAND):
-        text = on_one_line.sub(lambda found: "".join(found[0].split()), text)
     try:
-        write_text(path, text + "\n")
+        write_text(path, lines_of(baseline.model_dump(mode="json", by_alias=True)))
     except OSError as error:
         raise BaselineError(f"{path}: the baseline cannot be written ({error.strerror})") from None
+
+
+def lines_of(content: Any) -> str:
+    """Content as JSON, with the sums of a unit and stratum on one line."""
+    text = json.dumps(content, indent=0, allow_nan=False)
+    for on_one_line in (_LIST_OF_NUMBERS, _SUMS_BY_BAND):
+        text = on_one_line.sub(lambda found: "".join(found[0].split()), text)
+    return text + "\n"
 
 
 def read_baseline(path: Path) -> Baseline:

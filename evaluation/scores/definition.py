@@ -190,6 +190,11 @@ class ScoreDefinition:
         """The output that stands for the score."""
         return self.outputs[0]
 
+    @property
+    def counts_every_step(self) -> bool:
+        """Whether it is counted at each step, and not only at some horizons."""
+        return self.steps is ScoreDefinition.steps
+
     def output(self, name: str) -> Output:
         """An output by its name. Raises KeyError."""
         return {output.name: output for output in self.outputs}[name]

@@ -1,0 +1,1 @@
+"""Suites: fixed recordings and settings, published rows, and their leaderboard."""

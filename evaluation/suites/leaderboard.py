@@ -1,0 +1,168 @@
+"""The leaderboard of a suite: its rows by the headline score, with intervals and paired tests of all pairs.
+
+Values are of a step band, as in the gate, because rows hold the sums of bands: contacts are counted within 1 s, cells
+from 0.5 to 1.5 s ahead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from gridtrack.evaluation.regression.measurement import Measurement, SplitKey
+from gridtrack.evaluation.scores.definition import Floats, Output, ScoreDefinition, Sums
+from gridtrack.evaluation.scores.registry import scores
+from gridtrack.evaluation.statistics.jackknife import (
+    IntervalEstimate,
+    Replicates,
+    difference,
+    holm,
+    interval,
+    replicates,
+    verdict_of,
+)
+from gridtrack.evaluation.suites.published import PublishedRow
+
+BAND = "middle"
+
+
+@dataclass(frozen=True, slots=True)
+class BoardValue:
+    """A score of a row: its value and the ends of its interval; NaN if undefined, or without enough units."""
+
+    score: ScoreDefinition
+    estimate: IntervalEstimate
+
+    @property
+    def output(self) -> Output:
+        """The leading output of the score."""
+        return self.score.lead
+
+
+@dataclass(frozen=True, slots=True)
+class BoardRow:
+    """A row of the leaderboard.
+
+    `rank`: one more than the number of rows that are better by their paired tests. `values`: the headline score first.
+    `difference`: from the reference, in the direction of better; `p`: corrected for all pairs; both NaN if not tested.
+    """
+
+    row: PublishedRow
+    rank: int
+    values: tuple[BoardValue, ...]
+    difference: IntervalEstimate
+    p: float
+    verdict: str
+
+    @property
+    def label(self) -> str:
+        """The label of the row."""
+        return self.row.label
+
+    @property
+    def is_floor(self) -> bool:
+        """Whether it is a row that every tracker must beat."""
+        return self.row.measurement.trackers[self.label].role == "floor"
+
+
+@dataclass(frozen=True, slots=True)
+class Leaderboard:
+    """The rows that pair, the best first; `left_out`: a line for each row that does not pair with the first one."""
+
+    rows: tuple[BoardRow, ...]
+    reference: str
+    units: int
+    left_out: tuple[str, ...]
+
+    @property
+    def scores(self) -> tuple[ScoreDefinition, ...]:
+        """The scores of the columns."""
+        return tuple(value.score for value in self.rows[0].values)
+
+
+def leaderboard(published: Sequence[PublishedRow], reference: str, headline: str) -> Leaderboard:
+    """The leaderboard of rows with unlike labels; `reference`: the label of the row that differences are from."""
+    first = next(row for row in published if row.label == reference)
+    why = {row.label: why_not_paired(first.measurement, row.measurement) for row in published}
+    paired = [row for row in published if not why[row.label]]
+    columns = _columns(paired, headline)
+    found = {row.label: [_replicates(row, score) for score in columns] for row in paired}
+    lead = columns[0].lead
+    pairs = list(combinations(found, 2))
+    tests = [difference(found[one][0], found[other][0]) for one, other in pairs]
+    corrected = holm(np.array([float(test.p) for test in tests]))
+    better = [
+        (one, other) if lead.direction * float(test.value) > 0 else (other, one)
+        for (one, other), test, p in zip(pairs, tests, corrected, strict=True)
+        if p < 0.05
+    ]
+    p_of = {frozenset(pair): float(p) for pair, p in zip(pairs, corrected, strict=True)}
+    rows = []
+    for row in paired:
+        own = found[row.label]
+        gain = difference(own[0], found[reference][0])
+        p = p_of.get(frozenset((row.label, reference)), float("nan"))
+        rows.append(
+            BoardRow(
+                row,
+                1 + sum(other == row.label for _, other in better),
+                tuple(
+                    BoardValue(score, interval(its, score.lead.scale)) for score, its in zip(columns, own, strict=True)
+                ),
+                gain,
+                p,
+                "" if row.label == reference else verdict_of(lead.direction * float(gain.value), p),
+            )
+        )
+    rows.sort(key=lambda row: -lead.direction * np.nan_to_num(float(row.values[0].estimate.value), nan=-np.inf))
+    return Leaderboard(
+        tuple(rows),
+        reference,
+        found[reference][0].units,
+        tuple(f"{label}: {text}" for label, text in why.items() if text),
+    )
+
+
+def why_not_paired(one: Measurement, other: Measurement) -> str:
+    """Why two rows were not scored on the same frames by the same rules; empty if they were."""
+    if one.scoring_rules != other.scoring_rules:
+        return f"scored by the rules {other.scoring_rules}, and not {one.scoring_rules}: run it again"
+    if one.recordings.keys() != other.recordings.keys() or one.block_s != other.block_s:
+        return "other recordings or units"
+    for name, split in one.recordings.items():
+        differing = [
+            key for key in SplitKey.model_fields if getattr(split, key) != getattr(other.recordings[name], key)
+        ]
+        if differing:
+            return f"{name} was compared otherwise ({differing[0]})"
+    mine, others = ({name: _delivered(trial, name) for name in one.recordings} for trial in (one, other))
+    return next((f"other frames of {name}" for name in mine if mine[name] != others[name]), "")
+
+
+def _delivered(measured: Measurement, name: str) -> list[tuple[int, str]]:
+    (entry,) = measured.trackers.values()
+    return [(unit.unit, unit.delivered) for unit in entry.recordings[name].units]
+
+
+def _columns(rows: Sequence[PublishedRow], headline: str) -> list[ScoreDefinition]:
+    """The scores that may lead and that every row has, the `headline` first."""
+    has = [set(row.measurement.scores[row.label]) for row in rows]
+    found = [score for score in scores(()) if score.may_lead and score.lead.margin is not None]
+    known = [score for score in found if all(score.name in own for own in has)]
+    return sorted(known, key=lambda score: score.name != headline)
+
+
+def _replicates(row: PublishedRow, score: ScoreDefinition) -> Replicates:
+    """The replicates () of the leading output of a row in the score's own stratum, over units."""
+    parts = row.measurement.scores[row.label][score.name]
+    by_unit: dict[int, Floats] = {}
+    for trial in row.measurement.trackers[row.label].recordings.values():
+        for unit in trial.units:
+            sums = np.array(unit.sums[score.name].get(score.stratum, {}).get(BAND, (0.0,) * len(parts)))
+            by_unit[unit.unit] = by_unit.get(unit.unit, np.zeros(len(parts))) + sums
+    summed = Sums(np.stack([by_unit[unit] for unit in sorted(by_unit)]), parts)
+    total = Sums(summed.values.sum(axis=0), parts)
+    return replicates(score.value, lambda: iter([summed]), total)[score.lead.name]
