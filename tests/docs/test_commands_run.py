@@ -38,7 +38,7 @@ THEMES = {
     ),
     "own tracker": (
         *("docs/own-tracker.md", "docs/first-comparison.md", "docs/contract.md", "docs/junction.md"),
-        *("data/junction/README.md", "docs/regress.md", "docs/regress.md 2"),
+        *("data/junction/README.md", "docs/regress.md", "docs/regress.md 2", "docs/suites.md"),
         *("examples/example_tracker/README.md", "examples/cpp_tracker/README.md"),
     ),
     "training": (
@@ -90,6 +90,9 @@ SMALLER = (
     ("runs/fleet --recordings 'hall-*,street-7'", "runs/hall --recordings 'my*'"),
     ("regress runs/seed-*", "regress runs/now"),
     ("train my-tracker", "train static-map"),
+    ("suite run worlds-1 ", "suite run hall-1 "),
+    ("--suite worlds-1 ", "--suite hall-1 "),
+    ("suite page worlds-1 ", "suite page hall-1 "),
     (
         "data/leg_tracker/leg_tracker.mcap@114s-124s",
         "data/leg_tracker/leg_tracker.mcap@114s-120s --validation data/leg_tracker/leg_tracker.mcap@75s-79s",
