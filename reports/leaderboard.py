@@ -17,9 +17,13 @@ from gridtrack.reports.page import page_environment
 from gridtrack.reports.run import UNDEFINED
 from gridtrack.reports.scripts import policy_of
 from gridtrack.reports.styles import page_css
+from gridtrack.reports.table import RECORDED
+from gridtrack.trackers.contract import Role
 
 BAR = 240
 """Width of the drawing of an interval, pixels, from 0 to 1."""
+MARKS: Mapping[Role, str] = {"tracker": "", "floor": "floor", "recorded": RECORDED}
+"""The mark of a row by its role."""
 
 
 def printed_rows(board: Leaderboard) -> list[Mapping[str, str]]:
@@ -27,9 +31,9 @@ def printed_rows(board: Leaderboard) -> list[Mapping[str, str]]:
     return [
         {
             "rank": str(row.rank),
-            "tracker": f"{row.label}{' (floor)' if row.is_floor else ''}",
+            "tracker": f"{row.label} ({MARKS[row.role]})" if MARKS[row.role] else row.label,
             **{heading(value): estimate_text(value) for value in row.values},
-            f"less {board.reference}": difference_text(row),
+            f"difference from {board.reference}": difference_text(row),
         }
         for row in board.rows
     ]
@@ -110,6 +114,7 @@ def render_leaderboard(suite: Suite, board: Leaderboard, out: Path) -> Path:
             suite=suite,
             board=board,
             bar=BAR,
+            marks=MARKS,
             heading=heading,
             estimate_text=estimate_text,
             difference_text=difference_text,

@@ -25,6 +25,7 @@ from gridtrack.evaluation.statistics.jackknife import (
     verdict_of,
 )
 from gridtrack.evaluation.suites.published import PublishedRow
+from gridtrack.trackers.contract import Role
 
 BAND = "middle"
 
@@ -63,9 +64,9 @@ class BoardRow:
         return self.row.label
 
     @property
-    def is_floor(self) -> bool:
-        """Whether it is a row that every tracker must beat."""
-        return self.row.measurement.trackers[self.label].role == "floor"
+    def role(self) -> Role:
+        """The role of its tracker: a floor, which every tracker must beat, and recorded forecasts are marked."""
+        return self.row.measurement.trackers[self.label].role
 
 
 @dataclass(frozen=True, slots=True)
