@@ -251,10 +251,7 @@ def resolve(
         check_sandbox()
     external = read_trackers_toml(settings.trackers_toml) if settings.trackers_toml else {}
     floors, left_out = _added_floors(settings)
-    selections = parse_selections([*(settings.trackers or _every_tracker(external)), *floors])
-    _refuse_oracle_label(selections)
-    _refuse_unknown_reference(settings.reference, selections)
-    _refuse_recorded_live(settings, selections)
+    selections = _selections(settings, external, floors)
     launches = {selection.label: launch(selection.name, external) for selection in selections}
     for selection in selections:
         _check_options(selection, launches[selection.label], settings.limits)
@@ -268,28 +265,48 @@ def resolve(
         for place, split in places.items()
         for selection in selections
     }
-
-    def trial(selection: Selection, split: EvaluationSplit, others: tuple[EvaluationSplit, ...]) -> Trial:
-        return Trial(
-            with_own_file(selection, split) if selection.name in registry.recorded() else selection,
-            launches[selection.label],
-            split,
-            weights[selection.label, _place_of(split)][0],
-            settings.seed,
-            settings.limits,
-            others,
-            settings.scores,
-            settings.robot,
-        )
-
-    of_splits = list(zip(splits, _others_of_recording(splits), strict=True))
-    trials = tuple(trial(selection, split, others) for split, others in of_splits for selection in selections)
-    for one in trials:
-        _refuse_thresholds_of_another_site(one)
+    found = {key: of_row for key, (of_row, _) in weights.items()}
+    trials = tuple(_trials(settings, selections, launches, splits, found))
     of_weights = (notice for _, notices in weights.values() for notice in notices)
     notices = [*left_out, *(notice for split in splits for notice in split.notices), *of_weights, *_notices(trials)]
     notices += _leak_notices(settings, trials)
     return ComparisonPlan(settings, splits, trials, tuple(dict.fromkeys(notices)))
+
+
+def _selections(
+    settings: CompareSettings, external: Mapping[str, Launch], floors: Sequence[str]
+) -> tuple[Selection, ...]:
+    """The rows that the settings name, or every tracker, and the `floors`. Raises ConfigurationError."""
+    selections = parse_selections([*(settings.trackers or _every_tracker(external)), *floors])
+    _refuse_oracle_label(selections)
+    _refuse_unknown_reference(settings.reference, selections)
+    _refuse_recorded_live(settings, selections)
+    return selections
+
+
+def _trials(
+    settings: CompareSettings,
+    selections: Sequence[Selection],
+    launches: Mapping[str, Launch],
+    splits: Sequence[EvaluationSplit],
+    weights: Mapping[tuple[str, tuple[str, str, int]], LearnedWeights | None],
+) -> Iterator[Trial]:
+    """A trial for each row on each split; `weights` by label and place. Raises ConfigurationError."""
+    for split, others in zip(splits, _others_of_recording(splits), strict=True):
+        for selection in selections:
+            trial = Trial(
+                with_own_file(selection, split) if selection.name in registry.recorded() else selection,
+                launches[selection.label],
+                split,
+                weights[selection.label, _place_of(split)],
+                settings.seed,
+                settings.limits,
+                others,
+                settings.scores,
+                settings.robot,
+            )
+            _refuse_thresholds_of_another_site(trial)
+            yield trial
 
 
 def _leak_notices(settings: CompareSettings, trials: Sequence[Trial]) -> list[Notice]:
