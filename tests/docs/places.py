@@ -11,15 +11,14 @@ from pathlib import Path
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin
 
-from gridtrack.common.forecast_file import write_forecasts
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import Recording, open_recording, packaged_recording, write_native
-from gridtrack.recordings.stream import open_stream
 
 from docs.pages import ROOT
 from scenes import drive_bag as drive
 from scenes.drive_bag import MS, START_NS, Laser, Message, Ros
+from scenes.own_forecasts import own_forecasts
 from studies.support.plugins import write_distribution
 
 DRIVE_MS = 8000
@@ -144,20 +143,6 @@ def hall_recordings(folder: Path, *names: str) -> None:
         path = folder / name
         path.parent.mkdir(exist_ok=True)
         part(recording, path, 40.0 + 10.0 * k, 50.0 + 10.0 * k)
-
-
-def own_forecasts(path: Path, recording: Path) -> None:
-    """Forecasts of a program that repeats each frame of a recording, for a second."""
-    stream = open_stream(recording)
-    frames = list(stream)
-    arrays = {
-        "occupancy": np.stack([[frame.occupied] * 2 for frame in frames]).astype(np.float32),
-        "stamp_ns": np.array([frame.stamp_ns for frame in frames]),
-        "lead_s": np.array([0.0, 1.0]),
-        "cell_m": np.array(stream.grid.cell_m),
-        "origin_xy": np.add(stream.grid.origin, (frames[0].world_T_grid.x, frames[0].world_T_grid.y)),
-    }
-    write_forecasts(path, arrays)
 
 
 def annotations(path: Path) -> None:

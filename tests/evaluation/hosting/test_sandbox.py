@@ -29,6 +29,7 @@ from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch, launch
 
+from scenes.own_forecasts import own_forecasts
 from scenes.room import trial_of
 
 MEMORY_MB = 400
@@ -239,13 +240,16 @@ def test_files_of_the_host_do_not_count_while_the_sandbox_mounts_its_own(tmp_pat
     assert max(in_memory) < on_disk / 2
 
 
-def test_scores_are_equal_with_and_without_the_sandbox(compare, tmp_path):
+def test_scores_are_equal_with_and_without_the_sandbox(compare, record, tmp_path):
+    """Also of recorded forecasts: their file is seen."""
+    own_forecasts(tmp_path / "mine.npz", record())
     scores = []
     for confined in (False, True):
         limits, out = Limits(sandbox=confined), tmp_path / f"run {confined}"
-        summary = compare("persistence", "static-map", limits=limits, out=out)
-        scores.append([trial_of(summary, label).strata for label in ("persistence", "static-map")])
+        summary = compare("persistence", f"mine=recorded:file={tmp_path / 'mine.npz'}", limits=limits, out=out)
+        scores.append([trial_of(summary, label).strata for label in ("persistence", "mine")])
     assert scores[0] == scores[1]
+    assert all(scores[0])
 
 
 def test_a_program_in_its_own_folder_runs_and_the_signal_that_ended_it_is_named(tmp_path):
