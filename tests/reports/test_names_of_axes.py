@@ -122,6 +122,23 @@ def test_the_figure_of_degraded_input_names_the_only_kind(browser, run_folder, t
         assert "beams without a return: input degraded" in figure.locator(".note").inner_text()
 
 
+def test_the_figure_of_conditions_counts_contacts_as_the_ranking_does(browser, run_folder, tmp_path):
+    def limit(summary):
+        trial = trial_of(summary, "good")
+        foreseen = {}
+        for stratum in ("dynamic", "in-motion"):
+            put(trial, stratum, "contact_foresight.foreseen", 0.5)
+            foreseen[stratum] = [0.5] * 21
+        points = [
+            {"strength": at, "value": at, "delivered": "", "scores": {"contact_foresight": foreseen}} for at in (0, 1)
+        ]
+        trial["robustness"] = {"degradation": {"beam_dropout": 0.2}, "kinds": {"beam_dropout": points}}
+
+    with page_opened(browser, render_report([edited(run_folder, tmp_path / "run", limit)])) as page:
+        options = page.locator("#conditions select[data-choice=Contacts] option").all_inner_texts()
+    assert set(options) == {"in-motion contacts", "dynamic contacts"}
+
+
 @pytest.mark.parametrize(("high", "words"), [(0.57, "it is wide, of good 0.03 to 0.57 at 0.5 s ahead"), (0.1, "")])
 def test_an_interval_over_most_of_a_figure_is_said_below_it(browser, run_folder, tmp_path, high, words):
     def widen(summary):
