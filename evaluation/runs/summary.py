@@ -37,6 +37,7 @@ class OutputDescription(ResultModel):
     decimals: int = Field(3, ge=0, le=6)
     saying: Line = ""
     of_trial: bool = False
+    beside: bool = False
 
     @property
     def direction(self) -> int:
