@@ -20,24 +20,29 @@ MOST_CHARS = 300
 WEIGHTS_WORDS = {"site": "of the site", "general": "general", "general, site": "general or of the site", "": "none"}
 KEEPS_UP = "Keeps up with the sensor"
 UNTIMED = "not measured: gridtrack compare --latency measures it"
+FLOORS = "Floors are simple rules that a tracker must beat."
+CEILING = "The oracle knows the future: an upper limit."
 KEEPING_UP = ("no", "updates only", "yes")
 """The worst first: a tracker has the worst verdict of its recordings."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The decision of one run for each main table, and the lines below it that are not empty."""
+    """The decision of one run for each main table, words on its rows, and the lines below it that are not empty."""
 
     run: str
     leads: tuple[str, ...]
+    words: str
     facts: tuple[Fact, ...]
 
     @property
     def summary(self) -> str:
-        """A line on the recordings, and on whether trackers keep up with the sensor, if they were timed."""
+        """A line on the recordings, and on whether trackers keep up with the sensor."""
         compared = f"{self.facts[0].name} {self.facts[0].value}"
         (timed,) = (fact for fact in self.facts if fact.name == KEEPS_UP)
-        return compared if timed.value == UNTIMED else f"{compared}. {timed.name}: {timed.value}"
+        if timed.value == UNTIMED:
+            return f"{compared}. Time of updates and forecasts: not measured"
+        return f"{compared}. {timed.name}: {timed.value}"
 
 
 def answer_of(run: ReportedRun) -> Answer:
@@ -45,7 +50,14 @@ def answer_of(run: ReportedRun) -> Answer:
     tables = main_tables(headline_tables([run]))
     leads = (lead_of([run], table) for table in tables)
     facts = (_compared(run), *_of_trial(run, tables), _weights(run), _keeps_up(run), _not_ranked(run))
-    return Answer(run.name, tuple(filter(None, leads)), tuple(fact for fact in facts if fact.value))
+    return Answer(run.name, tuple(filter(None, leads)), _words(run), tuple(fact for fact in facts if fact.value))
+
+
+def _words(run: ReportedRun) -> str:
+    """What a floor and the oracle are, if the run has them."""
+    rows = run.summary.trackers.values()
+    floors, ceiling = any(row.floor for row in rows), any(row.ceiling for row in rows)
+    return " ".join(([FLOORS] if floors else []) + ([CEILING] if ceiling else []))
 
 
 def _compared(run: ReportedRun) -> Fact:

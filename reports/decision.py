@@ -106,13 +106,13 @@ class _Decision:
         return rows[0].cells[self._at].value or 0.0
 
     def _text(self, rows: Sequence[TableRow]) -> str:
-        """The score of equal rows, as the sentence has it."""
+        """The score of equal rows, with its unit."""
         return self._amount(self._number(rows))
 
     def _amount(self, value: float) -> str:
-        """A score or a difference: of 100, if the score has a saying."""
+        """A score or a difference with its unit: of 100, if the score has a saying."""
         output = self._column.output
-        return f"{100 * value:.0f}" if output.saying else f"{value:.{output.decimals}f}"
+        return f"{100 * value:.0f} of 100" if output.saying else f"{value:.{output.decimals}f} {output.unit}".rstrip()
 
     def _best_score(self) -> str:
         """The best score: of a tracker, or of the floor if no tracker has a better one."""
@@ -130,7 +130,8 @@ class _Decision:
         """The score of equal rows as a clause."""
         column, several = self._column, len(rows) > 1
         if column.output.saying:
-            predicate = column.output.saying.replace("{share}", self._text(rows)).replace("{ahead}", column.heading)
+            share = f"{100 * self._number(rows):.0f}"
+            predicate = column.output.saying.replace("{share}", share).replace("{ahead}", column.heading)
             return f"{_names(rows)} {'each ' if several else ''}{predicate}"
         if len(self.table.rows_in("ranked")) == 1 or rows is self._floor:
             return f"{_names(rows)} has {column.title_with_article} of {self._text(rows)} {self._place}"
@@ -161,8 +162,7 @@ class _Decision:
         if known:
             which = " between them" if open_ones else ""
             least = self._amount(max(test.detectable or 0.0 for test in open_ones or known))
-            of = " of 100" if self._column.output.saying else ""
-            yield f"The smallest difference{which} that this run can show is {least}{of}."
+            yield f"The smallest difference{which} that this run can show is {least}."
 
     def _decided(self, tested: Sequence[tuple[str, Sequence[TableRow], _Test]]) -> Iterator[str]:
         better, worse = (

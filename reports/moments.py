@@ -32,8 +32,8 @@ LEAST_DIFFERENCE = 0.01
 PACKED_LEVELS = 32
 """Levels of probability: 5 bits."""
 CALLED, IN_MOTION = 32, 8
-DEFLATE_LEVEL = 8
-"""As small as 9 on such planes, in a third of the time."""
+DEFLATE_LEVEL = 7
+"""Planes take 8 % more than at level 8, which takes three times as long."""
 
 
 @dataclass(frozen=True)

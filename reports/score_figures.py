@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.runs.comparisons import TESTED_STRATA
 from gridtrack.evaluation.runs.finished import FinishedTrial, RunTrials, units_of
 from gridtrack.evaluation.runs.summary import SUMMARY_FILE
-from gridtrack.evaluation.runs.sums import ScoresError
+from gridtrack.evaluation.runs.sums import ScoresError, TrialSums
 from gridtrack.evaluation.scores.definition import Ratio, ScoreDefinition, Sums
 from gridtrack.evaluation.scores.registry import built_in
 from gridtrack.evaluation.statistics.jackknife import interval, ratio_replicates
@@ -36,20 +37,20 @@ def score_figures(
     notices: dict[str, None] = {}
     for run in runs:
         trials = _TrialsOfRows(run)
-        for table, row in _rows_of(run, tables):
-            try:
-                found[table.recording, row.name] = trials.figures(row, table)
-            except ScoresError as error:
-                notices[f"{row.name}: no curves of its probabilities: {error}"] = None
+        for rows in _rows_of(run, tables).values():
+            found |= trials.figures(rows)
         notices |= trials.notices
     return found, tuple(notices)
 
 
-def _rows_of(run: ReportedRun, tables: Sequence[HeadlineTable]) -> Iterator[tuple[HeadlineTable, TableRow]]:
+def _rows_of(run: ReportedRun, tables: Sequence[HeadlineTable]) -> dict[str, list[tuple[HeadlineTable, TableRow]]]:
+    """The rows of a run with scores, by label, each with its table."""
+    found: dict[str, list[tuple[HeadlineTable, TableRow]]] = {}
     for table in tables:
         for row in table.rows:
             if row.run in ("", run.name) and row.label in run.summary.trackers and row.trial.strata:
-                yield table, row
+                found.setdefault(row.label, []).append((table, row))
+    return found
 
 
 class _TrialsOfRows:
@@ -60,49 +61,36 @@ class _TrialsOfRows:
         self._all = RunTrials({name: run.summary.recordings[name] for name in run.recordings}, [*self._trials.values()])
         self.notices: dict[str, None] = {}
 
-    def figures(self, row: TableRow, table: HeadlineTable) -> Figures:
-        """The figures of a row. Raises ScoresError."""
+    def figures(self, rows: Sequence[tuple[HeadlineTable, TableRow]]) -> dict[tuple[str, str], Figures]:
+        """The figures of the rows of one label, by recording and name, without unreadable ones.
+
+        A trial belongs to its own row and to the pooled one: it is read once, for both.
+        """
+        made: dict[tuple[str, str], _FiguresOfRow] = {}
+        for table, row in rows:
+            try:
+                made[table.recording, row.name] = self._of_row(row, table)
+            except ScoresError as error:
+                self._note(row.name, error)
+        for recording in self._run.recordings:
+            self._all.forget_rows()
+            for key, own in list(made.items()):
+                try:
+                    own.add(recording)
+                except ScoresError as error:
+                    self._note(key[1], error)
+                    del made[key]
+        return {key: own.figures for key, own in made.items()}
+
+    def _note(self, name: str, error: ScoresError) -> None:
+        self.notices[f"{name}: no curves of its probabilities: {error}"] = None
+
+    def _of_row(self, row: TableRow, table: HeadlineTable) -> _FiguresOfRow:
+        """The figures of a row before any trial is added. Raises ScoresError."""
         trials = self._trials_of(row, table)
         units = units_of(self._rule(row, trials), [self._all.frames(trial) for trial in trials])
         steps = sorted({column.step for column in table.columns})
-        found: Figures = {}
-        for score in built_in():
-            sums = [self._all.sums(trial) for trial in trials]
-            layouts = [one.layouts[score.name] for one in sums if score.name in one.scores]
-            if score.figure is None or len(layouts) < len(sums) or len({one.parts for one in layouts}) > 1:
-                continue
-            strata = [name for name in TESTED_STRATA if all(name in one.strata for one in layouts)]
-            at = sorted({0, *steps}) if score.compared_with == "classes" else steps
-            if own := self._points(score, trials, units, at, strata):
-                found[score.name] = own
-        return found
-
-    def _points(
-        self,
-        score: ScoreDefinition,
-        trials: Sequence[FinishedTrial],
-        units: Sequence[NDArray[np.int64]],
-        steps: Sequence[int],
-        strata: Sequence[str],
-    ) -> dict[str, dict[str, dict[str, Any]]]:
-        """The points by stratum, step and name."""
-        assert score.figure is not None
-        total: NDArray[np.float64] | None = None
-        parts: tuple[str, ...] = ()
-        number = 1 + max(int(own.max(initial=-1)) for own in units)
-        for trial, own in zip(trials, units, strict=True):
-            at = [trial.steps[step] for step in steps]
-            sums = self._all.sums(trial).by_unit(score.name, own, at, strata)
-            total = np.zeros((number, *sums.values.shape[1:])) if total is None else total
-            total[: len(sums.values)] += sums.values
-            parts = sums.parts
-        found: dict[str, dict[str, dict[str, Any]]] = {}
-        for k, stratum in enumerate(strata):
-            for s, step in enumerate(steps):
-                assert total is not None
-                if points := score.figure(Sums(total[:, s, k], parts)):
-                    found.setdefault(stratum, {})[str(step)] = {name: _shown(one) for name, one in points.items()}
-        return found
+        return _FiguresOfRow([self._all.sums(trial) for trial in trials], trials, units, steps)
 
     def _trials_of(self, row: TableRow, table: HeadlineTable) -> list[FinishedTrial]:
         """The trials behind the scores of the row. Raises ScoresError."""
@@ -125,6 +113,69 @@ class _TrialsOfRows:
             except ScoresError as error:  # of any trial: the blocks of a recording depend on all
                 self.notices[f"no intervals of precision over recall: {error}"] = None
         return UnitRule(("",) * len(trials), None)
+
+
+@dataclass(frozen=True)
+class _ScoreSums:
+    """The sums (U, S, K, P) of a score at these steps (S) and strata (K)."""
+
+    score: ScoreDefinition
+    steps: Sequence[int]
+    strata: Sequence[str]
+    total: Sums
+
+    def add(self, sums: TrialSums, units: NDArray[np.int64], steps_of_trial: Sequence[int]) -> None:
+        """Add a trial with frames in `units` (F,). Raises ScoresError."""
+        at = [steps_of_trial[step] for step in self.steps]
+        found = sums.by_unit(self.score.name, units, at, self.strata).values
+        self.total.values[: len(found)] += found
+
+    @property
+    def points(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """The points by stratum, step and name."""
+        assert self.score.figure is not None
+        found: dict[str, dict[str, dict[str, Any]]] = {}
+        for k, stratum in enumerate(self.strata):
+            for s, step in enumerate(self.steps):
+                if points := self.score.figure(Sums(self.total.values[:, s, k], self.total.parts)):
+                    found.setdefault(stratum, {})[str(step)] = {name: _shown(one) for name, one in points.items()}
+        return found
+
+
+class _FiguresOfRow:
+    """The figures of one row, from its trials, which are added one by one."""
+
+    def __init__(
+        self,
+        sums: Sequence[TrialSums],
+        trials: Sequence[FinishedTrial],
+        units: Sequence[NDArray[np.int64]],
+        steps: Sequence[int],
+    ) -> None:
+        """`units` (F,) of each trial; `steps`: those of the headline."""
+        names = [trial.record.recording for trial in trials]
+        self._trials = dict(zip(names, zip(sums, units, (trial.steps for trial in trials), strict=True), strict=True))
+        number = 1 + max(int(own.max(initial=-1)) for own in units)
+        self._scores: list[_ScoreSums] = []
+        for score in built_in():
+            layouts = [one.layouts[score.name] for one in sums if score.name in one.scores]
+            if score.figure is None or len(layouts) < len(sums) or len({one.parts for one in layouts}) > 1:
+                continue
+            strata = [name for name in TESTED_STRATA if all(name in one.strata for one in layouts)]
+            at = sorted({0, *steps}) if score.compared_with == "classes" else steps
+            total = np.zeros((number, len(at), len(strata), len(layouts[0].parts)))
+            self._scores.append(_ScoreSums(score, at, strata, Sums(total, layouts[0].parts)))
+
+    def add(self, recording: str) -> None:
+        """Add the trial on a recording, if it is one of the row's. Raises ScoresError."""
+        if recording in self._trials:
+            for score in self._scores:
+                score.add(*self._trials[recording])
+
+    @property
+    def figures(self) -> Figures:
+        """The figures by score."""
+        return {one.score.name: points for one in self._scores if (points := one.points)}
 
 
 def _shown(points: NDArray[np.float64] | Ratio) -> Any:

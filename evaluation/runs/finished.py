@@ -134,6 +134,10 @@ class RunTrials:
             self._sums[key] = TrialSums(trial.folder, self._kept)
         return self._sums[key]
 
+    def forget_rows(self) -> None:
+        """Let go of the rows of sums that were read, to keep others."""
+        self._kept.clear()
+
     def frames(self, trial: FinishedTrial) -> ScoredFrames:
         """The scored frames of a trial. Raises ScoresError."""
         return self.sums(trial).frames

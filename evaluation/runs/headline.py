@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.notices import Notice
-from gridtrack.evaluation.runs.finished import DETAIL_HORIZON_S, FinishedTrial, RunTrials, detail_step
+from gridtrack.evaluation.runs.finished import DETAIL_HORIZON_S, FinishedTrial, RunTrials, detail_step, units_of
 from gridtrack.evaluation.scores.definition import RareEvents, ScoreDefinition
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
@@ -19,50 +20,65 @@ ENOUGH_FORECASTS = 50
 def leading_scores(run: RunTrials, scores: Sequence[ScoreDefinition]) -> tuple[list[ScoreDefinition], list[Notice]]:
     """The scores that may lead the run, the headline score first, and a notice of each that has too few events.
 
-    In a run without intervals scores with
-    a threshold come last, because few frames determine a threshold poorly. Raises ScoresError.
+    In a run without intervals scores with a threshold come last, because few frames determine a threshold poorly.
+    Raises ScoresError.
     """
     counted = {name for trial in run.all if trial.complete for name in run.sums(trial).scores}
+    groups = [_Group.of(run, names) for names in run.groups]
     may_lead, too_few = [], []
     for score in (one for one in scores if one.may_lead):
         applies = score.name in counted if counted else score.events is None  # where nothing is scored, none has events
         if not applies:
             continue
-        missing = _too_few(run, score, score.events) if score.events else None
+        missing = _too_few(run, groups, score, score.events) if score.events else None
         too_few += [missing] if missing else []
         may_lead += [] if missing else [score]
-    tested = any(_number(run, names) >= LEAST_UNITS for names in run.groups)
+    tested = any(group.number >= LEAST_UNITS for group in groups)
     return sorted(may_lead, key=lambda score: score.thresholded and not tested), too_few
 
 
-def _too_few(run: RunTrials, score: ScoreDefinition, events: RareEvents) -> Notice | None:
+@dataclass(frozen=True)
+class _Group:
+    """Recordings that trackers are compared on together: for each that has one, a trial with all scores, and its units.
+
+    `units` (F,) of the frames of each of `trials`: events and units are the same for all rows.
+    """
+
+    name: str
+    trials: Sequence[FinishedTrial]
+    units: Sequence[NDArray[np.int64]]
+
+    @classmethod
+    def of(cls, run: RunTrials, names: Sequence[str]) -> _Group:
+        """The group of these recordings; `name` is the first one. Raises ScoresError."""
+        complete = [[trial for trial in run.on(name) if trial.complete] for name in names]
+        trials = [found[0] for found in complete if found]
+        rule = run.unit_rule([trial.record.recording for trial in trials], names)
+        return cls(names[0], trials, units_of(rule, [run.frames(trial) for trial in trials]))
+
+    @property
+    def number(self) -> int:
+        """The number of units."""
+        return len({unit for own in self.units for unit in own.tolist()})
+
+    def number_with(self, chosen: Sequence[NDArray[np.bool_]]) -> int:
+        """The number of units with a `chosen` frame (F,)."""
+        return len({unit for own, kept in zip(self.units, chosen, strict=True) for unit in own[kept].tolist()})
+
+
+def _too_few(run: RunTrials, groups: Sequence[_Group], score: ScoreDefinition, events: RareEvents) -> Notice | None:
     """A notice of the first group of recordings that has too few events; None if all have enough."""
-    for names in run.groups:
-        found = [_events_of(run, trial, score, events) for trial in _scored_in_full(run, names)]
+    for group in groups:
+        found = [_events_of(run, trial, score, events) for trial in group.trials]
         forecasts = sum(_apart(stamps_ns[has_event], DETAIL_HORIZON_S) for stamps_ns, has_event in found)
-        units = _number(run, names, [has_event for _, has_event in found])
+        units = group.number_with([has_event for _, has_event in found])
         if units < LEAST_UNITS and forecasts < ENOUGH_FORECASTS:
             text = (
                 f"too few {events.name}: {forecasts} separate forecasts and {units} units have any, and"
                 f" {ENOUGH_FORECASTS} forecasts or {LEAST_UNITS} units are needed for {score.title} to lead"
             )
-            return Notice(text=text, recording=names[0] if len(run.groups) > 1 else "")
+            return Notice(text=text, recording=group.name if len(groups) > 1 else "")
     return None
-
-
-def _scored_in_full(run: RunTrials, names: Sequence[str]) -> list[FinishedTrial]:
-    """A trial of each of these recordings that has one with all scores: events and units are the same for all rows."""
-    complete = [[trial for trial in run.on(name) if trial.complete] for name in names]
-    return [trials[0] for trials in complete if trials]
-
-
-def _number(run: RunTrials, names: Sequence[str], chosen: Sequence[NDArray[np.bool_]] | None = None) -> int:
-    """The number of units of these recordings that have `chosen` frames (None: any)."""
-    trials = _scored_in_full(run, names)
-    frames = [run.frames(trial).stamps_ns for trial in trials]
-    units = run.unit_rule([trial.record.recording for trial in trials], names).units_of(frames)
-    kept = [np.ones(len(own), np.bool_) for own in units] if chosen is None else chosen
-    return len({unit for own, of_frame in zip(units, kept, strict=True) for unit in own[of_frame].tolist()})
 
 
 def _events_of(

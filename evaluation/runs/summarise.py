@@ -126,6 +126,7 @@ class _Summary:
     def _row(self, label: str) -> TrackerSummary:
         """A row with the scores of each trial and those pooled, without values relative to other rows."""
         own = self._run.of(label, list(self._run.recordings))
+        self._run.forget_rows()  # of the row before: the pooled scores need this one's again
         return TrackerSummary(
             tracker=own[0].tracker,
             role=_role(own),

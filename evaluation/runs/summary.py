@@ -8,10 +8,11 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
+from gridtrack.common.files import write_text
 from gridtrack.common.notices import Line, Notice
 from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.passes import Deadline, Latency, Robustness
-from gridtrack.evaluation.runs.result_files import Curve, Curves, Number, ResultModel, read_model, write_model
+from gridtrack.evaluation.runs.result_files import Curve, Curves, Number, ResultModel, read_model
 from gridtrack.evaluation.runs.run_record import LONGEST_S, RecordingSummary, refuse_unordered
 from gridtrack.evaluation.runs.trial_record import Times, all_scored
 from gridtrack.evaluation.scores.definition import LEADING_HORIZONS_S, Output, ScoreDefinition
@@ -36,6 +37,7 @@ class OutputDescription(ResultModel):
     decimals: int = Field(3, ge=0, le=6)
     saying: Line = ""
     of_trial: bool = False
+    beside: bool = False
 
     @property
     def direction(self) -> int:
@@ -407,8 +409,8 @@ class RunSummary(ResultModel):
         return self
 
     def write(self, folder: Path) -> None:
-        """Write it into the run's folder. Raises OSError."""
-        write_model(folder / SUMMARY_FILE, self)
+        """Write it into the run's folder, without indentation, which would be over half of it. Raises OSError."""
+        write_text(folder / SUMMARY_FILE, self.model_dump_json(by_alias=True) + "\n")
 
 
 def curves_of(strata: Mapping[str, Estimates]) -> Iterator[tuple[str, Curve]]:

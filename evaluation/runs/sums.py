@@ -159,6 +159,10 @@ class KeptRows:
             self._left -= size
             self._rows[path, group] = rows
 
+    def clear(self) -> None:
+        """Let go of all rows."""
+        self._rows, self._left = {}, READ_ROWS_BYTES
+
 
 class TrialSums:
     """The sums in the folder of a trial, read score by score; every method raises ScoresError.
@@ -287,7 +291,7 @@ class _Rows:
     """Rows of one score: the stamp of each frame, and of each row where its entries end, and their parts and values."""
 
     stamps_ns: NDArray[np.int64]
-    entries: tuple[NDArray[np.int64], NDArray[np.int64], Floats]
+    entries: tuple[NDArray[np.int64], NDArray[np.uint16], Floats]
 
     @property
     def nbytes(self) -> int:
@@ -317,7 +321,7 @@ def _rows(path: Path, table: Any, layout: Layout) -> _Rows:
             f"{path}: not {len(layout.steps)} steps of {', '.join(layout.strata)} at every frame; run it again"
         )
     parts, values = (columns[name].flatten().to_numpy() for name in ("part", "value"))
-    return _Rows(stamps[:, 0], (ends - ends[0], parts.astype(np.int64), values))
+    return _Rows(stamps[:, 0], (ends - ends[0], parts, values))
 
 
 @numba.njit(cache=True, nogil=True)

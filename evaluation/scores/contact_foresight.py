@@ -14,6 +14,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -120,40 +121,57 @@ class _Approach:
     risks: list[NDArray[np.float32]]
 
 
+class _Driven(NamedTuple):
+    """The N paths of a forecast, their events, and the risk (N, L) of each within so many steps: the largest one, and
+    the one if its cells were independent."""
+
+    paths: Paths
+    events: Events
+    largest: NDArray[np.float32]
+    independent: NDArray[np.float64]
+
+
+def _driven(forecast: ScoredForecast, facts: TrialFacts) -> _Driven | None:
+    """The paths of a forecast; None with fewer than LEAST_PATHS."""
+    paths = paths_of(forecast, facts)
+    if len(paths) < LEAST_PATHS:
+        return None
+    states = np.stack([target.state for target in forecast.targets[1 : longest(facts) + 1]])
+    events = events_of(paths, states, has_truth=facts.has_truth)
+    return _Driven(paths, events, *risks_of(paths, np.arange(len(paths)), _ahead(forecast, facts)))
+
+
+def _ahead(forecast: ScoredForecast, facts: TrialFacts) -> NDArray[np.float32]:
+    """The forecast occupancy (L, M, M) of the steps that paths take."""
+    return np.ascontiguousarray(forecast.forecast.occupancy[1 : longest(facts) + 1])
+
+
 def _count(forecast: ScoredForecast, facts: TrialFacts, memory: list[_Approach]) -> Floats:
     """Sums (H, K, P) over the paths of a forecast; a step has contacts within so many steps.
 
     `memory`: approaches that have not ended.
     """
     within = Sums(np.zeros((len(counted_steps(facts)), len(contact_strata(facts)), len(_PARTS))), _PARTS)
-    occupancy = np.ascontiguousarray(forecast.forecast.occupancy[1 : longest(facts) + 1])
-    _follow(forecast, facts, memory, occupancy, within)
-    paths = paths_of(forecast, facts)
+    _follow(forecast, facts, memory, within)
+    driven = _driven(forecast, facts)
     within["forecasts"][:] = 1.0
-    if len(paths) < LEAST_PATHS:
+    if driven is None:
         within["skipped"][:] = 1.0
     else:
-        _add_contacts(within, forecast, facts, paths, occupancy, memory)
+        _add_contacts(within, forecast, facts, driven, memory)
     return within.values
 
 
 def _add_contacts(
-    within: Sums,
-    forecast: ScoredForecast,
-    facts: TrialFacts,
-    paths: Paths,
-    occupancy: NDArray[np.float32],
-    memory: list[_Approach],
+    within: Sums, forecast: ScoredForecast, facts: TrialFacts, driven: _Driven, memory: list[_Approach]
 ) -> None:
     """Add the paths to the sums (H, K, P), and those with a contact to `memory`."""
+    paths, events = driven.paths, driven.events
     steps, last = np.array(counted_steps(facts)), longest(facts)
-    states = np.stack([target.state for target in forecast.targets[1 : last + 1]])
-    events = events_of(paths, states, has_truth=facts.has_truth)
     of_frame = _of_frame(forecast, facts)
     slices = _slices_of(events, forecast, facts) & of_frame[:, None]
-    largest, independent = risks_of(paths, np.arange(len(paths)), occupancy)
-    largest = np.ascontiguousarray(largest[:, steps - 1])
-    independent = np.ascontiguousarray(independent[:, steps - 1])
+    largest = np.ascontiguousarray(driven.largest[:, steps - 1])
+    independent = np.ascontiguousarray(driven.independent[:, steps - 1])
     histograms = (within.block(name) for name in _HISTOGRAMS)
     counts = within["unknown"], within["seconds"]
     _add_paths(steps, largest, independent, events.contact, events.unseen, slices, *counts, *histograms)
@@ -193,14 +211,11 @@ def robots_of(forecast: ScoredForecast, facts: TrialFacts, origin: tuple[float, 
 
     None if a forecast has too few paths, or does not reach so far.
     """
-    shown, last = nearest_step(ROBOTS_AHEAD_S, facts.period_s), longest(facts)
-    paths = paths_of(forecast, facts) if 1 <= shown <= last else None
-    if paths is None or len(paths) < LEAST_PATHS:
+    shown = nearest_step(ROBOTS_AHEAD_S, facts.period_s)
+    driven = _driven(forecast, facts) if 1 <= shown <= longest(facts) else None
+    if driven is None:
         return None
-    states = np.stack([target.state for target in forecast.targets[1 : last + 1]])
-    events = events_of(paths, states, has_truth=facts.has_truth)
-    occupancy = np.ascontiguousarray(forecast.forecast.occupancy[1 : last + 1])
-    risks = risks_of(paths, np.arange(len(paths)), occupancy)[0][:, shown - 1]
+    paths, events, risks = driven.paths, driven.events, driven.largest[:, shown - 1]
     contact = events.contact <= shown
     known = contact | (events.unseen > shown)
     steps = np.minimum(events.contact, shown)
@@ -306,11 +321,9 @@ def _add_futures(
         sums["sampled log loss"][:, k] -= np.where(clear, np.log(1.0 - clipped), 0.0).sum(axis=0)
 
 
-def _follow(
-    forecast: ScoredForecast, facts: TrialFacts, memory: list[_Approach], occupancy: NDArray[np.float32], sums: Sums
-) -> None:
+def _follow(forecast: ScoredForecast, facts: TrialFacts, memory: list[_Approach], sums: Sums) -> None:
     """Follow earlier paths to their contacts through this forecast, and add the lead times of those that had theirs."""
-    steps = np.array(counted_steps(facts))
+    steps, occupancy = np.array(counted_steps(facts)), _ahead(forecast, facts)
     for approach in tuple(memory):
         since_s = (forecast.stamp_ns - approach.stamp_ns) / 1e9
         gone = round(since_s / facts.period_s)
@@ -426,7 +439,15 @@ CONTACT_FORESIGHT = ScoreDefinition(
         Output("contact_share", "Share of paths with a contact", scale="odds", of_trial=True),
         Output("roc_auc", "Contacts: ROC AUC", better="higher", scale="odds"),
         Output("false_alarms", "False alarms, 95 % foreseen", better="lower", scale="odds"),
-        Output("needless_stops", "Needless stops, 80 % foreseen", unit="1/min", better="lower", scale="log"),
+        Output(
+            "needless_stops",
+            "Needless stops, 80 % foreseen",
+            unit="1/min",
+            better="lower",
+            scale="log",
+            decimals=1,
+            beside=True,
+        ),
         Output("lead_time", "Lead time", unit="s", better="higher", scale="linear"),
         Output("independent", "Contacts foreseen, cells independent", better="higher", scale="odds"),
         Output("sampled_log_loss", "Log loss of contacts, from futures", better="lower", scale="log"),

@@ -41,6 +41,7 @@ class Output:
     compared by it. `margin`: the gate allows a value that is worse by as much, as a share of the value where
     `relative_margin`; None: the gate does not judge it. `decimals` of a value in a table. `saying`: the predicate of a
     tracker, `foresees {share} of 100 contacts within {ahead}`. `of_trial`: it is the same for every tracker.
+    `beside`: a ranking by the first output shows it too.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Output:
     decimals: int = 3
     saying: str = ""
     of_trial: bool = False
+    beside: bool = False
 
     @property
     def direction(self) -> int:

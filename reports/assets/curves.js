@@ -4,7 +4,7 @@ import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import {
   aheadChoice, allSteps, bandWords, hasScores, isDefined, lineOf, lineThrough, outputNamed, pointOf, recordingNamed,
-  recordingOptions, rowsWith, scoresOf, scoreWords, stepAt, strataOf, stratumChoice, stratumWords,
+  recordingOptions, rowsWith, scoresOf, scoreWords, stepAt, strataOf, stratumChoice,
 } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
@@ -159,7 +159,7 @@ function startConditions() {
       const own = recordingNamed(now.recording);
       return [["recording", "Recording", listed], ["kind", "Condition", kindsOf(own).map((one) => [one, pageData.conditions[one].name])],
         ["score", "Score", scoresUnder(own, now.kind).map((one) => [one, outputNamed(one).heading])],
-        ["stratum", "Cells", strataUnder(own, now.kind, now.score).map((name) => [name, stratumWords(name)])]];
+        stratumChoice(own, now.score, (name) => strataUnder(own, now.kind, now.score).includes(name))];
     },
     chart: conditionChart,
     fixed: (now) => ({ "horizon, s": recordingNamed(now.recording).conditions_ahead_s }),

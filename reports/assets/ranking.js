@@ -8,7 +8,7 @@ import {
   aheadChoice, hasScores, outputNamed, pointsIn, recordingNamed, recordingOptions, rowsWith, scoresOf, scoreWords, stepAt, stratumChoice,
 } from "./scores.js";
 
-const LINE = 26, VALUE_ROOM = 72, TIER_ROOM = 12, LESS_ROOM = 64, NO_REFERENCE = "";
+const LINE = 26, VALUE_ROOM = 72, TIER_ROOM = 12, LESS_ROOM = 64, BESIDE_ROOM = 72, NO_REFERENCE = "";
 const MARKS = { better: "▲", worse: "▼", "no evidence of a difference": "" };
 
 const ranks = ({ better }) => better !== "";
@@ -52,6 +52,15 @@ function differByIntervals(one, other) {
   return high.value - low.value > Math.hypot(high.value - high.low, low.high - low.value);
 }
 
+// The output that stands beside the leading one of its score; null if the score has none, or another output is chosen.
+function besideOf(chosen) {
+  const { key, score } = outputNamed(chosen.score), found = key === score.name && score.outputs.find(({ beside }) => beside);
+  return found ? outputNamed(`${score.name}.${found.name}`) : null;
+}
+
+// "Needless stops, 1/min" of the title "Needless stops, 80 % foreseen".
+const shortHeading = ({ title, unit }) => [title.split(",")[0], unit].filter(Boolean).join(", ");
+
 function drawRanking(chosen, width) {
   const rows = rankedRows(chosen), at = pointsIn(chosen), output = outputNamed(chosen.score), lessThan = differences(chosen);
   const groups = (testsOf(chosen)?.groups ?? [])
@@ -59,15 +68,20 @@ function drawRanking(chosen, width) {
     .filter((members) => members.length > 1);
   const range = axisRange(rows.flatMap((row) => Object.values(at(row))), false);
   const hasReference = rows.some((row) => lessThan(row)), scale = output.saying ? 100 : 1;
+  const beside = besideOf(chosen), isBeside = beside && !hasReference; // the difference takes its place
+  const numberBeside = (row) => (beside ? inDigits(at(row, beside.key).value, beside.decimals) : "");
+  const wordsBeside = (row) => (beside ? `${beside.heading}: ${numberBeside(row)}` : "");
   const { svg, x, places, end } = rowPlot({
     names: rows.map((row) => row.name), least: LINE, range, width,
     axis: axisName(output.saying ? `${output.heading}, of 100` : output.heading, range.map((end) => scale * end)),
     tickText: (value) => String(Number((scale * value).toPrecision(6))),
-    room: VALUE_ROOM + TIER_ROOM * groups.length + (hasReference ? LESS_ROOM : 0), beside: hasReference ? "difference" : "",
-    words: rows.map((row) => `${row.name} ${[inWords(at(row).value, output), differenceWords(lessThan(row), output)].filter(Boolean).join(", ")}`).join(", "),
+    room: VALUE_ROOM + TIER_ROOM * groups.length + (hasReference ? LESS_ROOM : isBeside ? BESIDE_ROOM : 0),
+    beside: hasReference ? "difference" : isBeside ? shortHeading(beside) : "",
+    words: rows.map((row) => `${row.name} ${[inWords(at(row).value, output), differenceWords(lessThan(row), output), wordsBeside(row)].filter(Boolean).join(", ")}`).join(", "),
   });
   svg.classList.add("ranking");
-  rows.forEach((row, i) => svg.append(drawRow(row, at(row), x, places[i], end, output)));
+  rows.forEach((row, i) => svg.append(drawRow(row, at(row), x, places[i], end, output, wordsBeside(row))));
+  if (isBeside) rows.forEach((row, i) => svg.append(svgText(width, places[i].y + 4, numberBeside(row), { class: "beside", "text-anchor": "end" })));
   rows.forEach((row, i) => svg.append(...drawnDifference(lessThan(row), places[i], width, output)));
   groups.forEach((members, g) => {
     const bar = end + VALUE_ROOM + TIER_ROOM * g;
@@ -96,7 +110,7 @@ function drawnDifference(found, { y }, width, output) {
   return [text];
 }
 
-function drawRow(row, { value, low, high }, x, place, end, output) {
+function drawRow(row, { value, low, high }, x, place, end, output, alsoSaid) {
   const { y } = place;
   const faint = row.group === "unranked" ? " partial" : "";
   const parts = [rowName(place, { class: row.group === "ranked" ? "" : "tick" }),
@@ -105,16 +119,17 @@ function drawRow(row, { value, low, high }, x, place, end, output) {
   if (low !== null && high !== null) {
     parts.push(draw("line", { class: "whisker", x1: x(low), x2: x(high), y1: y, y2: y }));
   }
-  const words = [row.name, row.remark, row.group === "unranked" ? "not ranked" : ""].filter(Boolean).join(", ");
+  const words = [row.name, row.remark, row.group === "unranked" ? "not ranked" : "", alsoSaid].filter(Boolean).join(", ");
   return draw("g", { class: `line ${row.style}${faint}` }, draw("title", {}, words), ...parts);
 }
 
 function caption(chosen) {
   const tests = testsOf(chosen), at = pointsIn(chosen), hasIntervals = rankedRows(chosen).some((row) => at(row).low !== null);
-  const own = `${scoreWords(outputNamed(chosen.score))}${hasIntervals ? ", with 95 % intervals" : ""}`;
+  const beside = besideOf(chosen), right = beside && chosen.reference === NO_REFERENCE ? `. On the right: ${scoreWords(beside)}` : "";
+  const own = `${scoreWords(outputNamed(chosen.score))}${hasIntervals ? ", with 95 % intervals" : ""}${right}`;
   const marks = chosen.reference === NO_REFERENCE ? "" : ` ▲ better, ▼ worse${tests ? "" : " by intervals"}.`;
   if (!tests) return `${own}. Not tested: ${recordingNamed(chosen.recording).untested}.${marks}`;
-  return `${own}. A bar joins rows that do not differ significantly: ${tests.pairs} pairs, ${tests.units} units, Holm, p < 0.05.${marks} ${manyRankings(chosen)}`;
+  return `${own}. A bar joins rows that do not differ significantly: p < 0.05 over ${tests.units} independent units, corrected for ${tests.pairs} pairs.${marks} ${manyRankings(chosen)}`;
 }
 
 // A warning about comparing many rankings.
@@ -127,10 +142,11 @@ function manyRankings({ recording }) {
 function rankingNumbers(chosen) {
   const rows = rankedRows(chosen), at = pointsIn(chosen), lessThan = differences(chosen);
   const groups = testsOf(chosen)?.groups ?? [];
+  const beside = besideOf(chosen), also = (row) => (beside ? [at(row, beside.key).value] : []);
   const letters = (row) => groups.map((labels, i) => (labels.includes(row.label) ? String(i + 1) : "")).filter(Boolean).join(" ");
-  return [["tracker", "group", chosen.score, "low", "high", "no significant difference", "difference", "verdict"],
+  return [["tracker", "group", chosen.score, "low", "high", "no significant difference", "difference", "verdict", ...(beside ? [beside.key] : [])],
     ...rows.map((row) => [row.name, row.group, at(row).value, at(row).low, at(row).high, letters(row), lessThan(row)?.less ?? null,
-      lessThan(row)?.verdict ?? ""])];
+      lessThan(row)?.verdict ?? "", ...also(row)])];
 }
 
 // Fills the section of the ranking.

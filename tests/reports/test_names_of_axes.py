@@ -122,6 +122,48 @@ def test_the_figure_of_degraded_input_names_the_only_kind(browser, run_folder, t
         assert "beams without a return: input degraded" in figure.locator(".note").inner_text()
 
 
+def test_the_figure_of_conditions_counts_contacts_as_the_ranking_does(browser, run_folder, tmp_path):
+    def limit(summary):
+        trial = trial_of(summary, "good")
+        foreseen = {}
+        for stratum in ("dynamic", "in-motion"):
+            put(trial, stratum, "contact_foresight.foreseen", 0.5)
+            foreseen[stratum] = [0.5] * 21
+        points = [
+            {"strength": at, "value": at, "delivered": "", "scores": {"contact_foresight": foreseen}} for at in (0, 1)
+        ]
+        trial["robustness"] = {"degradation": {"beam_dropout": 0.2}, "kinds": {"beam_dropout": points}}
+
+    with page_opened(browser, render_report([edited(run_folder, tmp_path / "run", limit)])) as page:
+        options = page.locator("#conditions select[data-choice=Contacts] option").all_inner_texts()
+    assert set(options) == {"in-motion contacts", "dynamic contacts"}
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_the_ranking_of_contacts_has_the_needless_stops_beside_it(browser, run_folder, tmp_path, width):
+    def foresee(summary):
+        for label, foreseen, stops in (("good", 0.7, 2.34), ("fair", 0.4, 11.0)):
+            put(trial_of(summary, label), "dynamic", "contact_foresight.foreseen", foreseen)
+            put(trial_of(summary, label), "dynamic", "contact_foresight.needless_stops", stops)
+        summary["headline"] = "contact_foresight.foreseen"
+
+    report = render_report([edited(run_folder, tmp_path / "run", foresee)])
+    with page_opened(browser, report, viewport={"width": width, "height": 900}) as page:
+        figure = page.locator("#ranking")
+        drawing = figure.locator("svg.figure-drawing")
+        assert drawing.locator("text.beside").all_text_contents()[:2] == ["2.3", "11.0"]
+        assert "Needless stops, 1/min" in drawing.locator("text").all_text_contents()
+        assert drawing.evaluate(INSIDE) == []
+        assert (
+            "On the right: Needless stops, 80 % foreseen, 1/min (lower is better)"
+            in figure.locator(".note").inner_text()
+        )
+        assert "contact_foresight.needless_stops" in downloaded(page, "#ranking").splitlines()[0]
+        figure.locator("select[data-choice=Reference]").select_option("fair")
+        assert drawing.locator("text.beside").count() == 0
+        assert drawing.locator("g title").first.text_content() == "good, Needless stops, 80 % foreseen, 1/min: 2.3"
+
+
 @pytest.mark.parametrize(("high", "words"), [(0.57, "it is wide, of good 0.03 to 0.57 at 0.5 s ahead"), (0.1, "")])
 def test_an_interval_over_most_of_a_figure_is_said_below_it(browser, run_folder, tmp_path, high, words):
     def widen(summary):

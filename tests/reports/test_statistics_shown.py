@@ -382,6 +382,14 @@ def test_the_groups_have_rows_that_do_not_differ_significantly(twenty, page):
     assert groups == {"pairs": 3, "units": 20, "tested": tested, "groups": [["persistence", "<b>even"]]}
 
 
+def test_the_first_screen_says_what_floors_and_the_oracle_are_and_that_nothing_was_timed(page, run_folder):
+    assert '<p class="note">Floors are simple rules that a tracker must beat. The oracle knows the future' in page
+    assert "s ahead. Time of updates and forecasts: not measured</summary>" in page
+    without = render_page(read_runs([run_folder]))
+    assert "The oracle knows" not in without
+    assert "Floors are simple rules" in without
+
+
 @pytest.mark.parametrize(
     "line",
     [

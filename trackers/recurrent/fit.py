@@ -31,11 +31,11 @@ from gridtrack.common.files import write_text
 from gridtrack.common.grid import nearest_step
 from gridtrack.trackers.contract import FitTask, FrameSource, StretchScore, stream_of
 from gridtrack.trackers.recurrent.devices import Devices, training_precision
-from gridtrack.trackers.recurrent.network import Recurrence, RecurrentNetwork
+from gridtrack.trackers.recurrent.network import RecurrentNetwork
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.sequences import SequenceDataset
 from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
-from gridtrack.trackers.recurrent.training_module import TrainingModule, Validate, scores_text
+from gridtrack.trackers.recurrent.training_module import TrainingModule, scores_text
 from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.training.card import card_for
 from gridtrack.trackers.training.excerpts import (
@@ -86,7 +86,8 @@ def fit_network(kind: type[RecurrentTracker], task: FitTask) -> None:
 
         return validation_scores(score_on, held_out, SELECTION_HORIZONS_S)
 
-    trained = train_network(network, in_training, dataset, options, devices, validate, task, start)
+    module = TrainingModule(network, in_training, dataset, options, devices, validate)
+    trained = train_network(module, task, start)
     arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
     settings = options.model_dump(mode="json", exclude=set(InferenceSettings.model_fields))
     card = card_for(name, task, settings, trained.scores)
@@ -200,32 +201,23 @@ class TrainedNetwork(NamedTuple):
     reached: str
 
 
-def train_network(
-    network: RecurrentNetwork,
-    in_training: Recurrence,
-    dataset: SequenceDataset,
-    settings: TrainingSettings,
-    devices: Devices,
-    validate: Validate,
-    task: FitTask,
-    start: Weights | None = None,
-) -> TrainedNetwork:
-    """Train `network` in place to the weights with the best validation score; a `start` is a candidate too.
+def train_network(module: TrainingModule, task: FitTask, start: Weights | None = None) -> TrainedNetwork:
+    """Train the network of `module` in place to the weights with the best validation score; a `start` is a candidate
+    too.
 
-    The training computes with `in_training`, the same function of the same parameters. Logs (CSV, TensorBoard) and
-    checkpoints are written to `task.log_dir`; checkpoints of the same training in it are resumed. An interrupt ends the
-    training at the best weights so far. Raises ConfigurationError if the folder has checkpoints of another training,
-    and KeyboardInterrupt if it is interrupted before the first validation.
+    Logs (CSV, TensorBoard) and checkpoints are written to `task.log_dir`; checkpoints of the same training in it are
+    resumed. An interrupt ends the training at the best weights so far. Raises ConfigurationError if the folder has
+    checkpoints of another training, and KeyboardInterrupt if it is interrupted before the first validation.
     """
     for name in ("lightning.pytorch", "lightning.fabric"):  # they print advertisements
         logging.getLogger(name).setLevel(logging.WARNING)
-    resumed = _resumable(task, _description(dataset, settings, task, start))
-    done = _updates_in(resumed) if resumed else 0
+    network = module.network
+    resumed = _resumable(task, _description(module.dataset, module.settings, task, start))
+    module.done = _updates_in(resumed) if resumed else 0
     initial, initial_scores = deepcopy(network.state_dict()), {}
     if start is not None:
-        initial_scores = validate(network)
+        initial_scores = module.validate(network)
         task.report(f"general weights  {scores_text(initial_scores)}")
-    module = TrainingModule(network, in_training, dataset, settings, devices, validate, done)
     interrupted = _train(module, resumed, task)
     best = torch.load(_checkpoint_in(task, BEST), weights_only=True, map_location="cpu")
     module.load_state_dict(best["state_dict"])
@@ -234,7 +226,7 @@ def train_network(
         task.report("no update is better on the validation than the general weights: they are kept")
         network.load_state_dict(initial)
         scores = initial_scores
-    reached = f"update {_updates_in(_checkpoint_in(task, LAST))} of {settings.updates}" if interrupted else ""
+    reached = f"update {_updates_in(_checkpoint_in(task, LAST))} of {module.settings.updates}" if interrupted else ""
     return TrainedNetwork(scores, reached)
 
 

@@ -89,12 +89,14 @@ class TrainingModule(lightning.LightningModule):
         settings: TrainingSettings,
         devices: Devices,
         validate: Validate,
-        done: int = 0,
     ) -> None:
-        """`done`: updates of the training that is resumed. `advance` and `report` are called with lines of progress."""
+        """The training computes with `in_training`, the same function of the same parameters as `network`.
+
+        `done`: updates of the training that is resumed. `advance` and `report` are called with lines of progress.
+        """
         super().__init__()
         self.network, self._in_training = channels_last(network), in_training
-        self.dataset, self.rate, self.done = dataset, dataset.occupied_rate, done
+        self.dataset, self.rate, self.done = dataset, dataset.occupied_rate, 0
         self.settings, self.devices, self.validate = settings, devices, validate
         self.advance: Callable[[str], None] = _ignore
         self.report: Callable[[str], None] = _ignore
