@@ -1,4 +1,4 @@
-"""Forecasts on disk: arrays in one `.npz` file, or `.npy` files in a folder, of any program.
+"""Forecasts on disk: arrays in one `.npz` file, as `.npy` files in a folder, or in a Zarr store, of any program.
 
 The arrays, N forecasts of T times ahead on H x W cells:
 
@@ -36,13 +36,15 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError, one_line
-from gridtrack.common.files import atomic_write, open_regular
+from gridtrack.common.files import atomic_write, open_regular, refuse_links
+from gridtrack.common.forecast_zarr import is_zarr, zarr_arrays
 from gridtrack.common.geometry import SE2
 
 REQUIRED = ("occupancy", "stamp_ns", "lead_s", "cell_m", "origin_xy")
 OPTIONAL = ("frame", "pose", "axes", "available_ns", "velocity", "futures", "note")
 PLANES = ("occupancy", "velocity", "futures")
 """The arrays that may be large; the others are read at once."""
+SMALL = tuple(name for name in (*REQUIRED, *OPTIONAL) if name not in PLANES)
 FRAMES, AXES = ("world", "sensor"), ("yx", "xy")
 MAX_SMALL_BYTES = 1 << 28
 """Limit of an array that is no plane."""
@@ -104,17 +106,23 @@ class ForecastFile:
 
     def futures(self, n: int, lead: int) -> NDArray[np.float32]:
         """The sampled futures (F, H, W) at one time ahead. Raises RecordingError for values outside [0, 1]."""
-        return self._probabilities("futures", n, (slice(None), lead))
+        return self._probabilities("futures", n, slice(None), lead)
 
     def velocity(self, n: int, lead: int) -> NDArray[np.float32]:
         """The velocity (2, H, W) along the axes of the frame, m/s. Raises RecordingError for infinite values."""
-        found = self._turned(np.asarray(self._planes["velocity"][n][lead], np.float32))
+        found = self._turned(self._read("velocity", n, lead).astype(np.float32))
         if np.isinf(found).any():
             raise RecordingError(f"{self.path}: velocity of forecast {n} is infinite")
         return found
 
-    def _probabilities(self, name: str, n: int, index: Any) -> NDArray[np.float32]:
-        stored = np.asarray(self._planes[name][n][index])
+    def _read(self, name: str, *index: Any) -> NDArray[Any]:
+        try:
+            return np.asarray(self._planes[name][index])
+        except DAMAGE as error:
+            raise RecordingError(f"{self.path}: {name} is damaged: {one_line(str(error), 200)}") from None
+
+    def _probabilities(self, name: str, *index: Any) -> NDArray[np.float32]:
+        n, stored = index[0], self._read(name, *index)
         found = self._turned(stored.astype(np.float32) / np.float32(255 if stored.dtype == np.uint8 else 1))
         if not (np.isnan(found) | ((found >= 0.0) & (found <= 1.0))).all():
             raise RecordingError(f"{self.path}: {name} of forecast {n} is outside [0, 1]: write probabilities")
@@ -131,7 +139,7 @@ def write_forecasts(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def open_forecasts(path: Path) -> ForecastFile:
-    """The forecasts in `path`, a `.npz` file or a folder of `.npy` files with the names above.
+    """The forecasts in `path`: a `.npz` file, a folder of `.npy` files or a Zarr store, with the names above.
 
     Raises RecordingError if an array is missing, unknown or damaged, or the arrays do not fit each other.
     """
@@ -244,13 +252,18 @@ def _numbers(
 def _arrays_in(path: Path) -> dict[str, NDArray[Any]]:
     """The arrays by name; the planes stay on disk unless they are compressed. Raises RecordingError."""
     try:
+        if is_zarr(path):
+            return zarr_arrays(path, SMALL, MAX_SMALL_BYTES)
         if path.is_dir():
+            refuse_links(path, RecordingError)
             return {file.stem: _read_file(file) for file in sorted(path.glob("*.npy"))}
         with open_regular(path) as file, zipfile.ZipFile(file) as packed:
             return {member.filename.removesuffix(".npy"): _read_member(packed, member) for member in packed.infolist()}
     except DAMAGE as error:
         reason = getattr(error, "strerror", None) or one_line(str(error), 200)
-        raise RecordingError(f"{path}: no arrays of forecasts (.npz, or a folder of .npy files): {reason}") from None
+        raise RecordingError(
+            f"{path}: no arrays of forecasts (.npz, a folder of .npy files, or Zarr): {reason}"
+        ) from None
 
 
 def _read_file(path: Path) -> NDArray[Any]:

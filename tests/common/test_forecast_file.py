@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 
 import numpy as np
 import pytest
+import zarr
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.forecast_file import open_forecasts, write_forecasts
@@ -109,6 +111,41 @@ def test_compressed_arrays_and_a_folder_are_read_as_the_file(tmp_path, opened):
         assert (open_forecasts(path).occupancy(0, 0) == expected).all()
     as_bytes = own | {"occupancy": np.full((1, 1, 5, 5), 51, np.uint8)}
     assert opened(as_bytes).occupancy(0, 0)[0, 0] == np.float32(0.2)
+
+
+def write_zarr(path, arrays, version=3, **more):
+    """The arrays as a Zarr store; texts are attributes. `more`: of the occupancy."""
+    group = zarr.open_group(path, mode="w", zarr_format=version)
+    for name, array in arrays.items():
+        if array.dtype.kind == "U":
+            group.attrs[name] = str(array)
+        else:
+            group.create_array(name, data=array, **(more if name == "occupancy" else {}))
+    return path
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_zarr_store_is_read_as_the_file(tmp_path, opened, version):
+    own = arrays(np.arange(25).reshape(5, 5) / 25, axes=np.array("xy"), note=np.array("objects"))
+    stored = open_forecasts(write_zarr(tmp_path / "mine.zarr", own, version, chunks=(1, 1, 2, 5)))
+    assert (stored.occupancy(0, 0) == opened(own).occupancy(0, 0)).all()
+    assert stored.note == "objects"
+    chunk = next(path for path in (tmp_path / "mine.zarr" / "occupancy").rglob("*0") if path.is_file())
+    chunk.write_bytes(b"damaged")
+    with pytest.raises(RecordingError, match="occupancy is damaged"):
+        stored.occupancy(0, 0)
+
+
+def test_a_codec_of_a_zarr_store_cannot_run_code(tmp_path):
+    path = write_zarr(tmp_path / "mine.zarr", arrays(), 2)
+    description = path / "occupancy" / ".zarray"
+    content = json.loads(description.read_text())
+    description.write_text(json.dumps(content | {"filters": [{"id": "pickle"}]}))
+    with pytest.raises(RecordingError, match="the codec 'pickle'; known: blosc"):
+        open_forecasts(path)
+    (tmp_path / "mine.zarr" / "link").symlink_to(tmp_path)
+    with pytest.raises(RecordingError, match="a link"):
+        open_forecasts(path)
 
 
 @pytest.mark.parametrize(
