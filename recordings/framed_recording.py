@@ -321,9 +321,7 @@ class FramedRecording(Recording):
                     return None
         return known
 
-    def _transforms_in(
-        self, message: EncodedMessage, links: Collection[LinkKey]
-    ) -> Iterator[tuple[LinkKey, int, SE3]]:
+    def _transforms_in(self, message: EncodedMessage, links: Collection[LinkKey]) -> Iterator[tuple[LinkKey, int, SE3]]:
         """The transforms of moving links in a message: key of the link, stamp, transform."""
         content, topic = self.content_of(message), message.topic
         of_pose = next((key for key in links if key[0] == topic), None) if content == "pose" else None
@@ -332,7 +330,7 @@ class FramedRecording(Recording):
         with contextlib.suppress(DamageError):  # reported among the faults of the tree
             for stamped in self.transforms_of(message):
                 key = of_pose or self._key_of(topic, stamped)
-                if key in links and stamped.transform is not None:
+                if key is not None and key in links and stamped.transform is not None:
                     yield key, stamped.stamp_ns, stamped.transform
 
     def _key_of(self, topic: str, stamped: StampedTransform) -> LinkKey | None:

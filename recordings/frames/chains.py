@@ -110,7 +110,7 @@ class Chains:
     problem: str = ""
     notes: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
-    forest: Forest = field(default_factory=lambda: Forest())
+    forest: Forest = field(default_factory=lambda: Forest())  # noqa: PLW0108  defined below
 
     @property
     def moving(self) -> dict[LinkKey, Link]:
