@@ -36,7 +36,7 @@ UNKNOWN_EXTENT, CIRCLE_CORNERS = (0.5, 0.5), 16
 MAX_EXTENT_M, MAX_OBJECTS = 200.0, 500_000
 VELOCITY_SPAN_NS = 500_000_000
 """An object without a velocity has the mean one of this time before its stamp."""
-FAST_M_S, LEAST_ANGLES = 0.5, 20
+FAST_M_S, LEAST_ANGLES = 0.5, 10
 """The frame of velocities is checked on objects that are faster, if there are as many differences of positions."""
 CLEAR_RAD = math.radians(20.0)
 """A frame of velocities fits clearly better if the median angle error is smaller by this."""
