@@ -12,7 +12,8 @@ from pydantic import Field
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import ConfigurationError, RecordingError
-from gridtrack.common.forecast_file import ForecastFile, open_forecasts, write_forecasts
+from gridtrack.common.forecast_file import MAX_LEADS, ForecastFile, open_forecasts, write_forecasts
+from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import nearest_step
 from gridtrack.common.options import Option, Seconds, from_text
 from gridtrack.recordings.outputs.grids import MAX_FORECAST_BYTES, GridSource, parse_grid_source, write_grids
@@ -77,11 +78,12 @@ def write_outputs(
 def write_objects(stream: GridStream, settings: OutputSettings, out: Path, notes: Notes) -> None:
     """Write the forecasts of objects, drawn into the grid of the stream, to the array file `out`."""
     lists, twist_frame = _lists(stream, settings, notes)
-    lists = completed(lists, twist_frame, notes)
+    lists = completed(lists, str(settings.objects), twist_frame, notes)
     grid, steps = stream.grid, nearest_step(settings.horizon_s, stream.period_s)
     lead_s = np.arange(steps + 1, dtype=np.float64) * stream.period_s
-    limit = MAX_FORECAST_BYTES // (len(lead_s) * grid.size**2)
-    if len(lists) > limit:
+    if len(lead_s) > MAX_LEADS:
+        raise ConfigurationError(f"--horizon: {len(lead_s)} frames ahead; at most {MAX_LEADS}")
+    if len(lists) * len(lead_s) * grid.size**2 > MAX_FORECAST_BYTES:
         raise RecordingError(
             f"{out}: {len(lists)} forecasts of {len(lead_s)} x {grid.size} x {grid.size} cells are more than 8 GiB:"
             f" name a part, {stream.recording.path}@0s-60s, or a shorter --horizon"
@@ -125,10 +127,10 @@ def _lists(stream: GridStream, settings: OutputSettings, notes: Notes) -> tuple[
         return read_table(Path(source), time.start_ns, time.end_ns, notes), settings.twist_frame or "world"
     topics = OutputTopics(stream, {source: tuple(OBJECT_MESSAGES)})
     message_type = OBJECT_MESSAGES[stream.recording.survey.topics[source][0]]
-    return read_objects(topics, source, message_type, notes), settings.twist_frame or message_type.twist_frame
+    return read_objects(topics, message_type, notes), settings.twist_frame or message_type.twist_frame
 
 
-def _with_static_map(stream: GridStream, lists: list[ObjectList]) -> Iterator[Any]:
+def _with_static_map(stream: GridStream, lists: list[ObjectList]) -> Iterator[tuple[ObjectList, StaticMap, SE2]]:
     """Each list with the static map of the frames up to its stamp and the window of the last of them."""
     static, ahead = StaticMap(stream.grid), iter(stream)
     frame, window = next(ahead, None), None

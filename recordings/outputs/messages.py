@@ -28,6 +28,8 @@ EARLIEST_S, LATEST_S = -1.0, 10.0
 """Limits of the median time from stamps to the reception of their messages, seconds: beyond, the clocks differ."""
 MAX_REASONS = 10
 """Limit of the shown reasons."""
+MAX_OUTPUT_FRAMES = 20
+"""Limit of the frames of outputs: the transforms of each take a pass over the file."""
 AHEAD_S = -0.05
 """A median time from stamps to reception below this is that of stamps ahead of their scans, seconds."""
 
@@ -128,6 +130,8 @@ class WorldFrames:
                 " frame of the poses: record /tf and /tf_static with it, or name the poses with --pose-topic"
             )
         if frame not in self._transforms:
+            if len(self._transforms) == MAX_OUTPUT_FRAMES:
+                raise RecordingError(f"{self._recording.path}: {topic} is in more than {MAX_OUTPUT_FRAMES} frames")
             known = self._recording.transforms_of_links([link.key for link in chain.moving])
             if known is None:
                 raise RecordingError(f"{self._recording.path}: too many transforms: name a part of the recording")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import RecordingError, one_line
 from gridtrack.common.files import open_regular
 from gridtrack.common.geometry import wrap_angle
-from gridtrack.recordings.outputs.messages import Notes
+from gridtrack.recordings.outputs.messages import Notes, available_ns
 
 TwistFrame = Literal["object", "world"]
 Array = NDArray[np.float64]
@@ -33,7 +33,10 @@ CLASS_EXTENTS = {
 """Length and width in metres of a class, for objects without their own."""
 UNKNOWN_EXTENT, CIRCLE_CORNERS = (0.5, 0.5), 16
 """Length and width of a person, and of an object without a known class."""
-MAX_EXTENT_M, MAX_OBJECTS = 200.0, 500_000
+MAX_EXTENT_M, MAX_NUMBER, MAX_CORNERS, MAX_PATHS = 200.0, 1e9, 200, 100
+"""Limits of an object: its size, any of its numbers, the corners of its outline, its predicted paths."""
+MAX_OBJECTS, MAX_POSES = 500_000, 20_000_000
+"""Limits of a file: its objects, and the poses of their predicted paths."""
 VELOCITY_SPAN_NS = 500_000_000
 """An object without a velocity has the mean one of this time before its stamp."""
 FAST_M_S, LEAST_ANGLES = 0.5, 10
@@ -75,7 +78,7 @@ class TrackedObject:
 
 @dataclass(frozen=True, slots=True)
 class ObjectList:
-    """The objects of one stamp. `available_ns`: when they were known."""
+    """The objects of one stamp. `available_ns`: when they were known, at first the time of their reception."""
 
     stamp_ns: int
     available_ns: int
@@ -98,39 +101,46 @@ def outline_of(label: str, length: float, width: float, *, is_round: bool = Fals
 
 
 def is_usable(one: TrackedObject) -> bool:
-    """Whether all numbers of an object are finite, its size is possible and its existence a probability."""
-    covariance = np.zeros((2, 2)) if one.covariance is None else one.covariance
-    numbers = [one.pose, *one.velocities.values(), one.outline.ravel(), covariance.ravel()]
+    """Whether all numbers of an object are finite, and its size, existence and number of paths possible."""
+    if len(one.outline) > MAX_CORNERS or len(one.paths) > MAX_PATHS or not 0.0 <= one.existence <= 1.0:
+        return False
+    numbers = [one.pose, *one.velocities.values(), one.outline.ravel()]
     numbers += [array.ravel() for path in one.paths for array in (path.lead_s, path.poses)]
-    finite = all(np.isfinite(array).all() and np.abs(array).max(initial=0.0) < 1e9 for array in numbers)
-    return finite and bool(np.abs(one.outline).max() <= MAX_EXTENT_M) and 0.0 <= one.existence <= 1.0
+    finite = all(np.isfinite(array).all() and np.abs(array).max(initial=0.0) < MAX_NUMBER for array in numbers)
+    return finite and bool(np.abs(one.outline).max() <= MAX_EXTENT_M)
 
 
-def completed(lists: Iterable[ObjectList], twist_frame: TwistFrame, notes: Notes) -> list[ObjectList]:
-    """The lists in the order of their stamps, every object usable and with a velocity of `twist_frame`.
+def completed(lists: Iterable[ObjectList], source: str, twist_frame: TwistFrame, notes: Notes) -> list[ObjectList]:
+    """The lists in the order of their stamps: usable objects, each with one velocity, and when they were known.
 
-    Raises RecordingError without any list, or for more than MAX_OBJECTS objects.
+    Raises RecordingError without any list, or for more than MAX_OBJECTS objects or MAX_POSES poses of their paths.
     """
     ordered: list[ObjectList] = []
-    count = 0
+    count = poses = 0
     for one in lists:
         usable = tuple(filter(is_usable, one.objects))
         notes.left_out["objects with numbers that are not finite or impossible"] += len(one.objects) - len(usable)
         ordered.append(replace(one, objects=usable))
         count += len(usable)
-        if count > MAX_OBJECTS:
-            raise RecordingError(f"more than {MAX_OBJECTS} objects: name a part of the recording, RECORDING@0s-60s")
+        poses += sum(len(path.lead_s) for each in usable for path in each.paths)
+        if count > MAX_OBJECTS or poses > MAX_POSES:
+            raise RecordingError(
+                f"{source}: more than {MAX_OBJECTS} objects or {MAX_POSES} predicted poses: name a part of the"
+                " recording, RECORDING@0s-60s"
+            )
+    if not ordered:
+        raise RecordingError("; ".join([f"{source}: no list of objects that can be used", *notes.all_lines()]))
     ordered.sort(key=lambda one: one.stamp_ns)
     single = [next(same) for _, same in groupby(ordered, key=lambda one: one.stamp_ns)]
-    if len(single) < len(ordered):
-        notes.left_out["lists of objects with a stamp that another one had before"] += len(ordered) - len(single)
-    if not single:
-        raise RecordingError("; ".join(["no list of objects that can be used", *notes.all_lines()]))
-    if not any(one.existence for item in single for one in item.objects) and count:
-        notes.note("existence is 0 for all objects: taken as not filled in, and as 1")
+    notes.left_out["lists of objects with a stamp that another one had before"] += len(ordered) - len(single)
+    if count and not any(one.existence for item in single for one in item.objects):
+        notes.note(f"{source}: existence is 0 for all objects: taken as not filled in, and as 1")
         single = [replace(item, objects=tuple(replace(o, existence=1.0) for o in item.objects)) for item in single]
     _check_twist_frame(single, twist_frame, notes)
-    return list(_with_velocities(single, twist_frame))
+    stamps = [item.stamp_ns for item in single]
+    known_ns = available_ns(source, stamps, [item.available_ns for item in single], notes)
+    moving = _with_velocities(single, twist_frame)
+    return [replace(item, available_ns=at_ns) for item, at_ns in zip(moving, known_ns, strict=True)]
 
 
 def _with_velocities(lists: Iterable[ObjectList], twist_frame: TwistFrame) -> Iterator[ObjectList]:

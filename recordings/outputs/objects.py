@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings.frames.transform import SE3
-from gridtrack.recordings.outputs.messages import Notes, OutputMessage, OutputTopics, available_ns, in_plane
+from gridtrack.recordings.outputs.messages import Notes, OutputMessage, OutputTopics, in_plane
 from gridtrack.recordings.outputs.object_table import (
     Array,
     ObjectList,
@@ -34,15 +33,10 @@ LARGEST_VARIANCE_M2 = 100.0
 """A position with a greater variance has none: some nodes write 99999 for unknown."""
 
 
-def read_objects(topics: OutputTopics, topic: str, message_type: MessageType, notes: Notes) -> list[ObjectList]:
+def read_objects(topics: OutputTopics, message_type: MessageType, notes: Notes) -> Iterator[ObjectList]:
     """The lists of objects on a topic, in the order of the file. Raises RecordingError."""
-    found = [
-        ObjectList(message.stamp_ns, message.received_ns, tuple(message_type.read(message, notes)))
-        for message in topics.messages(notes)
-    ]
-    stamps = [item.stamp_ns for item in found]
-    known_ns = available_ns(topic, stamps, [item.available_ns for item in found], notes) if found else []
-    return [replace(item, available_ns=at) for item, at in zip(found, known_ns, strict=True)]
+    for message in topics.messages(notes):
+        yield ObjectList(message.stamp_ns, message.received_ns, tuple(message_type.read(message, notes)))
 
 
 def _placed(
