@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars
@@ -285,6 +286,26 @@ def test_a_table_that_is_missing_or_binary_is_refused(tmp_path: Path) -> None:
     for path in (binary, tmp_path / "none.csv"):
         with pytest.raises(RecordingError, match="cannot be read as a table of objects"):
             write_outputs(bag, tmp_path / "mine.npz", objects=str(path))
+
+
+def test_the_conversions_of_the_page_give_rows_of_a_table(tmp_path: Path) -> None:
+    page = Path("docs/recorded-bags.md").read_text()
+    names: dict[str, Any] = {}
+    exec(page.partition("```python")[2].partition("```")[0], names)
+    (tmp_path / "mot.txt").write_text("1,7,-1,-1,-1,-1,0.9,2.5,1.5,0\n3,7,-1,-1,-1,-1,0.9,3.5,1.5,0\n")
+    second = list(names["mot"](tmp_path / "mot.txt", STAMP_NS, 10.0))[1]
+    assert second == {"stamp_ns": STAMP_NS + 2 * 10**8, "track": 7, "x": 3.5, "y": 1.5}
+    # a car 10 m ahead and 2 m to the right of the camera that looks the same way
+    (tmp_path / "kitti.txt").write_text(f"0 4 Car 0 0 0 1 2 3 4 1.5 1.8 4.5 2 1 10 {-math.pi / 2}\n")
+    (row,) = names["kitti"](tmp_path / "kitti.txt", [STAMP_NS], [SE2(1.0, 0.0, math.pi / 2)])
+    assert_allclose([row[name] for name in ("x", "y", "yaw", "length", "width")], [3, 10, math.pi / 2, 4.5, 1.8])
+    box = {"translation": [1, 2, 0], "size": [1.8, 4.5, 1.5], "rotation": [math.sqrt(0.5), 0, 0, math.sqrt(0.5)]}
+    box |= {"velocity": [0, 3], "tracking_id": "9", "tracking_name": "car", "tracking_score": 0.5}
+    (row,) = names["nuscenes"]({"t": [box]}, {"t": {"timestamp": STAMP_NS // 1000}})
+    assert_allclose([row["yaw"], row["length"], row["vy"], row["existence"]], [math.pi / 2, 4.5, 3, 0.5])
+    polars.DataFrame([row]).write_csv(tmp_path / "mine.csv")
+    forecasts, _ = write_outputs(write_bag(tmp_path, ROS2), tmp_path / "mine.npz", objects=str(tmp_path / "mine.csv"))
+    assert len(forecasts) == 1
 
 
 # ---- drawing
