@@ -16,7 +16,7 @@ from gridtrack.common.forecast_file import MAX_LEADS, ForecastFile, open_forecas
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import nearest_step
 from gridtrack.common.options import Option, Seconds, from_text
-from gridtrack.recordings.outputs.grids import MAX_FORECAST_BYTES, GridSource, parse_grid_source, write_grids
+from gridtrack.recordings.outputs.grids import MAX_OUTPUT_BYTES, GridSource, parse_grid_source, write_grids
 from gridtrack.recordings.outputs.messages import Notes, OutputTopics
 from gridtrack.recordings.outputs.object_table import ObjectList, TwistFrame, completed, read_table
 from gridtrack.recordings.outputs.objects import OBJECT_MESSAGES, read_objects
@@ -83,7 +83,7 @@ def write_objects(stream: GridStream, settings: OutputSettings, out: Path, notes
     lead_s = np.arange(steps + 1, dtype=np.float64) * stream.period_s
     if len(lead_s) > MAX_LEADS:
         raise ConfigurationError(f"--horizon: {len(lead_s)} frames ahead; at most {MAX_LEADS}")
-    if len(lists) * len(lead_s) * grid.size**2 > MAX_FORECAST_BYTES:
+    if len(lists) * len(lead_s) * grid.size**2 > MAX_OUTPUT_BYTES:
         raise RecordingError(
             f"{out}: {len(lists)} forecasts of {len(lead_s)} x {grid.size} x {grid.size} cells are more than 8 GiB:"
             f" name a part, {stream.recording.path}@0s-60s, or a shorter --horizon"

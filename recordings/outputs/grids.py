@@ -23,7 +23,7 @@ from gridtrack.recordings.outputs.messages import Notes, OutputMessage, OutputTo
 from gridtrack.recordings.stream import GridStream
 
 OCCUPANCY_GRID, GRID_MAP = "nav_msgs/msg/OccupancyGrid", "grid_map_msgs/msg/GridMap"
-MAX_FORECAST_BYTES = 1 << 33
+MAX_OUTPUT_BYTES = 1 << 33
 """Limit of the occupancy in a file: 8 GiB."""
 CELL_DIGITS = 7
 """Decimals of a cell's side: nav_msgs has it as float32."""
@@ -88,7 +88,7 @@ def write_grids(stream: GridStream, sources: list[GridSource], out: Path, notes:
     stamps = sorted({stamp_ns for stamp_ns, _ in headers})
     row_of = {stamp_ns: row for row, stamp_ns in enumerate(stamps)}
     shape = (len(stamps), len(sources), size.rows, size.columns)
-    if np.prod(shape, dtype=object) * 2 > MAX_FORECAST_BYTES:
+    if np.prod(shape, dtype=object) * 2 > MAX_OUTPUT_BYTES:
         raise RecordingError(f"{out}: {shape} cells are more than 8 GiB: name a part, {stream.recording.path}@0s-60s")
     with TemporaryDirectory(prefix=f"{out.name}.", dir=out.parent) as folder:
         occupancy = np.lib.format.open_memmap(Path(folder) / "occupancy.npy", "w+", np.float16, shape)

@@ -19,7 +19,7 @@ from gridtrack.common.geometry import wrap_angle
 from gridtrack.recordings.outputs.messages import Notes, available_ns
 
 TwistFrame = Literal["object", "world"]
-Array = NDArray[np.float64]
+Numbers = NDArray[np.float64]
 PERSON_WORDS = ("person", "pedestrian", "human", "people")
 CLASS_EXTENTS = {
     "car": (4.5, 1.8),
@@ -35,7 +35,7 @@ UNKNOWN_EXTENT, CIRCLE_CORNERS = (0.5, 0.5), 16
 """Length and width of a person, and of an object without a known class."""
 MAX_EXTENT_M, MAX_NUMBER, MAX_CORNERS, MAX_PATHS = 200.0, 1e9, 200, 100
 """Limits of an object: its size, any of its numbers, the corners of its outline, its predicted paths."""
-MAX_OBJECTS, MAX_POSES = 500_000, 20_000_000
+MAX_RECORDED_OBJECTS, MAX_POSES = 500_000, 20_000_000
 """Limits of a file: its objects, and the poses of their predicted paths."""
 VELOCITY_SPAN_NS = 500_000_000
 """An object without a velocity has the mean one of this time before its stamp."""
@@ -43,7 +43,7 @@ FAST_M_S, LEAST_ANGLES = 0.5, 10
 """The frame of velocities is checked on objects that are faster, if there are as many differences of positions."""
 CLEAR_RAD = math.radians(20.0)
 """A frame of velocities fits clearly better if the median angle error is smaller by this."""
-COLUMNS = (
+OBJECT_COLUMNS = (
     "stamp_ns", "track", "x", "y", "yaw", "vx", "vy", "length", "width", "existence", "label",
     "lead_s", "path", "probability",
 )  # fmt: skip
@@ -55,12 +55,12 @@ class PredictedPath:
     """Poses (n, 3) of an object, x, y and heading in the world, at `lead_s` (n,), increasing from 0."""
 
     probability: float
-    lead_s: Array
-    poses: Array
+    lead_s: Numbers
+    poses: Numbers
 
 
 @dataclass(frozen=True, slots=True)
-class TrackedObject:
+class RecordedObject:
     """An object at one stamp, in the world frame.
 
     `pose` (3,): x, y, heading. `velocities` (2,) m/s by the frame that the source may have meant; empty: not known.
@@ -68,11 +68,11 @@ class TrackedObject:
     """
 
     track: str
-    pose: Array
-    velocities: dict[TwistFrame, Array]
-    outline: Array
+    pose: Numbers
+    velocities: dict[TwistFrame, Numbers]
+    outline: Numbers
     existence: float = 1.0
-    covariance: Array | None = None
+    covariance: Numbers | None = None
     paths: tuple[PredictedPath, ...] = ()
 
 
@@ -82,10 +82,10 @@ class ObjectList:
 
     stamp_ns: int
     available_ns: int
-    objects: tuple[TrackedObject, ...]
+    objects: tuple[RecordedObject, ...]
 
 
-def outline_of(label: str, length: float, width: float, *, is_round: bool = False) -> Array:
+def outline_of(label: str, length: float, width: float, *, is_round: bool = False) -> Numbers:
     """Outline (N, 2) of a box about the object's origin, or of a circle for a person or `is_round`.
 
     A size that is not known (NaN, 0 or below) is the class's.
@@ -100,7 +100,7 @@ def outline_of(label: str, length: float, width: float, *, is_round: bool = Fals
     return np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * half
 
 
-def is_usable(one: TrackedObject) -> bool:
+def is_usable(one: RecordedObject) -> bool:
     """Whether all numbers of an object are finite, and its size, existence and number of paths possible."""
     if len(one.outline) > MAX_CORNERS or len(one.paths) > MAX_PATHS or not 0.0 <= one.existence <= 1.0:
         return False
@@ -113,7 +113,7 @@ def is_usable(one: TrackedObject) -> bool:
 def completed(lists: Iterable[ObjectList], source: str, twist_frame: TwistFrame, notes: Notes) -> list[ObjectList]:
     """The lists in the order of their stamps: usable objects, each with one velocity, and when they were known.
 
-    Raises RecordingError without any list, or for more than MAX_OBJECTS objects or MAX_POSES poses of their paths.
+    Raises RecordingError without any list, or for more than MAX_RECORDED_OBJECTS objects or MAX_POSES poses of their paths.
     """
     ordered: list[ObjectList] = []
     count = poses = 0
@@ -123,9 +123,9 @@ def completed(lists: Iterable[ObjectList], source: str, twist_frame: TwistFrame,
         ordered.append(replace(one, objects=usable))
         count += len(usable)
         poses += sum(len(path.lead_s) for each in usable for path in each.paths)
-        if count > MAX_OBJECTS or poses > MAX_POSES:
+        if count > MAX_RECORDED_OBJECTS or poses > MAX_POSES:
             raise RecordingError(
-                f"{source}: more than {MAX_OBJECTS} objects or {MAX_POSES} predicted poses: name a part of the"
+                f"{source}: more than {MAX_RECORDED_OBJECTS} objects or {MAX_POSES} predicted poses: name a part of the"
                 " recording, RECORDING@0s-60s"
             )
     if not ordered:
@@ -145,7 +145,7 @@ def completed(lists: Iterable[ObjectList], source: str, twist_frame: TwistFrame,
 
 def _with_velocities(lists: Iterable[ObjectList], twist_frame: TwistFrame) -> Iterator[ObjectList]:
     """The lists with one velocity for each object: the given one, else from earlier positions of its track, else 0."""
-    earlier: deque[tuple[int, dict[str, Array]]] = deque()
+    earlier: deque[tuple[int, dict[str, Numbers]]] = deque()
     for item in lists:
         while earlier and earlier[0][0] < item.stamp_ns - VELOCITY_SPAN_NS:
             earlier.popleft()
@@ -160,15 +160,15 @@ def _with_velocities(lists: Iterable[ObjectList], twist_frame: TwistFrame) -> It
         yield replace(item, objects=tuple(objects))
 
 
-def _velocity(before_ns: int, before: Array, after_ns: int, after: Array) -> Array:
-    found: Array = (after[:2] - before[:2]) / ((after_ns - before_ns) / 1e9)
+def _velocity(before_ns: int, before: Numbers, after_ns: int, after: Numbers) -> Numbers:
+    found: Numbers = (after[:2] - before[:2]) / ((after_ns - before_ns) / 1e9)
     return found
 
 
 def _check_twist_frame(lists: list[ObjectList], twist_frame: TwistFrame, notes: Notes) -> None:
     """Note if velocities fit the motion of their tracks clearly better in the other frame."""
     errors: dict[TwistFrame, list[float]] = {"object": [], "world": []}
-    last: dict[str, tuple[int, TrackedObject]] = {}
+    last: dict[str, tuple[int, RecordedObject]] = {}
     for item in lists:
         for one in item.objects:
             if not one.track or len(one.velocities) < 2:
@@ -202,7 +202,7 @@ def weighted(paths: list[PredictedPath]) -> tuple[PredictedPath, ...]:
 
 
 def read_table(path: Path, start_ns: int, end_ns: int, notes: Notes) -> Iterator[ObjectList]:
-    """The objects of a CSV or Parquet file with COLUMNS, in the world frame, with stamps in [start_ns, end_ns).
+    """The objects of a CSV or Parquet file with OBJECT_COLUMNS, in the world frame, with stamps in [start_ns, end_ns).
 
     Rows with `lead_s` above 0 are predicted poses of the object in the row with the same stamp and track. Raises
     RecordingError for a file that cannot be read, and columns or values that are missing or wrong.
@@ -219,7 +219,7 @@ def _rows(path: Path, start_ns: int, end_ns: int, notes: Notes) -> list[dict[str
     """The rows in the time of the scans; None for what a row or the file lacks."""
     import polars
 
-    kinds: dict[str, Any] = dict.fromkeys(COLUMNS, polars.Float64)
+    kinds: dict[str, Any] = dict.fromkeys(OBJECT_COLUMNS, polars.Float64)
     kinds |= {"stamp_ns": polars.Int64, "track": polars.String, "label": polars.String, "path": polars.String}
     try:
         with open_regular(path):
@@ -230,10 +230,10 @@ def _rows(path: Path, start_ns: int, end_ns: int, notes: Notes) -> list[dict[str
             else polars.scan_csv(path, infer_schema=False, glob=False)
         )
         names = frame.collect_schema().names()
-        unknown, missing = sorted(set(names) - set(COLUMNS)), [name for name in NEEDED if name not in names]
+        unknown, missing = sorted(set(names) - set(OBJECT_COLUMNS)), [name for name in NEEDED if name not in names]
         if unknown or missing:
             found = one_line(f"no {', '.join(missing)}" if missing else f"unknown {', '.join(unknown)}", 80)
-            raise RecordingError(f"{path}: {found}; the columns are {', '.join(COLUMNS)}")
+            raise RecordingError(f"{path}: {found}; the columns are {', '.join(OBJECT_COLUMNS)}")
         table = frame.select(polars.col(name).cast(kinds[name]) for name in names)
         count, without = (
             table.select(polars.len(), polars.any_horizontal(polars.col(NEEDED).is_null()).sum().alias("n"))
@@ -243,16 +243,18 @@ def _rows(path: Path, start_ns: int, end_ns: int, notes: Notes) -> list[dict[str
         if without:
             raise RecordingError(f"{path}: {without} rows without {', '.join(NEEDED)}")
         inside = table.filter(polars.col("stamp_ns").is_between(start_ns, end_ns, closed="left"))
-        rows = inside.head(MAX_OBJECTS + 1).collect()
+        rows = inside.head(MAX_RECORDED_OBJECTS + 1).collect()
     except (OSError, polars.exceptions.PolarsError) as error:
         raise RecordingError(f"{path}: cannot be read as a table of objects: {one_line(str(error), 300)}") from None
-    if len(rows) > MAX_OBJECTS:
-        raise RecordingError(f"{path}: more than {MAX_OBJECTS} rows: name a part of the recording, RECORDING@0s-60s")
+    if len(rows) > MAX_RECORDED_OBJECTS:
+        raise RecordingError(
+            f"{path}: more than {MAX_RECORDED_OBJECTS} rows: name a part of the recording, RECORDING@0s-60s"
+        )
     notes.left_out["rows with a stamp before or after the scans"] += count - len(rows)
-    return [dict.fromkeys(COLUMNS) | row for row in rows.iter_rows(named=True)]
+    return [dict.fromkeys(OBJECT_COLUMNS) | row for row in rows.iter_rows(named=True)]
 
 
-def _object_of(path: Path, rows: list[dict[str, Any]]) -> TrackedObject:
+def _object_of(path: Path, rows: list[dict[str, Any]]) -> RecordedObject:
     """The object of the rows with one stamp and track. Raises RecordingError without a single row of its present."""
     present = [row for row in rows if not row["lead_s"]]
     if len(present) != 1:
@@ -276,17 +278,17 @@ def _object_of(path: Path, rows: list[dict[str, Any]]) -> TrackedObject:
             raise RecordingError(f"{path}: a path of track {now['track']} at {now['stamp_ns']} has a lead_s twice")
         paths.append(PredictedPath(_number(own[0], "probability", 1.0), leads, poses))
     track = "" if now["track"] is None else now["track"]
-    return TrackedObject(track, pose, velocities, outline, _number(now, "existence", 1.0), paths=weighted(paths))
+    return RecordedObject(track, pose, velocities, outline, _number(now, "existence", 1.0), paths=weighted(paths))
 
 
 def _number(row: dict[str, Any], name: str, default: float = math.nan) -> float:
     return default if row[name] is None else float(row[name])
 
 
-def in_both_frames(velocity: Array, frame_rad: float, object_rad: float) -> dict[TwistFrame, Array]:
+def in_both_frames(velocity: Numbers, frame_rad: float, object_rad: float) -> dict[TwistFrame, Numbers]:
     """A velocity (2,) in the world: given in a frame with heading `frame_rad` there, or in the object's own."""
 
-    def turned(by: float) -> Array:
+    def turned(by: float) -> Numbers:
         c, s = math.cos(by), math.sin(by)
         return np.array([c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]])
 

@@ -16,10 +16,10 @@ from gridtrack.common.geometry import SE2
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.outputs.messages import Notes, OutputMessage, OutputTopics, in_plane
 from gridtrack.recordings.outputs.object_table import (
-    Array,
+    Numbers,
     ObjectList,
     PredictedPath,
-    TrackedObject,
+    RecordedObject,
     TwistFrame,
     in_both_frames,
     outline_of,
@@ -46,11 +46,11 @@ def _placed(
     *,
     track: object = "",
     velocity: Any = None,
-    outline: Array,
+    outline: Numbers,
     existence: float = 1.0,
     covariance: Any = None,
     paths: tuple[tuple[float, float, list[Any]], ...] = (),
-) -> Iterator[TrackedObject]:
+) -> Iterator[RecordedObject]:
     """The object at a geometry_msgs/Pose in the frame of the message, in the world; none if it is not in the plane.
 
     `velocity` has x and y, m/s. `covariance` (36,) is that of a PoseWithCovariance. `paths`: probability, seconds
@@ -62,7 +62,7 @@ def _placed(
         return
     frame_rad = message.world_T_frame.placement().pose.theta
     given = None if velocity is None else np.array([velocity.x, velocity.y])
-    yield TrackedObject(
+    yield RecordedObject(
         track=str(track),
         pose=_row(placed),
         velocities={} if given is None else in_both_frames(given, frame_rad, placed.theta),
@@ -73,7 +73,7 @@ def _placed(
     )
 
 
-def _row(pose: SE2) -> Array:
+def _row(pose: SE2) -> Numbers:
     return np.array([pose.x, pose.y, pose.theta])
 
 
@@ -85,14 +85,14 @@ def _path(world_T_frame: SE3, probability: float, step_s: float, poses: list[Any
         yield PredictedPath(float(probability), np.arange(len(rows), dtype=np.float64) * step_s, rows)
 
 
-def _in_world(covariance: Any, frame_rad: float) -> Array | None:
+def _in_world(covariance: Any, frame_rad: float) -> Numbers | None:
     """The covariance (2, 2) of the position, turned to the world; None if it is zero or no covariance."""
     numbers = np.asarray(covariance, np.float64).reshape(6, 6)[:2, :2]
     c, s = math.cos(frame_rad), math.sin(frame_rad)
     turn = np.array([[c, -s], [s, c]])
     if not np.isfinite(numbers).all():
         return None
-    found: Array = turn @ ((numbers + numbers.T) / 2.0) @ turn.T
+    found: Numbers = turn @ ((numbers + numbers.T) / 2.0) @ turn.T
     smallest, largest = np.linalg.eigvalsh(found)
     return found if smallest >= 0.0 and 0.0 < largest <= LARGEST_VARIANCE_M2 else None
 
@@ -115,7 +115,7 @@ class _Pose(NamedTuple):
     orientation: Any = _Turn()
 
 
-def _autoware(message: OutputMessage, notes: Notes) -> Iterator[TrackedObject]:
+def _autoware(message: OutputMessage, notes: Notes) -> Iterator[RecordedObject]:
     for one in message.content.objects:
         kinematics, shape = one.kinematics, one.shape
         is_predicted = hasattr(kinematics, "predicted_paths")
@@ -146,7 +146,7 @@ def _autoware(message: OutputMessage, notes: Notes) -> Iterator[TrackedObject]:
         )
 
 
-def _spencer(message: OutputMessage, notes: Notes) -> Iterator[TrackedObject]:
+def _spencer(message: OutputMessage, notes: Notes) -> Iterator[RecordedObject]:
     for one in message.content.tracks:
         yield from _placed(
             message,
@@ -159,7 +159,7 @@ def _spencer(message: OutputMessage, notes: Notes) -> Iterator[TrackedObject]:
         )
 
 
-def _people(message: OutputMessage, notes: Notes) -> Iterator[TrackedObject]:
+def _people(message: OutputMessage, notes: Notes) -> Iterator[RecordedObject]:
     person = outline_of("person", math.nan, math.nan)
     for one in message.content.people:
         pose, existence = _Pose(one.position), one.reliability
@@ -168,13 +168,13 @@ def _people(message: OutputMessage, notes: Notes) -> Iterator[TrackedObject]:
         )
 
 
-def _leg_tracker(message: OutputMessage, notes: Notes) -> Iterator[TrackedObject]:
+def _leg_tracker(message: OutputMessage, notes: Notes) -> Iterator[RecordedObject]:
     person = outline_of("person", math.nan, math.nan)
     for one in message.content.people:
         yield from _placed(message, one.pose, notes, track=one.id, outline=person)
 
 
-def _obstacles(message: OutputMessage, notes: Notes) -> Iterator[TrackedObject]:
+def _obstacles(message: OutputMessage, notes: Notes) -> Iterator[RecordedObject]:
     """Circles by their true radius (without the margin), and segments, which stand still."""
     for one in message.content.circles:
         diameter = 2.0 * float(one.true_radius)
@@ -186,7 +186,7 @@ def _obstacles(message: OutputMessage, notes: Notes) -> Iterator[TrackedObject]:
         yield from _placed(message, _Pose(first), notes, velocity=_Point(0.0, 0.0), outline=outline)
 
 
-def _detections(message: OutputMessage, notes: Notes) -> Iterator[TrackedObject]:
+def _detections(message: OutputMessage, notes: Notes) -> Iterator[RecordedObject]:
     """Boxes; a class and a score by the most probable hypothesis. ROS 1 has no track."""
     for one in message.content.detections:
         hypotheses = [getattr(result, "hypothesis", result) for result in one.results]
@@ -205,7 +205,7 @@ def _detections(message: OutputMessage, notes: Notes) -> Iterator[TrackedObject]
 class MessageType(NamedTuple):
     """How a type of message is read, and the frame of its velocities."""
 
-    read: Callable[[OutputMessage, Notes], Iterator[TrackedObject]]
+    read: Callable[[OutputMessage, Notes], Iterator[RecordedObject]]
     twist_frame: TwistFrame = "world"
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, rolled, shift_between, snapped
 from gridtrack.common.raycast import cross
-from gridtrack.recordings.outputs.object_table import Array, PredictedPath, TrackedObject
+from gridtrack.recordings.outputs.object_table import Numbers, PredictedPath, RecordedObject
 
 KERNEL_SIGMAS = 3.0
 """Half the width of the blur."""
@@ -50,9 +50,9 @@ class StaticMap:
 
 def draw_object(
     planes: NDArray[np.float32],
-    one: TrackedObject,
-    velocity: Array,
-    lead_s: Array,
+    one: RecordedObject,
+    velocity: Numbers,
+    lead_s: Numbers,
     grid: GridSpec,
     world_T_grid: SE2,
     width_m: float,
@@ -77,19 +77,19 @@ def draw_object(
         _draw(planes, corners, np.array([path.probability for path in paths]), kernel, one.existence)
 
 
-def poses_at(path: PredictedPath, lead_s: Array) -> Array:
+def poses_at(path: PredictedPath, lead_s: Numbers) -> Numbers:
     """The poses (T, 3) of a path at `lead_s` (T,); after its end it goes on as between its last two poses."""
     poses = path.poses.copy()
     poses[:, 2] = np.unwrap(poses[:, 2])
     at = np.clip(np.searchsorted(path.lead_s, lead_s, side="right") - 1, 0, len(poses) - 2)
     share = ((lead_s - path.lead_s[at]) / (path.lead_s[at + 1] - path.lead_s[at]))[:, None]
-    found: Array = poses[at] + share * (poses[at + 1] - poses[at])
+    found: Numbers = poses[at] + share * (poses[at + 1] - poses[at])
     turning = np.minimum(share[:, 0], 1.0)
     found[:, 2] = poses[at, 2] + turning * (poses[at + 1, 2] - poses[at, 2])
     return found
 
 
-def blur(covariance: Array, size: int) -> NDArray[np.float32] | None:
+def blur(covariance: Numbers, size: int) -> NDArray[np.float32] | None:
     """The Gaussian with `covariance` (2, 2), in cells, as weights (K, K) by [row, column] that sum to 1.
 
     None if a standard deviation is greater than `size` cells: the object may be anywhere.

@@ -214,7 +214,7 @@ def test_values_that_are_no_percentages_are_refused(tmp_path: Path) -> None:
 
 
 def test_more_than_the_limit_is_refused_before_it_is_written(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr("gridtrack.recordings.outputs.grids.MAX_FORECAST_BYTES", 20)
+    monkeypatch.setattr("gridtrack.recordings.outputs.grids.MAX_OUTPUT_BYTES", 20)
     message = Outputs(ROS2).grid("/pred_05", 500, NOW, SE2())
     assert "are more than 8 GiB: name a part" in refusal(tmp_path, message, grid=TWO[:1])
 

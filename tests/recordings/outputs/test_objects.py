@@ -18,7 +18,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.recordings.outputs.conversion import write_outputs
-from gridtrack.recordings.outputs.object_table import PredictedPath, TrackedObject, outline_of
+from gridtrack.recordings.outputs.object_table import PredictedPath, RecordedObject, outline_of
 from gridtrack.recordings.outputs.rasterise import StaticMap, blur, draw_object, poses_at
 from gridtrack.recordings.stream import open_stream
 from gridtrack.recordings.truth import OUTLINE, truth_grid
@@ -292,16 +292,16 @@ def test_the_conversions_of_the_page_give_rows_of_a_table(tmp_path: Path) -> Non
     page = Path("docs/recorded-bags.md").read_text()
     names: dict[str, Any] = {}
     exec(page.partition("```python")[2].partition("```")[0], names)
-    (tmp_path / "mot.txt").write_text("1,7,-1,-1,-1,-1,0.9,2.5,1.5,0\n3,7,-1,-1,-1,-1,0.9,3.5,1.5,0\n")
-    second = list(names["mot"](tmp_path / "mot.txt", STAMP_NS, 10.0))[1]
+    (tmp_path / "tracks.txt").write_text("1,7,-1,-1,-1,-1,0.9,2.5,1.5,0\n3,7,-1,-1,-1,-1,0.9,3.5,1.5,0\n")
+    second = list(names["mot_rows"](tmp_path / "tracks.txt", STAMP_NS, 10.0))[1]
     assert second == {"stamp_ns": STAMP_NS + 2 * 10**8, "track": 7, "x": 3.5, "y": 1.5}
     # a car 10 m ahead and 2 m to the right of the camera that looks the same way
     (tmp_path / "kitti.txt").write_text(f"0 4 Car 0 0 0 1 2 3 4 1.5 1.8 4.5 2 1 10 {-math.pi / 2}\n")
-    (row,) = names["kitti"](tmp_path / "kitti.txt", [STAMP_NS], [SE2(1.0, 0.0, math.pi / 2)])
+    (row,) = names["kitti_rows"](tmp_path / "kitti.txt", [STAMP_NS], [SE2(1.0, 0.0, math.pi / 2)])
     assert_allclose([row[name] for name in ("x", "y", "yaw", "length", "width")], [3, 10, math.pi / 2, 4.5, 1.8])
     box = {"translation": [1, 2, 0], "size": [1.8, 4.5, 1.5], "rotation": [math.sqrt(0.5), 0, 0, math.sqrt(0.5)]}
     box |= {"velocity": [0, 3], "tracking_id": "9", "tracking_name": "car", "tracking_score": 0.5}
-    (row,) = names["nuscenes"]({"t": [box]}, {"t": {"timestamp": STAMP_NS // 1000}})
+    (row,) = names["nuscenes_rows"]({"t": [box]}, {"t": {"timestamp": STAMP_NS // 1000}})
     assert_allclose([row["yaw"], row["length"], row["vy"], row["existence"]], [math.pi / 2, 4.5, 3, 0.5])
     polars.DataFrame([row]).write_csv(tmp_path / "mine.csv")
     forecasts, _ = write_outputs(write_bag(tmp_path, ROS2), tmp_path / "mine.npz", objects=str(tmp_path / "mine.csv"))
@@ -318,7 +318,7 @@ def test_outlines_are_those_of_the_truth() -> None:
         pose = random.uniform([-5.0, -8.0, -4.0], [7.0, 4.0, 4.0])
         outline = outline_of("car", *random.uniform(0.3, 6.0, 2))
         planes = np.zeros((1, *grid.shape), np.float32)
-        draw_object(planes, TrackedObject("", pose, {}, outline), np.zeros(2), np.zeros(1), grid, window, 0.0)
+        draw_object(planes, RecordedObject("", pose, {}, outline), np.zeros(2), np.zeros(1), grid, window, 0.0)
         body = SceneObject(0, 0, SE2(*pose), outline.astype(np.float32))
         truth = truth_grid(Scene((), 255, (body,)), grid, window)
         assert ((planes[0] > 0.5) != (truth.cover == OUTLINE)).sum() <= 2, "float32 in the scene may move an edge"
@@ -327,13 +327,13 @@ def test_outlines_are_those_of_the_truth() -> None:
 def test_a_blurred_outline_is_the_mean_of_shifted_ones() -> None:
     grid, random = GridSpec(60, 0.2), np.random.default_rng(1)
     covariance = np.array([[0.16, 0.05], [0.05, 0.04]])
-    one = TrackedObject("", np.array([0.33, -0.21, 0.4]), {}, outline_of("", 2.0, 1.0), 0.8, covariance)
+    one = RecordedObject("", np.array([0.33, -0.21, 0.4]), {}, outline_of("", 2.0, 1.0), 0.8, covariance)
     planes = np.zeros((1, *grid.shape), np.float32)
     draw_object(planes, one, np.zeros(2), np.zeros(1), grid, SE2(), 0.2)
     mean, sharp = np.zeros(grid.shape), np.zeros((1, *grid.shape), np.float32)
     for offset in random.multivariate_normal([0.0, 0.0], covariance, 4000):
         sharp[:] = 0.0
-        shifted = TrackedObject("", one.pose + np.array([*offset, 0.0]), {}, one.outline)
+        shifted = RecordedObject("", one.pose + np.array([*offset, 0.0]), {}, one.outline)
         draw_object(sharp, shifted, np.zeros(2), np.zeros(1), grid, SE2(), 0.0)
         mean += sharp[0] / 4000
     assert_allclose(planes[0], 0.8 * mean, atol=0.08)
