@@ -14,7 +14,7 @@ from gridtrack.common.config import validated
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.forecast_file import MAX_LEADS, ForecastFile, open_forecasts, write_forecasts
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import nearest_step
+from gridtrack.common.grid import GridFrame, nearest_step
 from gridtrack.common.options import Option, Seconds, from_text
 from gridtrack.recordings.outputs.grids import MAX_OUTPUT_BYTES, GridSource, parse_grid_source, write_grids
 from gridtrack.recordings.outputs.messages import Notes, OutputTopics
@@ -64,6 +64,8 @@ def write_outputs(
         raise ConfigurationError("name the outputs with --grid TOPIC=SECONDS, or with --objects TOPIC (one of both)")
     if out.suffix != ".npz":
         raise ConfigurationError(f"{out}: forecasts are written as .npz")
+    if not out.parent.is_dir():
+        raise ConfigurationError(f"{out}: the folder {out.parent} does not exist: make it")
     if out.exists() and not overwrite:
         raise ConfigurationError(f"{out}: exists already; name another file, or replace it with --overwrite")
     reading = {name: value for name, value in values.items() if name in ReadOptions.model_fields}
@@ -89,31 +91,25 @@ def write_objects(stream: GridStream, settings: OutputSettings, out: Path, notes
             f" name a part, {stream.recording.path}@0s-60s, or a shorter --horizon"
         )
     predicted = any(one.paths for item in lists for one in item.objects)
-    drawn: list[ObjectList] = []
-    origins: list[tuple[float, float]] = []
+    origins = np.empty((len(lists), 2))
     with TemporaryDirectory(prefix=f"{out.name}.", dir=out.parent) as folder:
         shape = (len(lists), len(lead_s), *grid.shape)
         occupancy = np.lib.format.open_memmap(Path(folder) / "occupancy.npy", "w+", np.uint8, shape)
-        for item, frame_map, window in _with_static_map(stream, lists):
+        for n, (item, frame_map, window) in enumerate(_with_static_map(stream, lists)):
             planes = np.repeat(frame_map.probability[None], len(lead_s), axis=0)
             for one in item.objects:
                 draw_object(planes, one, one.velocities[twist_frame], lead_s, grid, window, settings.width_m)
-            occupancy[len(drawn)] = np.rint(255.0 * planes)
-            origins.append((window.x + grid.origin[0], window.y + grid.origin[1]))
-            drawn.append(item)
-        if not drawn:
-            raise RecordingError(f"{stream.name}: no frame before the last list of objects")
-        if len(drawn) < len(lists):
-            notes.left_out["lists of objects before the first frame"] += len(lists) - len(drawn)
+            occupancy[n] = np.rint(255.0 * planes)
+            origins[n] = window.x + grid.origin[0], window.y + grid.origin[1]
         write_forecasts(
             out,
             {
-                "occupancy": occupancy[: len(drawn)],
-                "stamp_ns": np.array([item.stamp_ns for item in drawn], np.int64),
-                "available_ns": np.array([item.available_ns for item in drawn], np.int64),
+                "occupancy": occupancy,
+                "stamp_ns": np.array([item.stamp_ns for item in lists], np.int64),
+                "available_ns": np.array([item.available_ns for item in lists], np.int64),
                 "lead_s": lead_s,
                 "cell_m": np.array(grid.cell_m),
-                "origin_xy": np.array(origins),
+                "origin_xy": origins,
                 "note": np.array(f"objects + {'predicted paths' if predicted else 'constant velocity'}"),
             },
         )
@@ -131,12 +127,12 @@ def _lists(stream: GridStream, settings: OutputSettings, notes: Notes) -> tuple[
 
 
 def _with_static_map(stream: GridStream, lists: list[ObjectList]) -> Iterator[tuple[ObjectList, StaticMap, SE2]]:
-    """Each list with the static map of the frames up to its stamp and the window of the last of them."""
+    """Each list with the static map of the frames up to its stamp, at least one, and the window of the last of them."""
     static, ahead = StaticMap(stream.grid), iter(stream)
-    frame, window = next(ahead, None), None
+    frame: GridFrame | None = next(ahead)
+    window = SE2()
     for item in lists:
         while frame is not None and frame.stamp_ns <= item.stamp_ns:
             static.add(frame)
             window, frame = frame.world_T_grid, next(ahead, None)
-        if window is not None:
-            yield item, static, window
+        yield item, static, window

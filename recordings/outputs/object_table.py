@@ -113,7 +113,7 @@ def is_usable(one: RecordedObject) -> bool:
 def completed(lists: Iterable[ObjectList], source: str, twist_frame: TwistFrame, notes: Notes) -> list[ObjectList]:
     """The lists in the order of their stamps: usable objects, each with one velocity, and when they were known.
 
-    Raises RecordingError without any list, or for more than MAX_RECORDED_OBJECTS objects or MAX_POSES poses of their paths.
+    Raises RecordingError without any list, or for more than MAX_RECORDED_OBJECTS objects or MAX_POSES predicted poses.
     """
     ordered: list[ObjectList] = []
     count = poses = 0
