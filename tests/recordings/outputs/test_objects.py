@@ -199,6 +199,24 @@ def test_objects_in_another_frame_are_turned_to_the_world(tmp_path: Path) -> Non
     np.testing.assert_array_equal(occupied(forecasts, 1.0), ahead | wall(bag))
 
 
+def test_the_window_follows_a_robot_that_moves(tmp_path: Path) -> None:
+    out, place = Outputs(ROS2), SE2(3.1, 0.1)
+    seen = {at: out.car(made.robot_at(at).inverse() @ place, (0.0, 0.0), size=(1.0, 1.0)) for at in (500, 1500, 2300)}
+    messages = [out.objects(at, car, frame="base_link") for at, car in seen.items()]
+    bag = ROS2.write(tmp_path / "bag", [*made.two_scanner_drive(ROS2, made.DURATION_MS), *messages])
+    forecasts, _ = write_outputs(bag, tmp_path / "mine.npz", **SHARP)
+    corners = {forecasts.world_T_grid(n, 0).x for n in range(3)}
+    assert len(corners) == 3
+    around = SE2(3.1, 0.1)
+    for n in range(3):
+        rows, columns = np.nonzero(forecasts.occupancy(n, 0) > 0.99)
+        corner = forecasts.world_T_grid(n, 0)
+        x, y = corner.x + (columns + 0.5) * CELL_M - around.x, corner.y + (rows + 0.5) * CELL_M - around.y
+        near = np.maximum(np.abs(x), np.abs(y)) < 1.2
+        assert 16 <= near.sum() <= 26, "the outline of a metre on a side, turned as it may be"
+        assert np.hypot(x[near], y[near]).max() < 0.5 * math.sqrt(2) + CELL_M
+
+
 def test_numbers_that_are_not_finite_are_left_out(tmp_path: Path) -> None:
     out = Outputs(ROS2)
     cars = [
