@@ -1,4 +1,4 @@
-"""`recording info | import | view | layout`: the content of a recording, its import as a native one, and viewing it."""
+"""`recording info | import | outputs | view | layout`: content, import as a native recording, forecasts, viewing."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from gridtrack.cli.options import (
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, printable
 from gridtrack.common.grid import GridSpec
 from gridtrack.recordings import ReadOptions, Recording, import_recording, open_recording
+from gridtrack.recordings.outputs.conversion import OutputSettings, write_outputs
 from gridtrack.recordings.read_options import PoseSource
 from gridtrack.recordings.stream import open_stream
 from gridtrack.recordings.stretches import parse_named_stretch
@@ -85,6 +86,26 @@ def recording_import(
         print_note(f"interrupted: {out} is unchanged, or complete")
         raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
     _print_overview(recording, as_json)
+
+
+@app.command("outputs")
+@settings_options(OutputSettings)
+def recording_outputs(
+    values: dict[str, Any],
+    recording: RecordingArgument,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The .npz of forecasts to write")],
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file OUT if it exists")] = False,
+) -> None:
+    """Write the recorded outputs of a stack, grids or objects, as forecasts for the tracker `recorded:file=OUT`."""
+    forecasts, lines = write_outputs(recording, out, overwrite=overwrite, **values)
+    for line in lines:
+        print_note(line)
+    rows, columns = forecasts.shape
+    leads = forecasts.lead_s
+    typer.echo(
+        f"{printable(str(out))}: {len(forecasts)} forecasts {leads[0]:g} to {leads[-1]:g} s ahead ({len(leads)} times),"
+        f" {rows} x {columns} cells of {forecasts.cell_m:g} m"
+    )
 
 
 @app.command("view")

@@ -6,7 +6,7 @@ import contextlib
 import math
 import re
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -233,7 +233,7 @@ class FramedRecording(Recording):
                 if content == "scan" and self.is_read(message):
                     yield from self._placed(scans, message, two_lasers)
                 elif self._known_transforms is None:
-                    for key, stamp_ns, transform in self._moving_transforms(message):
+                    for key, stamp_ns, transform in self._transforms_in(message, self._moving_links):
                         yield from scans.transform(key, stamp_ns, transform)
         except DamageError:
             yield from scans.flush()
@@ -307,28 +307,30 @@ class FramedRecording(Recording):
 
         They are in a file that grows, and in one with more than MAX_TRANSFORMS.
         """
-        if self.growth is not None:
-            return None
-        known, count = {key: AllTransforms() for key in self._moving_links}, 0
+        return None if self.growth is not None else self.transforms_of_links(self._moving_links)
+
+    def transforms_of_links(self, keys: Iterable[LinkKey]) -> dict[LinkKey, AllTransforms] | None:
+        """All transforms of links that move; None if there are more than MAX_TRANSFORMS."""
+        known, count = {key: AllTransforms() for key in keys}, 0
         with contextlib.suppress(DamageError):  # reported when the scans are read
             for message in self.messages() if known else ():
-                for key, stamp_ns, transform in self._moving_transforms(message):
+                for key, stamp_ns, transform in self._transforms_in(message, known):
                     known[key].add(stamp_ns, transform)
                     count += 1
                 if count > MAX_TRANSFORMS:
                     return None
         return known
 
-    def _moving_transforms(self, message: EncodedMessage) -> Iterator[tuple[LinkKey, int, SE3]]:
+    def _transforms_in(self, message: EncodedMessage, links: Collection[LinkKey]) -> Iterator[tuple[LinkKey, int, SE3]]:
         """The transforms of moving links in a message: key of the link, stamp, transform."""
-        content, topic, moving = self.content_of(message), message.topic, self._moving_links
-        of_pose = next((key for key in moving if key[0] == topic), None) if content == "pose" else None
-        if not moving or (of_pose is None and content != "transforms"):
+        content, topic = self.content_of(message), message.topic
+        of_pose = next((key for key in links if key[0] == topic), None) if content == "pose" else None
+        if not links or (of_pose is None and content != "transforms"):
             return
         with contextlib.suppress(DamageError):  # reported among the faults of the tree
             for stamped in self.transforms_of(message):
                 key = of_pose or self._key_of(topic, stamped)
-                if key in moving and stamped.transform is not None:
+                if key is not None and key in links and stamped.transform is not None:
                     yield key, stamped.stamp_ns, stamped.transform
 
     def _key_of(self, topic: str, stamped: StampedTransform) -> LinkKey | None:

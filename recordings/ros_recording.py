@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -22,6 +22,7 @@ from gridtrack.recordings.frames.trajectory import FramedScan
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import StampedTransform
 from gridtrack.recordings.native_messages import MAX_SWEEP_S
+from gridtrack.recordings.output_definitions import ROS1_OUTPUTS, ROS2_OUTPUTS
 from gridtrack.recordings.read_options import CloudSlice, ReadOptions
 from gridtrack.recordings.recording import Topics
 
@@ -199,14 +200,22 @@ def _ros1_types() -> Any:
     store = get_typestore(Stores.ROS1_NOETIC)
     for kind in TRANSFORMS:  # the packages of transforms are not in this store
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
-    return store
+    return _with_outputs(store, ROS1_OUTPUTS)
 
 
 @cache
 def _ros2_types() -> Any:
     from rosbags.typesys import Stores, get_typestore
 
-    return get_typestore(Stores.LATEST)
+    return _with_outputs(get_typestore(Stores.LATEST), ROS2_OUTPUTS)
+
+
+def _with_outputs(store: Any, definitions: Mapping[str, str]) -> Any:
+    from rosbags.typesys import get_types_from_msg
+
+    for kind, text in definitions.items():
+        store.register(get_types_from_msg(text, kind))
+    return store
 
 
 class RosRecording(FramedRecording):
@@ -233,7 +242,7 @@ class RosRecording(FramedRecording):
         self._errors = (SerdeError, struct.error, ValueError, IndexError, UnicodeDecodeError)
 
     @contextmanager
-    def _decoded(self, message: EncodedMessage) -> Iterator[Any]:
+    def decoded(self, message: EncodedMessage) -> Iterator[Any]:
         """The decoded message. Raises DamageError if decoding it, or using it inside the block, fails."""
         try:
             if message.encoding == "ros1":
@@ -266,7 +275,7 @@ class RosRecording(FramedRecording):
 
     def transforms_of(self, message: EncodedMessage) -> Iterable[StampedTransform]:
         """As in every recording with frames."""
-        with self._decoded(message) as decoded:
+        with self.decoded(message) as decoded:
             if message.kind in TRANSFORMS:
                 for t in decoded.transforms:
                     transform = transform_of(t.transform.translation, t.transform.rotation)
@@ -279,7 +288,7 @@ class RosRecording(FramedRecording):
     def scan_of(self, message: EncodedMessage) -> FramedScan:
         """As in every recording with frames."""
         sensor = self.sensor_of(message.topic)
-        with self._decoded(message) as decoded:
+        with self.decoded(message) as decoded:
             if not stamp_ns(decoded):
                 self.warn(f"topic '{message.topic}': its headers have no stamps, the time of reception is used")
             frame = str(decoded.header.frame_id)
@@ -312,7 +321,7 @@ class RosRecording(FramedRecording):
     def _example_slice(self, topic: str) -> str:
         """The option for a slice of the clouds on a topic: all of a flat cloud, else usual heights."""
         with contextlib.suppress(DamageError, RecordingError, StopIteration):
-            with self._decoded(next(one for one in self.messages() if one.topic == topic)) as cloud:
+            with self.decoded(next(one for one in self.messages() if one.topic == topic)) as cloud:
                 heights_m = cloud_points(cloud)[:, 2]
             if heights_m.size and np.ptp(heights_m) < FLAT_M:
                 return f"low_m={heights_m.min() - FLAT_M / 2:.1f},high_m={heights_m.max() + FLAT_M / 2:.1f}"

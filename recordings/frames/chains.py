@@ -103,18 +103,25 @@ class Chains:
     """The chain of each topic with scans.
 
     `problem`: why they cannot be used, and the remedy; empty if they can. `faults` in the transforms of the chains, and
-    `notes` about the chains have one line each.
+    `notes` about the chains have one line each. `forest` has all frames of the recording.
     """
 
     of_topic: dict[str, Chain] = field(default_factory=dict)
     problem: str = ""
     notes: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
+    forest: Forest = field(default_factory=lambda: Forest())  # noqa: PLW0108  defined below
 
     @property
     def moving(self) -> dict[LinkKey, Link]:
         """Every moving link by its key."""
         return {link.key: link for chain in self.of_topic.values() for link in chain.moving}
+
+    def to_frame(self, frame: str) -> Chain | None:
+        """The chain from the world frame of the sensors to any frame, below or above it; None if nothing joins them."""
+        world = next(iter(self.of_topic.values())).world
+        links = self.forest.between(world, frame)
+        return None if links is None else Chain(world, links)
 
     def describe(self, tree: FrameTree, sensors: Mapping[str, str], *, is_at_rest: bool) -> str:
         """One line: the chains, their topics, and the longest gap; empty if the chains cannot be used.
@@ -212,6 +219,15 @@ class Forest:
         path = self.path(sensor)
         below = path[: path.index(world)]
         return Chain(world, tuple(self._links[child] for child in reversed(below)))
+
+    def between(self, start: str, end: str) -> tuple[Link, ...] | None:
+        """The links from `start` up to the frame that both have in common, and down to `end`; None without one."""
+        above = self.path(start)
+        meeting = next((frame for frame in self.path(end) if frame in above), None)
+        if meeting is None:
+            return None
+        upwards = (self._links[child].inverse() for child in above[: above.index(meeting)])
+        return (*upwards, *self.chain(meeting, end).links)
 
     def make_root(self, frame: str) -> None:
         """Make a frame the root of its tree by inverting the links above it."""

@@ -15,7 +15,7 @@ topics have the same link (several robots), each sensor uses the one in the name
 from __future__ import annotations
 
 from gridtrack.recordings.frames import problems
-from gridtrack.recordings.frames.chains import Chain, ChainOptions, Chains, FrameLinks, Link, parent_of
+from gridtrack.recordings.frames.chains import Chain, ChainOptions, Chains, Forest, FrameLinks, Link, parent_of
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import WORLD_WORDS, Edge, FrameTree, PoseTopic, has_word, is_body, is_world
 
@@ -29,7 +29,9 @@ def chosen_chains(tree: FrameTree, options: ChainOptions) -> Chains:
     """
     if not options.sensors:
         return Chains()
-    chains = _Choice(tree, options).chains()
+    choice = _Choice(tree, options)
+    chains = choice.chains()
+    chains.forest = choice.forest
     if not chains.problem and not options.at_rest:
         chains.notes += tuple(problems.rare_transforms(tree, chains.of_topic))
     chains.faults = tuple(problems.several_topics(options, tree, chains.of_topic))
@@ -42,6 +44,11 @@ class _Choice:
     def __init__(self, tree: FrameTree, options: ChainOptions) -> None:
         self._tree, self._options = tree, options
         self._links = FrameLinks(tree, options)
+
+    @property
+    def forest(self) -> Forest:
+        """All links between frames."""
+        return self._links.forest
 
     def chains(self) -> Chains:
         """The chain of each sensor."""

@@ -19,6 +19,7 @@ from docs.pages import ROOT
 from scenes import drive_bag as drive
 from scenes.drive_bag import MS, START_NS, Laser, Message, Ros
 from scenes.own_forecasts import own_forecasts
+from scenes.output_bag import Outputs, standing_scans
 from studies.support.plugins import write_distribution
 
 DRIVE_MS = 8000
@@ -193,6 +194,14 @@ def training(folder: Path) -> None:
     hall_recordings(folder, "places/one.mcap", "places/two.mcap", "other_places/hall.mcap")
 
 
+def outputs(folder: Path) -> None:
+    ros = Ros(2)
+    out = Outputs(ros)
+    grids = [out.grid(topic, 1000, np.zeros((3, 4)), SE2()) for topic in ("/pred_05", "/pred_10")]
+    tracks = ("/tracks", *out.objects(1000, out.car(SE2(3.0, 1.0), (1.0, 0.0)))[1:])
+    ros.write(folder / "my.bag", [*standing_scans(ros), *grids, tracks])
+
+
 def simulation(folder: Path) -> None:
     """The simulations need no files."""
 
@@ -202,6 +211,7 @@ PLACES: dict[str, Callable[[Path], None]] = {
     "formats": formats,
     "own tracker": own_tracker,
     "training": training,
+    "outputs": outputs,
     "simulation": simulation,
 }
 """The files that the commands of a theme need, by theme."""

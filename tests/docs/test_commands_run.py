@@ -46,6 +46,7 @@ THEMES = {
         *("docs/trackers/model-free.md", "docs/trackers/one-shot.md", "docs/drives.md 2"),
         "docs/results/moving/drives.md",
     ),
+    "outputs": ("docs/recorded-bags.md", "docs/recorded-bags.md 2"),
     "simulation": (
         *("docs/junction.md 2", "docs/drives.md", "data/drives/README.md"),
         *("docs/worlds.md", "docs/worlds.md 2", "data/worlds/README.md"),

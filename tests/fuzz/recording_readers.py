@@ -19,17 +19,20 @@ from fuzz.containers import (
 )
 from fuzz.damage import Choices, damaged_bytes, damaged_text, one_of
 from fuzz.reader import CLASSES, GRID, Reader, on_file
+from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import PoseQuality, Scan
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.recordings import RecordingInfo, import_recording, open_recording, write_native
 from gridtrack.recordings.frames.transform import SE3
+from gridtrack.recordings.outputs.conversion import write_outputs
 from gridtrack.recordings.stream import open_stream
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.tracks import ONLY_LASER, Tracks, TracksInfo
 from gridtrack.simulation.tracks_file import METADATA_KEY, write_tracks
 
 from scenes.drive_bag import FRONT, REAR, Ros, mounts, odometry_transforms, scans_of
+from scenes.output_bag import Outputs, standing_scans
 
 SCANS, BEAMS, FRAMES_READ = 6, 24, 3
 BOX = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], np.float32)
@@ -138,6 +141,47 @@ def read_labels(folder: Path) -> str:
     return "labelled"
 
 
+def outputs(folder: Path) -> None:
+    out = Outputs(Ros(2))
+    car = out.car(SE2(1.0, 2.0, 0.5), (1.0, 0.0), paths=((0.5, [SE2(), SE2(1.0)]), (0.2, [SE2(), SE2(0.0, 1.0)])))
+    messages = [
+        *standing_scans(out.ros, 300),
+        out.grid("/pred", 100, np.array([[0, 50, -1], [100, 3, 4]]), SE2(0.5, 0.0, 0.3)),
+        out.grid_map(100, np.full((3, 4), 0.5, np.float32), (1, 2), SE2()),
+        out.objects(100, car, car),
+    ]
+    out.ros.write(folder / "bag", messages, StoragePlugin.MCAP)
+
+
+def read_outputs(folder: Path) -> str:
+    """Each of the outputs, even if the one before it was refused."""
+    errors, words = [], []
+    for given in ({"grid": ("/pred=0.5s",)}, {"grid": ("/map:p=0.5s",)}, {"objects": "/objects", "horizon_s": 0.3}):
+        try:
+            forecasts, _ = write_outputs(folder / "bag", folder / "a.npz", overwrite=True, **given)
+            words.append(str(np.nansum(forecasts.occupancy(0, 0))))
+        except RecordingError as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]
+    return " ".join(words)
+
+
+def object_table(folder: Path) -> None:
+    native(folder)
+    rows = [f"{scan.stamp_ns},a,{k},1,0,1,0,4,2,0.9,car,,," for k, scan in enumerate(scans())]
+    rows += [f"{1_000_000_000_000},a,{k},2,0,,,,,,,{k / 10},p,0.5" for k in (1, 2, 3)]
+    header = "stamp_ns,track,x,y,yaw,vx,vy,length,width,existence,label,lead_s,path,probability"
+    (folder / "objects.csv").write_text("\n".join([header, *rows]) + "\n")
+
+
+def read_object_table(folder: Path) -> str:
+    forecasts, _ = write_outputs(
+        folder / "a.mcap", folder / "a.npz", objects=str(folder / "objects.csv"), horizon_s=0.3
+    )
+    return f"{len(forecasts)} forecasts"
+
+
 READERS: dict[str, Reader] = {
     "native MCAP": Reader(native, on_file("a.mcap", damaged_mcap), lambda f: read_recording(f / "a.mcap")),
     "native MCAP, raw": Reader(native, on_file("a.mcap", damaged_bytes), lambda f: read_recording(f / "a.mcap")),
@@ -155,5 +199,7 @@ READERS: dict[str, Reader] = {
         lambda choices, folder: damage_parquet(choices, folder / "a.tracks", METADATA_KEY),
         lambda f: read_recording(f / "a.tracks"),
     ),
+    "outputs": Reader(outputs, on_file("bag/*.mcap", damaged_mcap), read_outputs),
+    "object table": Reader(object_table, on_file("objects.csv", damaged_text), read_object_table),
     "labels": Reader(labels, on_file("labels.csv", damaged_text), read_labels),
 }
