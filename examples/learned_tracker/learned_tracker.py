@@ -43,11 +43,11 @@ PAST = 5
 
 
 class LearnedOptions(Settings):
-    """Options of the training: `gridtrack train learned-tracker:updates=500 RECORDING`."""
+    """Options of the training: `gridtrack train learned-tracker:updates=2000 RECORDING`."""
 
-    updates: PositiveInt = 1000
-    validate_every: PositiveInt = 100
-    batch: PositiveInt = 4
+    updates: PositiveInt = 500
+    validate_every: PositiveInt = 50
+    batch: PositiveInt = 2
     learning_rate: PositiveFloat = 3e-3
     channels: PositiveInt = 16
     horizon_s: PositiveFloat = 1.0
@@ -65,7 +65,8 @@ class LearnedTracker(Tracker):
         super().__init__(stream, options)
         if network is None:
             weights = load_weights(stream, NAME)
-            network = build(trained_settings(stream, weights, options), stream.period_s)
+            trained = trained_settings(stream, weights, options)
+            network = build(trained.channels, round(trained.horizon_s / stream.period_s))
             restore_network(network, stream, weights)
         self.network = network
         self.reset(0)
@@ -87,19 +88,20 @@ class LearnedTracker(Tracker):
     @classmethod
     def fit(cls, task: FitTask) -> None:
         """Train on random windows; keep the weights with the least log loss on the validation stretches."""
-        options, period_s, device = task.options, task.train[0].period_s, training_device(task.device)
-        steps = steps_of(options, period_s)
+        options, device = task.options, training_device(task.device)
+        steps = round(options.horizon_s / task.train[0].period_s)
         stretches = [torch.stack([planes_of(frame) for frame in source]) for source in task.train]
         if min(map(len, stretches)) < PAST + steps:
             raise ConfigurationError(f"{NAME} learns from stretches of {PAST + steps} frames or more: name longer ones")
         torch.manual_seed(task.seed)
-        network = build(options, period_s).to(device)
+        network = build(options.channels, steps).to(device)
         optimizer = torch.optim.Adam(network.parameters(), options.learning_rate)
-        done, best_loss, best = 0, math.inf, {}
-        if saved := load_checkpoint(task):  # of a training that was interrupted
+        best: dict[str, Any] = {"log_loss": math.inf}
+        done, saved = 0, load_checkpoint(task)
+        if saved:  # a training was interrupted
             network.load_state_dict(saved["network"])
             optimizer.load_state_dict(saved["optimizer"])
-            done, best_loss, best = saved["done"], saved["best_loss"], saved["best"]
+            done, best = saved["done"], saved["best"]
         try:
             with task.progress.stage("update", options.updates, done) as stage:
                 for update in range(done, options.updates):
@@ -114,36 +116,32 @@ class LearnedTracker(Tracker):
                     tried = deepcopy(network).cpu()
                     scores = [task.objective(cls(stream_of(s), options, tried), s, steps) for s in task.validation]
                     log_loss = float(np.mean([score.log_loss["visible"] for score in scores]))
-                    if not best or log_loss < best_loss:
-                        best_loss, best = log_loss, tried.state_dict()
-                    done, state = stage.done, {"network": network.state_dict(), "optimizer": optimizer.state_dict()}
-                    save_checkpoint(task, {**state, "done": done, "best_loss": best_loss, "best": best})
+                    if log_loss < best["log_loss"]:
+                        best = {"log_loss": log_loss, "arrays": tried.state_dict()}
+                    done = stage.done
+                    state = {"network": network.state_dict(), "optimizer": optimizer.state_dict()}
+                    save_checkpoint(task, {**state, "done": done, "best": best})
                     task.report(f"update {done} of {options.updates}: validation log loss {log_loss:.4f}")
         except KeyboardInterrupt:
-            if best:
-                save_interrupted(task.out, *learned(task, best, best_loss), f"update {done} of {options.updates}")
+            if done:
+                save_interrupted(task.out, *card_and_arrays(task, best), f"update {done} of {options.updates}")
             raise
-        save_weights(task.out, *learned(task, best, best_loss))
+        save_weights(task.out, *card_and_arrays(task, best))
         delete_checkpoint(task)
 
 
-def learned(task: FitTask, best: dict[str, Tensor], best_loss: float) -> tuple[Card, dict[str, Any]]:
+def card_and_arrays(task: FitTask, best: dict[str, Any]) -> tuple[Card, dict[str, Any]]:
     """The card and the arrays of the best network."""
-    card = card_for(NAME, task, task.options.model_dump(), {"validation_log_loss": best_loss})
-    return card, {name: value.numpy() for name, value in best.items()}
+    card = card_for(NAME, task, task.options.model_dump(), {"validation_log_loss": best["log_loss"]})
+    return card, {name: value.numpy() for name, value in best["arrays"].items()}
 
 
-def steps_of(options: LearnedOptions, period_s: float) -> int:
-    """The number of steps ahead that the network forecasts."""
-    return max(1, round(options.horizon_s / period_s))
-
-
-def build(options: LearnedOptions, period_s: float) -> nn.Module:
+def build(channels: int, steps: int) -> nn.Module:
     """A network from frames (B, PAST, 2, M, M) to logits (B, steps+1, M, M); each cell is forecast from 31 x 31."""
-    layers: list[nn.Module] = [nn.Flatten(1, 2), nn.Conv2d(2 * PAST, options.channels, 3, padding=1), nn.ReLU()]
-    for dilation in (2, 4, 8):
-        layers += [nn.Conv2d(options.channels, options.channels, 3, padding=dilation, dilation=dilation), nn.ReLU()]
-    return nn.Sequential(*layers, nn.Conv2d(options.channels, steps_of(options, period_s) + 1, 1))
+    layers: list[nn.Module] = [nn.Flatten(1, 2), nn.Conv2d(2 * PAST, channels, 3, padding=1), nn.ReLU()]
+    for reach in (2, 4, 8):
+        layers += [nn.Conv2d(channels, channels, 3, padding=reach, dilation=reach), nn.ReLU()]
+    return nn.Sequential(*layers, nn.Conv2d(channels, steps + 1, 1))
 
 
 def planes_of(frame: GridFrame) -> Tensor:
@@ -154,7 +152,7 @@ def planes_of(frame: GridFrame) -> Tensor:
 def draw(stretches: Sequence[Tensor], length: int, batch: int, seed: tuple[int, int]) -> Tensor:
     """Windows (B, length, 2, M, M) of consecutive frames; equal for equal seeds, so that a resumed training is too."""
     random = np.random.default_rng(seed)
-    chosen = [stretches[random.integers(len(stretches))] for _ in range(batch)]
+    chosen = [stretches[int(random.integers(len(stretches)))] for _ in range(batch)]
     starts = [int(random.integers(len(stretch) - length + 1)) for stretch in chosen]
     return torch.stack([stretch[at : at + length] for stretch, at in zip(chosen, starts, strict=True)]).float()
 

@@ -47,18 +47,18 @@ def tracker(module: Path) -> Iterator[type[Tracker]]:
 
 @pytest.fixture
 def task(tracker: type[Tracker], tmp_path: Path) -> Callable[..., FitTask]:
-    """`task(folder, report)`: a tiny training on the room, with a score that improves with every update."""
+    """`task(folder, **options)`: a tiny training on the room, with a score that improves with every update."""
     room, scored = write_room(tmp_path / "room.mcap"), iter(range(99))
 
     def score(tracker: Tracker, source: Any, steps: int) -> StretchScore:
         loss = np.full(steps + 1, 1.0 / (1 + next(scored)))
         return StretchScore({"visible": loss}, {"visible": loss})
 
-    def task(folder: str, report: Callable[[str], None] = lambda text: None, **options: Any) -> FitTask:
+    def task(folder: str, **options: Any) -> FitTask:
         train, validation = (open_stream(f"{room}@{use}") for use in ("train", "validation"))
         settings = validated(tracker.Options, TINY | options, "test")
         out = tmp_path / folder / "room.toml"
-        return FitTask([train], [validation], score, out, settings, out.parent / "logs", 3, device="cpu", report=report)
+        return FitTask([train], [validation], score, out, settings, out.parent / "logs", 3, device="cpu")
 
     return task
 
@@ -66,9 +66,10 @@ def task(tracker: type[Tracker], tmp_path: Path) -> Callable[..., FitTask]:
 def test_the_tracker_has_about_sixty_lines_and_uses_public_names_only(module: Path) -> None:
     text = module.read_text()
     body = re.sub(r'""".*?"""', "", text.partition("class MyNetworkTracker")[2], flags=re.DOTALL)
-    assert len([line for line in body.splitlines() if line.strip()]) <= 70
+    assert len([line for line in body.splitlines() if line.strip()]) <= 80
     assert set(re.findall(r"^(?:from|import) (\S+)", text, re.MULTILINE)) == {
-        *("__future__", "collections", "copy", "math", "numpy", "torch", "gridtrack")
+        *("__future__", "collections", "collections.abc", "copy", "math", "typing"),
+        *("numpy", "pydantic", "torch", "torch.nn.functional", "gridtrack"),
     }
     written = [path.read_text() for path in module.parent.rglob("*") if path.is_file()]
     assert len(written) == 5
@@ -80,19 +81,14 @@ def test_an_interrupted_training_keeps_its_best_weights_and_resumes_to_those_of_
 ) -> None:
     whole = task("whole")
     tracker.fit(whole)
-
-    def interrupt(text: str) -> None:
-        if text.startswith("update 2"):
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        tracker.fit(task("parts", interrupt))
+    interrupt(tracker, task("parts"), after="update 2")
     card = task("parts").out
     assert read_card(card).interrupted == "update 2 of 3"
     lines: list[str] = []
-    tracker.fit(task("parts", lines.append))
-    assert [line.split(" ")[1] for line in lines] == ["3"]
+    tracker.fit(replace(task("parts"), report=lines.append))
+    assert [line.split(":")[0] for line in lines] == ["update 3 of 3"]
     assert read_card(card).interrupted == ""
+    assert list(whole.log_dir.glob("*.ckpt")) == []
     one, other = (
         load_weights(replace(stream_of(whole.train[0]), weights=path), "my-network").arrays
         for path in (whole.out, card)
@@ -102,14 +98,44 @@ def test_an_interrupted_training_keeps_its_best_weights_and_resumes_to_those_of_
         np.testing.assert_array_equal(value, other[name], name)
 
 
-def test_a_checkpoint_of_another_training_is_refused(tracker: type[Tracker], task: Callable[..., FitTask]) -> None:
-    tracker.fit(task("weights"))
+def interrupt(tracker: type[Tracker], task: FitTask, after: str) -> None:
+    """Run a training that Ctrl-C ends at the line of progress that starts with `after`."""
+
+    def report(text: str) -> None:
+        if text.startswith(after):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tracker.fit(replace(task, report=report))
+
+
+def test_a_checkpoint_of_another_training_or_a_damaged_one_is_refused(
+    tracker: type[Tracker], task: Callable[..., FitTask]
+) -> None:
+    interrupt(tracker, task("weights"), after="update 1")
     with pytest.raises(ConfigurationError, match="checkpoints of a training with other settings, data or seed"):
         tracker.fit(task("weights", channels=3))
     (checkpoint,) = (task("weights").log_dir).glob("*.ckpt")
     checkpoint.write_bytes(checkpoint.read_bytes()[:100])
-    with pytest.raises(ConfigurationError, match="is damaged: delete the folder"):
+    with pytest.raises(ConfigurationError, match=r"last\.ckpt: is damaged: delete the folder"):
         tracker.fit(task("weights"))
+
+
+def test_an_early_interrupt_a_short_stretch_and_a_missing_device_end_in_a_line(
+    tracker: type[Tracker], task: Callable[..., FitTask]
+) -> None:
+    interrupted = replace(task("weights"), objective=raise_interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        tracker.fit(interrupted)
+    assert not interrupted.out.exists()
+    with pytest.raises(ConfigurationError, match=r"my-network learns from stretches of 1\d\d frames or more"):
+        tracker.fit(task("long", horizon_s=10))
+    with pytest.raises(ConfigurationError, match="device xpu: this machine has none; train on cpu"):
+        tracker.fit(replace(task("device"), device="xpu"))
+
+
+def raise_interrupt(*_: Any) -> StretchScore:
+    raise KeyboardInterrupt
 
 
 @pytest.mark.usefixtures("module", "trackers_here")
@@ -118,7 +144,7 @@ def test_it_is_trained_compared_and_judged_by_the_gate(gridtrack: Any, tmp_path:
     options = ",".join(f"{key}={value}" for key, value in TINY.items())
     done = gridtrack("train", f"my-network:{options}", room, "--out", tmp_path / "weights")
     assert done.code == 0, done.err
-    assert re.search(r"update 3 of 3: loss \d", done.out), done.out
+    assert re.search(r"update 3 of 3: validation log loss \d", done.out), done.out
 
     run, baseline = tmp_path / "run", tmp_path / "baseline.json"
     done = gridtrack("compare", f"{room}@test", *QUICK, "--weights", tmp_path / "weights", "--out", run)
