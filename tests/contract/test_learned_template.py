@@ -32,7 +32,7 @@ QUICK = ("--no-floors", "--horizon", "0.5s", "--every", "0.5s", "--tracker", "my
 @pytest.fixture
 def module(tmp_path: Path, install: Callable[..., Path]) -> Path:
     """The module of a new package, which is registered."""
-    path = new_tracker("my-network", tmp_path / "package", learned=True)
+    path = new_tracker("my-network", tmp_path / "my-network", learned=True)
     install("my-network", {"my-network": "my_network:MyNetworkTracker"}, {path.name: path.read_text()})
     return path
 
@@ -65,8 +65,9 @@ def task(tracker: type[Tracker], tmp_path: Path) -> Callable[..., FitTask]:
 
 def test_the_tracker_has_about_sixty_lines_and_uses_public_names_only(module: Path) -> None:
     text = module.read_text()
-    body = re.sub(r'""".*?"""', "", text.partition("class MyNetworkTracker")[2], flags=re.DOTALL)
-    assert len([line for line in body.splitlines() if line.strip()]) <= 80
+    tracker = text.partition("class MyNetworkTracker")[2].partition("\n\n\n")[0]
+    lines = re.sub(r'""".*?"""', "", tracker, flags=re.DOTALL).splitlines()
+    assert len([line for line in lines if line.strip()]) <= 65
     assert set(re.findall(r"^(?:from|import) (\S+)", text, re.MULTILINE)) == {
         *("__future__", "collections", "collections.abc", "copy", "math", "typing"),
         *("numpy", "pydantic", "torch", "torch.nn.functional", "gridtrack"),
@@ -139,7 +140,10 @@ def raise_interrupt(*_: Any) -> StretchScore:
 
 
 @pytest.mark.usefixtures("module", "trackers_here")
-def test_it_is_trained_compared_and_judged_by_the_gate(gridtrack: Any, tmp_path: Path) -> None:
+def test_it_is_trained_compared_and_judged_by_the_gate(
+    gridtrack: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # beside the folder of the package, which has the name of the tracker
     room = write_room(tmp_path / "room.mcap")
     options = ",".join(f"{key}={value}" for key, value in TINY.items())
     done = gridtrack("train", f"my-network:{options}", room, "--out", tmp_path / "weights")
