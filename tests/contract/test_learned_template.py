@@ -74,7 +74,7 @@ def test_the_tracker_has_about_sixty_lines_and_uses_public_names_only(module: Pa
     }
     written = [path.read_text() for path in module.parent.rglob("*") if path.is_file()]
     assert len(written) == 5
-    assert not re.search("learned.tracker|LearnedTracker", "".join(written))
+    assert not re.search("learned[-_]tracker|LearnedTracker", "".join(written))
 
 
 def test_an_interrupted_training_keeps_its_best_weights_and_resumes_to_those_of_an_uninterrupted_one(
