@@ -64,7 +64,8 @@ lint: $(VENV)/.installed-dev | .link/gridtrack ## check style, spelling, types a
 	$(BIN)/codespell
 	MYPYPATH=.link $(BIN)/mypy -p gridtrack
 	MYPYPATH=.link:. $(BIN)/mypy -p benchmarks -p studies
-	MYPYPATH=.link:$(EXAMPLE):$(EXAMPLE)/tests $(BIN)/mypy -m example_tracker -m test_example_tracker
+	for name in example_tracker learned_tracker; do \
+	    MYPYPATH=.link:examples/$$name:examples/$$name/tests $(BIN)/mypy -m $$name -m test_$$name || exit 1; done
 	PYTHONPATH=.link $(BIN)/lint-imports
 
 fuzz: $(VENV)/.installed-dev ## fuzz every reader of untrusted input for ten minutes (FUZZ="--minutes 60 --only tracks")

@@ -40,15 +40,11 @@ NameArgument = Annotated[str, typer.Argument(metavar="NAME", autocompletion=comp
 DEFAULT_STREAM = StreamSpec(GridSpec(), 0.125)
 """The stream of `check` without a recording: 100x0.2 at 8 Hz."""
 
-EXAMPLE = "examples/example_tracker"
-TEMPLATE_FILES = (
-    "README.md",
-    "pyproject.toml",
-    ".github/workflows/test.yml",
-    "example_tracker.py",
-    "tests/test_example_tracker.py",
-)
-BASELINE_FILE = "tests/example_tracker.json"
+PLAIN, LEARNED = "example_tracker", "learned_tracker"
+"""The examples that `new` copies: the name of the folder and of the module in it."""
+TEMPLATE_FILES = ("README.md", "pyproject.toml", ".github/workflows/test.yml", "{}.py", "tests/test_{}.py")
+BASELINE_FILE = "tests/{}.json"
+"""Of PLAIN only: LEARNED has no weights before its first training."""
 MAX_NAME = 60
 PACKAGE_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
@@ -187,11 +183,14 @@ def _stream_of_weights(tracker: str, weights: Path | None) -> StreamSpec:
 def new_command(
     name: str,
     out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="The new folder; default: the name")] = None,
+    learned: Annotated[bool, typer.Option("--learned", help="A tracker with a network that is trained")] = False,
 ) -> None:
-    """Write a complete tracker package: a small tracker, its entry point, tests, baseline and CI file."""
-    module = new_tracker(name, out or Path(name))
+    """Write a complete tracker package: a small tracker, its entry point, tests and CI file, and a baseline of its
+    scores unless it is `--learned`."""
+    module = new_tracker(name, out or Path(name), learned=learned)
     with_tests = shlex.quote(f"{module.parent}[test]")
-    typer.echo(f"tracker: {module}\nnext: pip install -e {with_tests} && gridtrack trackers check {name}")
+    then = f"train {name} RECORDING" if learned else f"trackers check {name}"
+    typer.echo(f"tracker: {module}\nnext: pip install -e {with_tests} && gridtrack {then}")
 
 
 def _refuse_untrained(launched: Launch, options: Mapping[str, Any], limits: Limits, site: str) -> None:
@@ -206,11 +205,11 @@ def _refuse_untrained(launched: Launch, options: Mapping[str, Any], limits: Limi
             )
 
 
-def new_tracker(name: str, folder: Path) -> Path:
+def new_tracker(name: str, folder: Path, *, learned: bool = False) -> Path:
     """Write a tracker package called `name` into the new folder `folder`, and return its module.
 
-    It can be installed, passes its tests, keeps the contract, and has a baseline of its scores. Raises
-    ConfigurationError.
+    It can be installed, passes its tests, and keeps the contract; a `learned` one can be trained, another one has a
+    baseline of its scores. Raises ConfigurationError.
     """
     from gridtrack.evaluation.regression.baseline import baseline_of, write_baseline
     from gridtrack.evaluation.regression.measurement import Baseline
@@ -227,32 +226,35 @@ def new_tracker(name: str, folder: Path) -> Path:
         raise ConfigurationError(f"a Python module '{module}' exists: choose another name")
     if folder.exists() or folder.is_symlink():
         raise ConfigurationError(f"{folder}: exists; choose another folder with --out")
+    example = LEARNED if learned else PLAIN
     for file in TEMPLATE_FILES:
-        write_text(_new_file(folder, file, module), _renamed(_example(file), name, module))
-    renamed = Baseline.model_validate_json(_renamed(_example(BASELINE_FILE), name, module))
-    write_baseline(_new_file(folder, BASELINE_FILE, module), baseline_of(renamed.runs))
+        write_text(_new_file(folder, file.format(module)), _renamed(_example_text(example, file), name, module))
+    if not learned:
+        renamed = Baseline.model_validate_json(_renamed(_example_text(example, BASELINE_FILE), name, module))
+        write_baseline(_new_file(folder, BASELINE_FILE.format(module)), baseline_of(renamed.runs))
     return folder / f"{module}.py"
 
 
-def _example(file: str) -> str:
-    return files("gridtrack").joinpath(EXAMPLE, file).read_text("utf-8")
+def _example_text(example: str, file: str) -> str:
+    return files("gridtrack").joinpath("examples", example, file.format(example)).read_text("utf-8")
 
 
-def _new_file(folder: Path, file: str, module: str) -> Path:
-    path = folder / file.replace("example_tracker", module)
+def _new_file(folder: Path, file: str) -> Path:
+    path = folder / file
     path.parent.mkdir(parents=True, exist_ok=True)
     return path
 
 
 def _renamed(text: str, name: str, module: str) -> str:
-    """The example's text with its distribution, module, classes and registered name replaced."""
+    """The text of an example with its distribution, module, classes and registered name replaced."""
     camel = "".join(part.capitalize() for part in name.removesuffix("-tracker").split("-"))
-    for old, new in (
-        ("example-tracker", name),
-        ("example_tracker", module),
-        ("FadingTracker", f"{camel}Tracker"),
-        ("FadingOptions", f"{camel}Options"),
-    ):
-        text = text.replace(old, new)
+    for example, prefix in ((PLAIN, "Fading"), (LEARNED, "Learned")):
+        for old, new in (
+            (example.replace("_", "-"), name),
+            (example, module),
+            (f"{prefix}Tracker", f"{camel}Tracker"),
+            (f"{prefix}Options", f"{camel}Options"),
+        ):
+            text = text.replace(old, new)
     # `fading` is the registered name; the method keeps its name, fading memory
     return re.sub(r"\bfading\b(?! memory)", name, text)

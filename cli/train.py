@@ -68,8 +68,9 @@ def _tracker_and_recordings(arguments: list[str], *, named_elsewhere: bool) -> d
     The first argument is a tracker; if the tracker may be `named_elsewhere`, only if a tracker of this name exists.
     """
     given: dict[str, Any] = {}
-    if arguments and not (named_elsewhere and arguments[0].partition(":")[0] not in registry.entries()):
-        if "/" in arguments[0].partition(":")[0] or Path(arguments[0].partition("@")[0]).exists():
+    known = bool(arguments) and arguments[0].partition(":")[0] in registry.entries()
+    if arguments and (known or not named_elsewhere):
+        if not known and ("/" in arguments[0].partition(":")[0] or Path(arguments[0].partition("@")[0]).exists()):
             raise ConfigurationError(f"name the tracker before the recordings: gridtrack train NAME {arguments[0]}")
         chosen = tracker_alone(arguments[0])
         given = {"tracker": chosen.name, "options": chosen.options}

@@ -16,7 +16,7 @@ from gridtrack.trackers.training.card import card_for
 from gridtrack.trackers.training.cell_classifier import CellClassifier, planes_of, scan_classifier
 from gridtrack.trackers.training.cell_training import best_classifier, scan_cells
 from gridtrack.trackers.training.labelled_scans import VALIDATE_ON, ClassifierSettings, LabelSettings, draw_labelled
-from gridtrack.trackers.training.networks import restore, trained_settings
+from gridtrack.trackers.training.networks import restore_network, trained_settings
 from gridtrack.trackers.training.weights import load_weights, save_interrupted, save_weights
 
 
@@ -45,7 +45,7 @@ class OneShotTracker(Tracker):
         general = weights.card.general
         self._cell_m = stream.grid.cell_m if general else None
         self._network = scan_classifier(settings.channels, len(self.classes), general=general).eval()
-        restore(self._network, stream, weights)
+        restore_network(self._network, stream, weights)
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:

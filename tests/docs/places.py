@@ -18,8 +18,8 @@ from gridtrack.recordings import Recording, open_recording, packaged_recording, 
 from docs.pages import ROOT
 from scenes import drive_bag as drive
 from scenes.drive_bag import MS, START_NS, Laser, Message, Ros
-from scenes.own_forecasts import own_forecasts
 from scenes.output_bag import Outputs, standing_scans
+from scenes.own_forecasts import own_forecasts
 from studies.support.plugins import write_distribution
 
 DRIVE_MS = 8000

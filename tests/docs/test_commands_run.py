@@ -37,7 +37,13 @@ THEMES = {
         *("docs/junction.md 3", "data/leg_tracker/README.md"),
     ),
     "own tracker": (
-        *("docs/own-tracker.md", "docs/first-comparison.md", "docs/contract.md", "docs/junction.md"),
+        *(
+            "docs/own-tracker.md",
+            "docs/own-tracker.md 2",
+            "docs/first-comparison.md",
+            "docs/contract.md",
+            "docs/junction.md",
+        ),
         *("data/junction/README.md", "docs/regress.md", "docs/regress.md 2", "docs/suites.md"),
         *("examples/example_tracker/README.md", "examples/cpp_tracker/README.md"),
     ),
@@ -94,6 +100,11 @@ SMALLER = (
     ("suite run worlds-1 ", "suite run hall-1 "),
     ("--suite worlds-1 ", "--suite hall-1 "),
     ("suite page worlds-1 ", "suite page hall-1 "),
+    (
+        "train my-network data/leg_tracker/leg_tracker.mcap",
+        "train my-network:updates=2,channels=2 data/leg_tracker/leg_tracker.mcap@0s-10s"
+        " --validation data/leg_tracker/leg_tracker.mcap@75s-79s",
+    ),
     (
         "data/leg_tracker/leg_tracker.mcap@114s-124s",
         "data/leg_tracker/leg_tracker.mcap@114s-120s --validation data/leg_tracker/leg_tracker.mcap@75s-79s",
@@ -168,8 +179,8 @@ def run(command: str, where: str) -> None:
         output = gridtrack(words, where)
         if to:
             Path(to).write_text(output)
-    elif command == "pip install --editable my-tracker":
-        pip_install("./my-tracker")
+    elif command.startswith("pip install --editable my-"):
+        pip_install(f"./{words[-1]}")
     elif program == "printf":
         Path(to).write_text(words[0].replace("\\n", "\n"))
 

@@ -23,6 +23,7 @@ from torch import nn
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.trackers.contract import FitTask
 from gridtrack.trackers.recurrent.settings import Precision, TrainingSettings
+from gridtrack.trackers.training.checkpoints import TRAINING_FILE, training_device
 
 AT_THE_END_S = 10.0
 """Time limit for the last lines of a device process that was killed."""
@@ -50,13 +51,8 @@ class Devices(NamedTuple):
             raise ConfigurationError(
                 f"devices={number} cannot share batch={batch} equally: choose a multiple of {number}"
             )
-        accelerator = torch.accelerator.current_accelerator(check_available=True)
-        if kind == "auto":
-            kind = "cpu" if accelerator is None else accelerator.type
-        if kind == "cpu":
-            found = len(os.sched_getaffinity(0))
-        else:
-            found = torch.accelerator.device_count() if accelerator is not None and accelerator.type == kind else 0
+        kind = training_device(kind).type
+        found = len(os.sched_getaffinity(0)) if kind == "cpu" else torch.accelerator.device_count()
         if number > found:
             raise ConfigurationError(f"devices={number}: this machine has {found} of kind {kind}")
         return cls(kind, number)
@@ -139,7 +135,7 @@ def training_precision(settings: TrainingSettings, devices: Devices, task: FitTa
 def _precision_in(task: FitTask) -> Precision | None:
     """The precision of the training in the log folder; None without one."""
     with suppress(OSError, ValueError, KeyError, TypeError):
-        recorded = json.loads((task.log_dir / "settings.json").read_text())["precision"]
+        recorded = json.loads((task.log_dir / TRAINING_FILE).read_text())["precision"]
         return next((precision for precision in get_args(Precision) if precision == recorded), None)
     return None
 

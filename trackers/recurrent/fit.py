@@ -7,7 +7,6 @@ inputs for cell size and period stay. A general training that continues from gen
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import signal
@@ -26,8 +25,7 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
 from gridtrack.common.config import validated
-from gridtrack.common.errors import ConfigurationError, WeightsError
-from gridtrack.common.files import write_text
+from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import nearest_step
 from gridtrack.trackers.contract import FitTask, FrameSource, StretchScore, stream_of
 from gridtrack.trackers.recurrent.devices import Devices, training_precision
@@ -38,6 +36,7 @@ from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSet
 from gridtrack.trackers.recurrent.training_module import TrainingModule, scores_text
 from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.training.card import card_for
+from gridtrack.trackers.training.checkpoints import is_resumed
 from gridtrack.trackers.training.excerpts import (
     SELECTION_HORIZONS_S,
     SELECTION_STRATA,
@@ -212,7 +211,8 @@ def train_network(module: TrainingModule, task: FitTask, start: Weights | None =
     for name in ("lightning.pytorch", "lightning.fabric"):  # they print advertisements
         logging.getLogger(name).setLevel(logging.WARNING)
     network = module.network
-    resumed = _resumable(task, _description(module.dataset, module.settings, task, start))
+    last = _checkpoint_in(task, LAST)
+    resumed = last if is_resumed(task, last, _settings_of(module.settings)) else None
     module.done = _updates_in(resumed) if resumed else 0
     initial, initial_scores = deepcopy(network.state_dict()), {}
     if start is not None:
@@ -306,26 +306,6 @@ def _updates_in(checkpoint: Path) -> int:
     return int(torch.load(checkpoint, weights_only=True, map_location="cpu")["global_step"])
 
 
-def _description(
-    dataset: SequenceDataset, settings: TrainingSettings, task: FitTask, start: Weights | None
-) -> dict[str, Any]:
-    """Everything that a training depends on: its data, seed and settings, and the weights that it starts from."""
-    started = {} if start is None else {"start": start.card.arrays_sha256}
-    used = settings.model_dump(exclude={*TransferSettings.model_fields, *InferenceSettings.model_fields})
-    return {**started, "seed": task.seed, "train": dataset.sources, **used}
-
-
-def _resumable(task: FitTask, training: dict[str, Any]) -> Path | None:
-    """The last checkpoint of this `training`, None without one; records `training` in the log folder."""
-    described = json.dumps(training, sort_keys=True)
-    record, last = task.log_dir / "settings.json", _checkpoint_in(task, LAST)
-    task.log_dir.mkdir(parents=True, exist_ok=True)
-    if record.exists() and last.exists():
-        if record.read_text() != described:
-            raise ConfigurationError(
-                f"{task.log_dir}: checkpoints of a training with other settings, data or seed: delete the folder to"
-                " train from the start"
-            )
-        return last
-    write_text(record, described)
-    return None
+def _settings_of(settings: TrainingSettings) -> dict[str, Any]:
+    """The settings that a training depends on."""
+    return settings.model_dump(exclude={*TransferSettings.model_fields, *InferenceSettings.model_fields})

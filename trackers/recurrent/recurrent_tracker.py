@@ -24,7 +24,7 @@ from gridtrack.trackers.recurrent.network import (
 from gridtrack.trackers.recurrent.pacing import StepPace, paced
 from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.registry import registered_name
-from gridtrack.trackers.training.networks import restore, trained_settings
+from gridtrack.trackers.training.networks import restore_network, trained_settings
 from gridtrack.trackers.training.weights import Weights, load_weights
 
 MOST_MISSED = 20
@@ -144,7 +144,7 @@ class RecurrentTracker(Tracker):
         options = trained_settings(self.stream, weights, self.options, running=InferenceSettings)
         self.classes = weights.card.classes
         network = self.build(self.stream.grid.size, options, len(self.classes))
-        restore(network, self.stream, weights)
+        restore_network(network, self.stream, weights)
         return self.inference_for(network, self.stream, options)
 
     @classmethod

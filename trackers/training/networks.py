@@ -36,7 +36,7 @@ def trained_settings(stream: StreamSpec, weights: Weights, given: Given, running
     return trained
 
 
-def restore(network: nn.Module, stream: StreamSpec, weights: Weights) -> None:
+def restore_network(network: nn.Module, stream: StreamSpec, weights: Weights) -> None:
     """Load `weights` into `network`.
 
     Raises WeightsError unless the network has the same arrays, with the same shapes.

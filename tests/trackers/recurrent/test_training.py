@@ -308,7 +308,7 @@ def test_an_interrupt_of_a_training_on_two_devices_ends_them_and_keeps_the_best_
     ("kind", "number", "batch", "message"),
     [("auto", 2, 3, "devices=2 cannot share batch=3 equally"),
      ("auto", 4096, 4096, "devices=4096: this machine has [0-9]+ of kind cpu"),
-     ("xpu", 1, 2, "devices=1: this machine has 0 of kind xpu")],
+     ("xpu", 1, 2, "device xpu: this machine has none; train on cpu")],
 )  # fmt: skip
 def test_devices_that_cannot_train_are_refused(kind, number, batch, message):
     with pytest.raises(ConfigurationError, match=message):
