@@ -219,6 +219,14 @@ class Tracker(ABC):
         return False
 
     @property
+    def device(self) -> str:
+        """The name of the device on which it computes, such as "NVIDIA H100"; "" for the processor.
+
+        It is shown with the times of the row.
+        """
+        return ""
+
+    @property
     def recoveries(self) -> int:
         """Number of failures since `reset` from which the tracker recovered; reported with the outcome."""
         return 0

@@ -86,14 +86,17 @@ class DilatedConvGRUTracker(RecurrentTracker):
 
     @classmethod
     def prepare_inference(cls, network: Any, options: Any) -> InferenceNetwork:
-        """A variant of `kernels`; a network without gates computes as it was trained.
+        """A variant of `kernels`; a network without gates, or on another device than a processor, computes as it was
+        trained.
 
-        Raises ConfigurationError for a network without gates in bfloat16.
+        Raises ConfigurationError for such a network in bfloat16.
         """
-        if network.layers[0].gates == GATES:
+        has_gates, device = network.layers[0].gates == GATES, network.output_bias.device.type
+        if has_gates and device == "cpu":
             return INFERENCE[options.inference](network)
         if options.inference != "float32":
-            raise ConfigurationError(f"inference={options.inference} needs cell=gru; this network has cell=plain")
+            found = f"the device is {device}" if has_gates else "this network has cell=plain"
+            raise ConfigurationError(f"inference={options.inference} needs cell=gru on device=cpu; {found}")
         return super().prepare_inference(network, options)
 
     @classmethod
