@@ -107,7 +107,9 @@ def fit_classifier(name: str, task: FitTask) -> None:
         "temperature": best.temperature,
         "validation_log_loss": round(best.log_loss, 5),
     }
-    settings = options.model_dump(mode="json", exclude=set(DeviceSettings.model_fields)) | best.settings.model_dump(mode="json")
+    settings = options.model_dump(mode="json", exclude=set(DeviceSettings.model_fields)) | best.settings.model_dump(
+        mode="json"
+    )
     settings["labelled_scans"] = labelled.count
     card = card_for(name, task, settings, results)
     arrays = {name: value.numpy() for name, value in best.classifier.state_dict().items()}

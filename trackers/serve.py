@@ -88,7 +88,8 @@ class Server:
         self.stream = messages.stream_from(request)
         self.max_body = messages.update_limit(self.stream.grid)
         self.tracker = kind(self.stream, options)
-        fields = _description(kind, self.tracker.classes, options) | {"code_sha256": registry.code_sha256(kind)}
+        started = {"code_sha256": registry.code_sha256(kind), "device": self.tracker.device}
+        fields = _description(kind, self.tracker.classes, options) | started
         return Message("started", request.number, fields)
 
     def _options(self, tracker: type[Tracker], values: Mapping[str, Any]) -> Settings:

@@ -58,6 +58,8 @@ class TrackerDescription:
     """The comparisons in which the other rows are compared with this tracker by default."""
     code_sha256: str = ""
     """Hash of the code that runs; empty if it is not known, as without a stream."""
+    device: str = ""
+    """The name of the device on which it computes; empty for the processor."""
 
 
 class HeldForecasts:
@@ -331,4 +333,5 @@ def description_from(answer: Message) -> TrackerDescription:
         messages.role_from(answer),
         messages.reference_for_from(answer),
         messages.code_sha256_from(answer),
+        messages.device_from(answer),
     )

@@ -34,7 +34,9 @@ def general_card(tracker):
 
 def by_pytorch(monkeypatch, tracker):
     """The tracker computes as on a device without kernels."""
-    monkeypatch.setattr(tracker, "prepare_inference", classmethod(lambda cls, network, options: InferenceNetwork(network)))
+    monkeypatch.setattr(
+        tracker, "prepare_inference", classmethod(lambda cls, network, options: InferenceNetwork(network))
+    )
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)
@@ -72,7 +74,8 @@ def test_a_device_has_its_own_precision():
 
 
 @pytest.mark.parametrize(
-    ("tracker", "module"), [(TRACKERS[0], recurrent_tracker), (TRACKERS[1], recurrent_tracker), (OneShotTracker, one_shot)]
+    ("tracker", "module"),
+    [(TRACKERS[0], recurrent_tracker), (TRACKERS[1], recurrent_tracker), (OneShotTracker, one_shot)],
 )
 def test_a_tracker_names_its_device(monkeypatch, tracker, module):
     monkeypatch.setattr(module, "device_name", lambda device: f"name of {device}")
