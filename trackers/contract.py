@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
+from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.trackers.training.progress import Progress
 
@@ -242,6 +243,13 @@ class Tracker(ABC):
     @abstractmethod
     def predict(self, steps: int) -> Forecast:
         """Forecast steps 0..`steps` from x_1..x_t, without changing the state."""
+
+    def export(self, folder: Path) -> str:
+        """Write files into the empty `folder` with which another program can run it; returns a line about them.
+
+        Optional. Raises ConfigurationError.
+        """
+        raise ConfigurationError(f"{type(self).__name__} has no export: compare it, or read its code")
 
     @classmethod
     def fit(cls, task: FitTask) -> None:

@@ -47,6 +47,12 @@ class DilatedConvGRUTracker(RecurrentTracker):
                 self._seen.apply_to(forecast.semantics[0], self._frame, self.options.evidence)
         return forecast
 
+    def manifest_entries(self) -> dict[str, Any]:
+        """The power of the class probabilities of cells that are occupied now."""
+        if self.options.evidence == "scan":
+            raise ConfigurationError("evidence=scan has a classifier of scans, which is not exported: leave it out")
+        return {} if self._seen is None else {"class_power_in_occupied_cells": float(self._seen.state_alone[0])}
+
     def _restored(self, weights: Weights) -> StreamNetwork:
         of_network = {name: value for name, value in weights.arrays.items() if not name.startswith(PREFIX)}
         network = super()._restored(replace(weights, arrays=of_network))

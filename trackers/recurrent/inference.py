@@ -8,7 +8,7 @@ the window had contained it from the first frame on.
 from __future__ import annotations
 
 from abc import abstractmethod
-from copy import deepcopy
+from copy import copy, deepcopy
 from functools import cached_property
 from typing import Any, cast
 
@@ -44,6 +44,17 @@ class StreamNetwork(Recurrence):
     def device(self) -> torch.device:
         """The device of the states and the planes."""
         return cast(torch.device, self.network.device)
+
+    def as_trained(self) -> StreamNetwork:
+        """The same network, computed by PyTorch's operations alone."""
+        found = copy(self)
+        found.network = self.network.as_trained()
+        return found
+
+    @property
+    def innermost(self) -> RecurrentNetwork:
+        """The network with the parameters."""
+        return cast(RecurrentNetwork, self.network.innermost)
 
     def initial(self, batch: int) -> State:
         """h_0."""
@@ -95,7 +106,16 @@ class InferenceNetwork(StreamNetwork):
     @property
     def device(self) -> torch.device:
         """The device of the network."""
-        return cast(RecurrentNetwork, self.network).output_bias.device
+        return self.innermost.output_bias.device
+
+    def as_trained(self) -> StreamNetwork:
+        """The network without kernels."""
+        return InferenceNetwork(self.network)
+
+    @property
+    def innermost(self) -> RecurrentNetwork:
+        """The network that was trained."""
+        return cast(RecurrentNetwork, self.network)
 
     def unseen(self, frames: int) -> State:
         """The state of a network with empty input all the time."""

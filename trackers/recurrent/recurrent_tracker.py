@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from torch import Tensor
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Shift, shift_between
 from gridtrack.trackers.contract import FitTask, Forecast, StreamSpec, Tracker
-from gridtrack.trackers.recurrent.inference import InferenceNetwork, StreamNetwork
+from gridtrack.trackers.recurrent.inference import InferenceNetwork, StreamNetwork, is_map
 from gridtrack.trackers.recurrent.network import (
     Recurrence,
     RecurrentNetwork,
@@ -139,6 +140,21 @@ class RecurrentTracker(Tracker):
                 torch.cat(occupancy).cpu().numpy(),
                 torch.cat(semantics).contiguous().cpu().numpy() if self.classes else None,
             )
+
+    def export(self, folder: Path) -> str:
+        """Write step and decoder as ONNX graphs. Raises ConfigurationError."""
+        from gridtrack.trackers.recurrent.onnx_export import export_network
+
+        return export_network(self, folder)
+
+    @property
+    def place_of_map(self) -> SE2 | None:
+        """`world_T_grid` of the maps; None for a network without maps, which may run anywhere."""
+        return self._place if any(is_map(bias) for bias in self.network.innermost.maps().values()) else None
+
+    def manifest_entries(self) -> dict[str, Any]:
+        """Entries of a manifest that the graphs do not contain. Raises ConfigurationError for an unsupported option."""
+        return {}
 
     def _decoded(self, state: State) -> tuple[Tensor, Tensor | None]:
         """P(occupied) (1, M, M), and P(class) (1, K, M, M) if the tracker has classes."""

@@ -1,0 +1,147 @@
+"""A recurrent network as two ONNX graphs, a step and the decoder, with all that a program needs to run them.
+
+The state is one array (C, M, M): the tensors of the latent state, one after the other. It begins with zeros. A step
+without input has planes of zeros. The steps of a paced network are within the graph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import accumulate, pairwise
+from pathlib import Path
+
+import numpy as np
+import onnxscript  # noqa: F401 the exporter of torch needs it
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.trackers.recurrent.inference import StreamNetwork
+from gridtrack.trackers.recurrent.network import State, map_state, tensors_of
+from gridtrack.trackers.recurrent.recurrent_tracker import MOST_MISSED, RecurrentTracker
+from gridtrack.trackers.training.exported import write_manifest, write_readme
+
+STEP, DECODER, UNSEEN = "step.onnx", "decoder.onnx", "unseen.npy"
+CONTENT = f"""- `{STEP}`: the state after a frame. `{DECODER}`: the forecast from a state.
+- `{UNSEEN}` (F, C): the state of a cell that no frame has seen, after 0 to F - 1 frames; for a window that moves.
+- `manifest.json`: inputs, outputs, grid, period, thresholds, versions, hashes.
+
+`examples/onnx_runner/run.py` of gridtrack runs them with NumPy and ONNX Runtime."""
+INPUTS = {
+    "state": "(C, M, M) float32; zeros at the start",
+    "visible": "(M, M) float32: 1 where a beam crossed or ended; zeros in a step without a frame",
+    "occupied": "(M, M) float32: 1 in visible cells where a beam ended",
+}
+OUTPUTS = {
+    "occupancy": "(M, M) float32: P(occupied)",
+    "classes": "(K, M, M) float32: P(class), sums to 1",
+}
+LONG = 1 << 40
+"""A number of frames after which every state has converged."""
+FORECAST = "step 0: decode the state; each later step: a step with planes of zeros, then decode"
+
+
+class _OneArray(nn.Module):
+    """A network with its state as one array (C, M, M)."""
+
+    def __init__(self, network: StreamNetwork) -> None:
+        super().__init__()
+        self.network, self.parameters_of = network, network.innermost
+        self.zero = network.initial(1)
+        if any(bool(part.any()) for part in tensors_of(self.zero)):
+            raise ConfigurationError("the state of this network does not begin with zeros: it cannot be exported")
+        ends = accumulate((part.shape[1] for part in tensors_of(self.zero)), initial=0)
+        self.parts = list(pairwise(ends))
+
+    @property
+    def channels(self) -> int:
+        """C, of the array."""
+        return self.parts[-1][1]
+
+    def state_of(self, array: Tensor) -> State:
+        """The latent state in an array (C, M, M)."""
+        parts = iter(self.parts)
+        return map_state(lambda _: array[None, slice(*next(parts))], self.zero)
+
+
+class _Step(_OneArray):
+    """state, visible, occupied -> state."""
+
+    def forward(self, state: Tensor, visible: Tensor, occupied: Tensor) -> Tensor:
+        """The state after a frame, (C, M, M)."""
+        new = self.network.step(torch.stack([visible, occupied])[None], self.state_of(state))
+        return torch.cat(list(tensors_of(new)), dim=1)[0]
+
+
+class _Decoder(_OneArray):
+    """state -> occupancy and, with a class decoder, classes."""
+
+    def forward(self, array: Tensor) -> tuple[Tensor, ...]:
+        """P(occupied) (M, M), and P(class) (K, M, M)."""
+        state = self.state_of(array)
+        occupancy = torch.sigmoid(self.network.occupancy(self.network.features(state)))[0]
+        logits = self.network.semantics(state)
+        return (occupancy,) if logits is None else (occupancy, torch.softmax(logits, dim=1)[0])
+
+
+@torch.no_grad()
+def export_network(tracker: RecurrentTracker, folder: Path) -> str:
+    """Write the network of a `tracker` into `folder`; returns a line about it.
+
+    Raises ConfigurationError for a network with a state that does not begin with zeros.
+    """
+    stream, network = tracker.stream, tracker.network.as_trained()
+    size = stream.grid.size
+    step, decoder = _Step(network), _Decoder(network)
+    plane, state = torch.zeros(size, size), torch.zeros(step.channels, size, size)
+    decoded = list(OUTPUTS) if tracker.classes else ["occupancy"]
+    _write_graph(folder / STEP, step, dict(zip(INPUTS, (state, plane, plane), strict=True)), ["new_state"])
+    _write_graph(folder / DECODER, decoder, {"state": state}, decoded)
+    place = tracker.place_of_map
+    if place is None:
+        np.save(folder / UNSEEN, unseen_states(network), allow_pickle=False)
+    entries = {
+        "state_channels": step.channels,
+        "step": {"file": STEP, "inputs": INPUTS, "outputs": {"new_state": INPUTS["state"]}},
+        "decoder": {
+            "file": DECODER,
+            "inputs": {"state": INPUTS["state"]},
+            "outputs": {name: OUTPUTS[name] for name in decoded},
+        },
+        "forecast": FORECAST,
+        "most_missed": MOST_MISSED,
+        "unseen": UNSEEN if place is None else None,
+        "corner_of_map_m": None if place is None else [place.x + stream.grid.origin[0], place.y + stream.grid.origin[1]],
+        **tracker.manifest_entries(),
+    }
+    write_manifest(folder, stream, entries)
+    write_readme(folder, stream, CONTENT)
+    return f"{STEP}, {DECODER} for {stream.grid} at {1 / stream.period_s:g} Hz; the state has {step.channels} channels"
+
+
+def unseen_states(network: StreamNetwork) -> NDArray[np.float32]:
+    """The state (F, C) of a cell that no frame has seen, after 0 to F - 1 frames; later ones are equal to the last."""
+
+    def after(frames: int) -> NDArray[np.float32]:
+        parts: list[NDArray[np.float32]] = []
+        map_state(parts.append, network.unseen(frames))
+        return np.concatenate(parts)
+
+    states, last = [after(0)], after(LONG)
+    while not np.array_equal(states[-1], last):
+        states.append(after(len(states)))
+    return np.stack(states)
+
+
+def _write_graph(path: Path, module: nn.Module, inputs: Mapping[str, Tensor], outputs: Sequence[str]) -> None:
+    program = torch.onnx.export(
+        module.eval(),
+        tuple(inputs.values()),
+        input_names=list(inputs),
+        output_names=list(outputs),
+        dynamo=True,
+        external_data=False,
+        verbose=False,
+    )
+    program.save(path)
