@@ -249,7 +249,9 @@ class Tracker(ABC):
 
         Optional. Raises ConfigurationError.
         """
-        raise ConfigurationError(f"{type(self).__name__} has no export: compare it, or read its code")
+        kinds = "networks with a latent state, and trackers with tuned settings, have one"
+        kinds = "networks with a latent state, and trackers with tuned settings, have one"
+        raise ConfigurationError(f"{type(self).__name__} has no export: {kinds}")
 
     @classmethod
     def fit(cls, task: FitTask) -> None:

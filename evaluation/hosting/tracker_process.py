@@ -198,6 +198,13 @@ class TrackerProcess:
             self._held.add(forecast)
             return forecast
 
+    def export(self, folder: Path) -> str:
+        """Let the tracker write its export into the empty `folder`; returns its line about the files."""
+        request = Request("export", "exported", {"folder": str(folder.absolute())})
+        with self._ending_on_error():
+            answer = self._wire.ask(request, self.limits.start_s)
+            return answer.value("about", str)
+
     def _refuse_other_parts(self, forecast: Forecast) -> None:
         """Raises WireError if some forecasts have sampled futures and others have none."""
         has_futures = forecast.futures is not None

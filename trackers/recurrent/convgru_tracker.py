@@ -51,7 +51,9 @@ class DilatedConvGRUTracker(RecurrentTracker):
         """The power of the class probabilities of cells that are occupied now."""
         if self.options.evidence == "scan":
             raise ConfigurationError("evidence=scan has a classifier of scans, which is not exported: leave it out")
-        return {} if self._seen is None else {"class_power_in_occupied_cells": float(self._seen.state_alone[0])}
+        if self._seen is None:
+            return {}
+        return {"class_power_in_occupied_cells": round(float(self._seen.state_alone[0]), 6)}
 
     def _restored(self, weights: Weights) -> StreamNetwork:
         of_network = {name: value for name, value in weights.arrays.items() if not name.startswith(PREFIX)}

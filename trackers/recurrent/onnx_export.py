@@ -7,8 +7,10 @@ without input has planes of zeros. The steps of a paced network are within the g
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from itertools import accumulate, pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxscript  # noqa: F401 the exporter of torch needs it
@@ -94,25 +96,27 @@ def export_network(tracker: RecurrentTracker, folder: Path) -> str:
     stream, network = tracker.stream, tracker.network.as_trained()
     size = stream.grid.size
     step, decoder = _Step(network), _Decoder(network)
-    plane, state = torch.zeros(size, size), torch.zeros(step.channels, size, size)
-    decoded = list(OUTPUTS) if tracker.classes else ["occupancy"]
-    _write_graph(folder / STEP, step, dict(zip(INPUTS, (state, plane, plane), strict=True)), ["new_state"])
-    _write_graph(folder / DECODER, decoder, {"state": state}, decoded)
+    # each input is a tensor of its own: the exporter takes one that is given twice for one input
+    state, visible, occupied = (torch.zeros(*channels, size, size) for channels in ((step.channels,), (), ()))
+    outputs = {name: meaning for name, meaning in OUTPUTS.items() if name == "occupancy" or tracker.classes}
+    opset = _write_graph(folder / STEP, step, {"state": state, "visible": visible, "occupied": occupied}, ["new_state"])
+    _write_graph(folder / DECODER, decoder, {"state": state}, list(outputs))
     place = tracker.place_of_map
     if place is None:
         np.save(folder / UNSEEN, unseen_states(network), allow_pickle=False)
+        of_place: dict[str, Any] = {"unseen": UNSEEN}
+    else:
+        x, y = stream.grid.origin
+        of_place = {"corner_of_map_m": [place.x + x, place.y + y]}
+    versions = {name: version(name) for name in ("gridtrack", "torch", "onnx")}
     entries = {
+        "made_with": versions | {"opset": opset},
         "state_channels": step.channels,
-        "step": {"file": STEP, "inputs": INPUTS, "outputs": {"new_state": INPUTS["state"]}},
-        "decoder": {
-            "file": DECODER,
-            "inputs": {"state": INPUTS["state"]},
-            "outputs": {name: OUTPUTS[name] for name in decoded},
-        },
+        "step": {"file": STEP, "inputs": INPUTS, "outputs": {"new_state": "(C, M, M) float32"}},
+        "decoder": {"file": DECODER, "inputs": {"state": "(C, M, M) float32"}, "outputs": outputs},
         "forecast": FORECAST,
         "most_missed": MOST_MISSED,
-        "unseen": UNSEEN if place is None else None,
-        "corner_of_map_m": None if place is None else [place.x + stream.grid.origin[0], place.y + stream.grid.origin[1]],
+        **of_place,
         **tracker.manifest_entries(),
     }
     write_manifest(folder, stream, entries)
@@ -134,7 +138,8 @@ def unseen_states(network: StreamNetwork) -> NDArray[np.float32]:
     return np.stack(states)
 
 
-def _write_graph(path: Path, module: nn.Module, inputs: Mapping[str, Tensor], outputs: Sequence[str]) -> None:
+def _write_graph(path: Path, module: nn.Module, inputs: Mapping[str, Tensor], outputs: Sequence[str]) -> int:
+    """Write a module; returns the version of the operators."""
     program = torch.onnx.export(
         module.eval(),
         tuple(inputs.values()),
@@ -144,4 +149,6 @@ def _write_graph(path: Path, module: nn.Module, inputs: Mapping[str, Tensor], ou
         external_data=False,
         verbose=False,
     )
+    assert program is not None
     program.save(path)
+    return int(program.model.opset_imports[""])

@@ -1,4 +1,4 @@
-"""The files of an export that every tracker shares: a manifest of the stream and the weights, settings, and a README."""
+"""The files of an export that trackers share: a manifest of the stream and the weights, settings, and a README."""
 
 from __future__ import annotations
 
