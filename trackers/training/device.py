@@ -55,7 +55,7 @@ def inference_device(setting: str) -> torch.device:
             " device=cpu or device=auto"
         )
     if kind == "cuda":
-        torch.backends.cudnn.conv.fp32_precision = "ieee"  # TF32, the default, has 10 bits
+        torch.backends.cudnn.allow_tf32 = False  # TF32, the default of convolutions, has 10 bits
     return torch.device(kind)
 
 
