@@ -24,24 +24,24 @@ from gridtrack.trackers.recurrent.network import State, map_state, tensors_of
 from gridtrack.trackers.recurrent.recurrent_tracker import MOST_MISSED, RecurrentTracker
 from gridtrack.trackers.training.exported import write_manifest, write_readme
 
-STEP, DECODER, UNSEEN = "step.onnx", "decoder.onnx", "unseen.npy"
-CONTENT = f"""- `{STEP}`: the state after a frame. `{DECODER}`: the forecast from a state.
-- `{UNSEEN}` (F, C): the state of a cell that no frame has seen, after 0 to F - 1 frames; for a window that moves.
+STEP_FILE, DECODER_FILE, UNSEEN_FILE = "step.onnx", "decoder.onnx", "unseen.npy"
+FOLDER_CONTENT = f"""- `{STEP_FILE}`: the state after a frame. `{DECODER_FILE}`: the forecast from a state.
+- `{UNSEEN_FILE}` (F, C): the state of a cell that no frame has seen, after 0 to F - 1 frames; for a window that moves.
 - `manifest.json`: inputs, outputs, grid, period, thresholds, versions, hashes.
 
 `examples/onnx_runner/run.py` of gridtrack runs them with NumPy and ONNX Runtime."""
-INPUTS = {
+STEP_INPUTS = {
     "state": "(C, M, M) float32; zeros at the start",
     "visible": "(M, M) float32: 1 where a beam crossed or ended; zeros in a step without a frame",
     "occupied": "(M, M) float32: 1 in visible cells where a beam ended",
 }
-OUTPUTS = {
+DECODER_OUTPUTS = {
     "occupancy": "(M, M) float32: P(occupied)",
     "classes": "(K, M, M) float32: P(class), sums to 1",
 }
 LONG = 1 << 40
 """A number of frames after which every state has converged."""
-FORECAST = "step 0: decode the state; each later step: a step with planes of zeros, then decode"
+HOW_TO_FORECAST = "step 0: decode the state; each later step: a step with planes of zeros, then decode"
 
 
 class _OneArray(nn.Module):
@@ -98,13 +98,15 @@ def export_network(tracker: RecurrentTracker, folder: Path) -> str:
     step, decoder = _Step(network), _Decoder(network)
     # each input is a tensor of its own: the exporter takes one that is given twice for one input
     state, visible, occupied = (torch.zeros(*channels, size, size) for channels in ((step.channels,), (), ()))
-    outputs = {name: meaning for name, meaning in OUTPUTS.items() if name == "occupancy" or tracker.classes}
-    opset = _write_graph(folder / STEP, step, {"state": state, "visible": visible, "occupied": occupied}, ["new_state"])
-    _write_graph(folder / DECODER, decoder, {"state": state}, list(outputs))
+    outputs = {name: meaning for name, meaning in DECODER_OUTPUTS.items() if name == "occupancy" or tracker.classes}
+    opset = _write_graph(
+        folder / STEP_FILE, step, {"state": state, "visible": visible, "occupied": occupied}, ["new_state"]
+    )
+    _write_graph(folder / DECODER_FILE, decoder, {"state": state}, list(outputs))
     place = tracker.place_of_map
     if place is None:
-        np.save(folder / UNSEEN, unseen_states(network), allow_pickle=False)
-        of_place: dict[str, Any] = {"unseen": UNSEEN}
+        np.save(folder / UNSEEN_FILE, unseen_states(network), allow_pickle=False)
+        of_place: dict[str, Any] = {"unseen": UNSEEN_FILE}
     else:
         x, y = stream.grid.origin
         of_place = {"corner_of_map_m": [place.x + x, place.y + y]}
@@ -112,16 +114,16 @@ def export_network(tracker: RecurrentTracker, folder: Path) -> str:
     entries = {
         "made_with": versions | {"opset": opset},
         "state_channels": step.channels,
-        "step": {"file": STEP, "inputs": INPUTS, "outputs": {"new_state": "(C, M, M) float32"}},
-        "decoder": {"file": DECODER, "inputs": {"state": "(C, M, M) float32"}, "outputs": outputs},
-        "forecast": FORECAST,
+        "step": {"file": STEP_FILE, "inputs": STEP_INPUTS, "outputs": {"new_state": "(C, M, M) float32"}},
+        "decoder": {"file": DECODER_FILE, "inputs": {"state": "(C, M, M) float32"}, "outputs": outputs},
+        "forecast": HOW_TO_FORECAST,
         "most_missed": MOST_MISSED,
         **of_place,
         **tracker.manifest_entries(),
     }
     write_manifest(folder, stream, entries)
-    write_readme(folder, stream, CONTENT)
-    return f"{STEP}, {DECODER} for {stream.grid} at {1 / stream.period_s:g} Hz; the state has {step.channels} channels"
+    write_readme(folder, stream, FOLDER_CONTENT)
+    return f"{STEP_FILE}, {DECODER_FILE} for {stream.grid} at {1 / stream.period_s:g} Hz; the state has {step.channels} channels"
 
 
 def unseen_states(network: StreamNetwork) -> NDArray[np.float32]:

@@ -15,7 +15,7 @@ from gridtrack.trackers.training.card import Card
 from gridtrack.trackers.training.weights import read_card
 
 EXPORT_VERSION = 1
-MANIFEST, SETTINGS, README = "manifest.json", "settings.json", "README.md"
+MANIFEST_FILE, SETTINGS_FILE, EXPORT_README = "manifest.json", "settings.json", "README.md"
 SETTINGS_ONLY = "settings only: the tracker itself is Python code of gridtrack"
 MOST_RECORDINGS = 5
 """Number of recordings that the README names."""
@@ -39,7 +39,7 @@ def write_manifest(folder: Path, stream: StreamSpec, entries: Mapping[str, Any])
         "arrays_sha256": card.arrays_sha256,
         "made_with": {"gridtrack": version("gridtrack")},
     }
-    write_text(folder / MANIFEST, json.dumps(manifest | dict(entries), indent=1) + "\n")
+    write_text(folder / MANIFEST_FILE, json.dumps(manifest | dict(entries), indent=1) + "\n")
 
 
 def write_readme(folder: Path, stream: StreamSpec, content: str) -> None:
@@ -60,7 +60,7 @@ gridtrack and the weights that ship with it are under the BSD 3-Clause License, 
 recording `leg_tracker` is under the same licence, copyright Angus Leigh. Keep these names with the files. Other
 weights: under the terms of their author and of their recordings.
 """
-    write_text(folder / README, text)
+    write_text(folder / EXPORT_README, text)
 
 
 def card_of(stream: StreamSpec) -> tuple[Card, str]:
@@ -72,7 +72,9 @@ def card_of(stream: StreamSpec) -> tuple[Card, str]:
 
 def export_settings(folder: Path, stream: StreamSpec, settings: Settings) -> str:
     """Write the tuned `settings` of a tracker without a network; returns SETTINGS_ONLY."""
-    write_text(folder / SETTINGS, settings.model_dump_json(indent=1) + "\n")
-    write_manifest(folder, stream, {"settings": SETTINGS})
-    write_readme(folder, stream, f"`{SETTINGS}`: the tuned settings. The tracker itself is Python code of gridtrack.")
+    write_text(folder / SETTINGS_FILE, settings.model_dump_json(indent=1) + "\n")
+    write_manifest(folder, stream, {"settings": SETTINGS_FILE})
+    write_readme(
+        folder, stream, f"`{SETTINGS_FILE}`: the tuned settings. The tracker itself is Python code of gridtrack."
+    )
     return SETTINGS_ONLY
