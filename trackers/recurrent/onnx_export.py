@@ -123,7 +123,8 @@ def export_network(tracker: RecurrentTracker, folder: Path) -> str:
     }
     write_manifest(folder, stream, entries)
     write_readme(folder, stream, FOLDER_CONTENT)
-    return f"{STEP_FILE}, {DECODER_FILE} for {stream.grid} at {1 / stream.period_s:g} Hz; the state has {step.channels} channels"
+    pace = f"{stream.grid} at {1 / stream.period_s:g} Hz"
+    return f"{STEP_FILE}, {DECODER_FILE} for {pace}; the state has {step.channels} channels"
 
 
 def unseen_states(network: StreamNetwork) -> NDArray[np.float32]:
