@@ -1,9 +1,9 @@
 """Speed of the recurrent networks on one thread: our variants beside PyTorch, `torch.compile` and ONNX Runtime.
 
 `python -m benchmarks.inference [--peers] [--out FILE]` (two minutes; with `torch.compile` and ONNX Runtime five). ONNX
-Runtime needs `pip install onnxruntime onnx onnxscript`. All have the same weights; that their forecasts agree is
-asserted. They alternate, and the thread's processor time is measured: other work on the machine affects the caches
-only. A variant that is not 1.15 times as fast as the fastest of the others is to go. Aim: 5 ms in float32.
+Runtime is in the extra `export`. All have the same weights; that their forecasts agree is asserted. They alternate, and
+the thread's processor time is measured: other work on the machine affects the caches only. A variant that is not 1.15
+times as fast as the fastest of the others is to go. Aim: 5 ms in float32.
 """
 
 from __future__ import annotations

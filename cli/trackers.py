@@ -1,9 +1,10 @@
-"""`trackers list | show | check | new`: the registered trackers and their learned weights."""
+"""`trackers list | show | check | new | export`: the registered trackers and their learned weights."""
 
 from __future__ import annotations
 
 import json
 import keyword
+import math
 import re
 import shlex
 import sys
@@ -14,24 +15,34 @@ from dataclasses import replace
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import typer
 
 from gridtrack.cli.completion import complete_selection, complete_tracker
-from gridtrack.cli.options import JsonOption, SandboxOption, TrackersTomlOption, WeightsOption
+from gridtrack.cli.options import (
+    GridOption,
+    JsonOption,
+    RateOption,
+    SandboxOption,
+    TrackersTomlOption,
+    WeightsOption,
+    weights_folder,
+)
 from gridtrack.cli.train import tracker_alone
 from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError, printable
 from gridtrack.common.files import write_text
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting.limits import Limits
-from gridtrack.evaluation.hosting.tracker_process import TrackerDescription, describe
+from gridtrack.evaluation.hosting.outcome import TrialEnded
+from gridtrack.evaluation.hosting.tracker_process import TrackerDescription, TrackerProcess, describe
 from gridtrack.evaluation.runs.learned import find_weights, sites_with_weights
 from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import StreamSpec, stream_of
-from gridtrack.trackers.selection import Launch, launch, read_trackers_toml
-from gridtrack.trackers.training.card import GENERAL
+from gridtrack.trackers.selection import Launch, Selection, launch, read_trackers_toml
+from gridtrack.trackers.training.card import GENERAL, Card
 from gridtrack.trackers.training.weights import read_card
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
@@ -159,6 +170,75 @@ def check_command(
         raise typer.Exit(1)
 
 
+@app.command("export")
+def export_command(
+    tracker: Annotated[str, typer.Argument(metavar="NAME[:KEY=VALUE,...]", autocompletion=complete_selection)],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="The new folder")],
+    weights: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER|CARD",
+            help="Folder of learned weights, or its URL, or one card (.toml); default: your own or the shipped general"
+            " weights",
+            parser=weights_folder,
+        ),
+    ] = None,
+    grid: GridOption = None,
+    rate: RateOption = None,
+    trackers_toml: TrackersTomlOption = None,
+) -> None:
+    """Write a network as ONNX graphs with a manifest, for programs without gridtrack; of other trackers the settings.
+
+    Grid and rate of general weights: --grid and --rate, by default 100x0.2 at 8 Hz.
+    """
+    chosen = tracker_alone(tracker)
+    stream = _stream_to_export(chosen, weights)
+    if grid:
+        stream = replace(stream, grid=GridSpec.parse(grid))
+    if rate is not None:
+        stream = replace(stream, period_s=_period_s(rate))
+    launched = launch(chosen.name, read_trackers_toml(trackers_toml) if trackers_toml else None)
+    typer.echo(printable(export_tracker(launched, stream, chosen.options, out)))
+    typer.echo(printable(f"export: {out}"))
+
+
+def _period_s(rate_hz: float) -> float:
+    if not 0.0 < rate_hz < math.inf:
+        raise ConfigurationError(f"--rate {rate_hz:g}: it should be greater than 0")
+    return 1.0 / rate_hz
+
+
+def _stream_to_export(chosen: Selection, weights: Path | None) -> StreamSpec:
+    """The stream of a card, or of the weights that `weights`, the user or gridtrack has. Raises WeightsError."""
+    if weights is not None and weights.suffix == ".toml":
+        card = read_card(weights)
+        return replace(DEFAULT_STREAM if card.general else _stream_of_card(card), weights=weights.absolute())
+    stream = _stream_of_weights(chosen.name, weights)
+    found = find_weights(chosen.name, stream.site, weights, chosen.card)
+    return replace(stream, weights=found.path.absolute() if found else None)
+
+
+def export_tracker(launched: Launch, stream: StreamSpec, options: Mapping[str, Any], out: Path) -> str:
+    """Let a tracker write its export into the new folder `out`; returns its line about the files.
+
+    Raises ConfigurationError, PluginError.
+    """
+    if out.exists() or out.is_symlink():
+        raise ConfigurationError(f"{out}: exists; choose another folder with --out")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as scratch:
+        written = Path(scratch, "export")
+        written.mkdir()
+        try:
+            with TrackerProcess(launched, stream, options, Limits(), Path(scratch, "stderr.log")) as process:
+                about = process.export(written)
+        except TrialEnded as ended:
+            error = PluginError if ended.outcome in {"crashed", "unavailable"} else ConfigurationError
+            raise error(f"tracker '{launched.name}': {ended.reason}") from None
+        written.rename(out)
+    return about
+
+
 def _stream_of_weights(tracker: str, weights: Path | None) -> StreamSpec:
     """The stream of the only site that `weights` has a card of `tracker` for; DEFAULT_STREAM with a general card, or
     without `weights`.
@@ -174,7 +254,11 @@ def _stream_of_weights(tracker: str, weights: Path | None) -> StreamSpec:
         sites = f" for several sites, {', '.join(cards)}: name a recording of one with --recording" if cards else ""
         raise ConfigurationError(f"{weights}: {'has weights' if cards else 'has no weights'} of {tracker}{sites}")
     (path,) = cards.values()
-    card = read_card(path)
+    return _stream_of_card(read_card(path))
+
+
+def _stream_of_card(card: Card) -> StreamSpec:
+    """The stream that the card of a site is for."""
     assert card.period_s is not None  # of the card of a site
     return StreamSpec(GridSpec.parse(card.grid), card.period_s, site=card.site)
 

@@ -23,17 +23,19 @@ DEGRADATION_TEXTS = {
 
 
 def times_of(trial: TrialSummary, period_ms: float) -> dict[str, Any] | None:
-    """Milliseconds (p50, p95, p99) of an update and of a forecast, and whether they keep up; None if not measured."""
+    """Milliseconds (p50, p95, p99) of an update and of a forecast, on which device, and whether they keep up; None if
+    not measured."""
     measured = _measured(trial)
     if measured is None:
         return None
-    update, predict = measured
+    update, predict, device = measured
     return {
         "update": _quantiles(update),
         "predict": _quantiles(predict),
         "twentieths": {"update": update.twentieths, "predict": predict.twentieths},
         "peak_mib": trial.peak_rss_mb,
         "keeps_up": keeps_up(update, predict, period_ms),
+        "device": device,
         "highest_hz": float(f"{trial.deadline.highest_rate_hz:.3g}") if trial.deadline else None,
     }
 
@@ -41,7 +43,7 @@ def times_of(trial: TrialSummary, period_ms: float) -> dict[str, Any] | None:
 def keeps_up_of(trial: TrialSummary, period_ms: float) -> str:
     """`keeps_up` of a trial; empty if it was not timed."""
     measured = _measured(trial)
-    return "" if measured is None else keeps_up(*measured, period_ms)
+    return "" if measured is None else keeps_up(measured[0], measured[1], period_ms)
 
 
 def keeps_up(update: Quantiles, predict: Quantiles, period_ms: float) -> str:
@@ -51,10 +53,12 @@ def keeps_up(update: Quantiles, predict: Quantiles, period_ms: float) -> str:
     return "updates only" if update.p99 <= period_ms else "no"
 
 
-def _measured(trial: TrialSummary) -> tuple[CallTimes, CallTimes] | None:
-    if trial.latency_ms:
-        return trial.latency_ms.update, trial.latency_ms.predict
-    return (trial.deadline.update_ms, trial.deadline.predict_ms) if trial.deadline else None
+def _measured(trial: TrialSummary) -> tuple[CallTimes, CallTimes, str] | None:
+    """Times of updates and of forecasts, and the device that they were measured on; None if not measured."""
+    if latency := trial.latency_ms:
+        return latency.update, latency.predict, latency.device
+    deadline = trial.deadline
+    return (deadline.update_ms, deadline.predict_ms, deadline.device) if deadline else None
 
 
 def _quantiles(times: Quantiles) -> list[float]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.config import Settings
+from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.trackers.training.progress import Progress
 
@@ -219,6 +220,14 @@ class Tracker(ABC):
         return False
 
     @property
+    def device(self) -> str:
+        """The name of the device on which it computes, such as "NVIDIA H100"; "" for the processor.
+
+        It is shown with the times of the row.
+        """
+        return ""
+
+    @property
     def recoveries(self) -> int:
         """Number of failures since `reset` from which the tracker recovered; reported with the outcome."""
         return 0
@@ -234,6 +243,15 @@ class Tracker(ABC):
     @abstractmethod
     def predict(self, steps: int) -> Forecast:
         """Forecast steps 0..`steps` from x_1..x_t, without changing the state."""
+
+    def export(self, folder: Path) -> str:
+        """Write files into the empty `folder` with which another program can run it; returns a line about them.
+
+        Optional. Raises ConfigurationError.
+        """
+        kinds = "networks with a latent state, and trackers with tuned settings, have one"
+        kinds = "networks with a latent state, and trackers with tuned settings, have one"
+        raise ConfigurationError(f"{type(self).__name__} has no export: {kinds}")
 
     @classmethod
     def fit(cls, task: FitTask) -> None:

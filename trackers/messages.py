@@ -76,6 +76,14 @@ def code_sha256_from(message: Message) -> str:
     return found
 
 
+def device_from(message: Message) -> str:
+    """The name of the tracker's device in `started`; "" if it gives none. Raises WireError."""
+    found: Any = message.fields.get("device", "")
+    if not isinstance(found, str) or (found and not is_label(found)):
+        raise WireError(f"'{message.kind}': device is {found!r:.80}: {LABEL_RULE}")
+    return found
+
+
 def reference_for_from(message: Message) -> frozenset[ComparedPart]:
     """The comparisons that `started` and `described` list in `reference_for`; none by default. Raises WireError."""
     found: Any = message.fields.get("reference_for", [])

@@ -15,13 +15,14 @@ from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.training.card import card_for
 from gridtrack.trackers.training.cell_classifier import CellClassifier, planes_of, scan_classifier
 from gridtrack.trackers.training.cell_training import best_classifier, scan_cells
+from gridtrack.trackers.training.device import DeviceSettings, device_name, inference_device
 from gridtrack.trackers.training.labelled_scans import VALIDATE_ON, ClassifierSettings, LabelSettings, draw_labelled
 from gridtrack.trackers.training.networks import restore_network, trained_settings
 from gridtrack.trackers.training.weights import load_weights, save_interrupted, save_weights
 
 
-class OneShotSettings(LabelSettings, ClassifierSettings):
-    """The width of the classifier, its training, and its labelled scans."""
+class OneShotSettings(LabelSettings, ClassifierSettings, DeviceSettings):
+    """The width of the classifier, its training and its labelled scans, and the device of inference."""
 
 
 class OneShotTracker(Tracker):
@@ -37,16 +38,24 @@ class OneShotTracker(Tracker):
     reference_for: ClassVar[frozenset[ComparedPart]] = frozenset({"classes"})
 
     def __init__(self, stream: StreamSpec, options: OneShotSettings) -> None:
-        """Raises WeightsError without weights for the stream's site, grid and period."""
+        """Raises WeightsError without weights for the stream's site, grid and period, ConfigurationError without the
+        device."""
         super().__init__(stream, options)
+        self._device = inference_device(options.device)
         weights = load_weights(stream, registered_name(type(self)))
         self.classes = weights.card.classes
-        settings = trained_settings(stream, weights, options)
+        settings = trained_settings(stream, weights, options, running=DeviceSettings)
         general = weights.card.general
         self._cell_m = stream.grid.cell_m if general else None
         self._network = scan_classifier(settings.channels, len(self.classes), general=general).eval()
         restore_network(self._network, stream, weights)
+        self._network.to(self._device)
         self.reset(seed=0)
+
+    @property
+    def device(self) -> str:
+        """The name of the device of the classifier."""
+        return device_name(self._device)
 
     def reset(self, seed: int) -> None:
         """Set the planes to zero; nothing is random, so the seed is not used."""
@@ -59,7 +68,8 @@ class OneShotTracker(Tracker):
     def predict(self, steps: int) -> Forecast:
         """The occupied plane and the class probabilities of x_t, the same for every step."""
         with torch.inference_mode():
-            semantics = torch.softmax(self._network(self._planes[None]), dim=1).numpy()
+            logits = self._network(self._planes[None].to(self._device))
+            semantics = torch.softmax(logits, dim=1).cpu().numpy()
         occupancy = self._planes[1:2].numpy()
         return Forecast(np.repeat(occupancy, steps + 1, axis=0), np.repeat(semantics, steps + 1, axis=0))
 
@@ -97,7 +107,9 @@ def fit_classifier(name: str, task: FitTask) -> None:
         "temperature": best.temperature,
         "validation_log_loss": round(best.log_loss, 5),
     }
-    settings = options.model_dump(mode="json") | best.settings.model_dump(mode="json")
+    settings = options.model_dump(mode="json", exclude=set(DeviceSettings.model_fields)) | best.settings.model_dump(
+        mode="json"
+    )
     settings["labelled_scans"] = labelled.count
     card = card_for(name, task, settings, results)
     arrays = {name: value.numpy() for name, value in best.classifier.state_dict().items()}

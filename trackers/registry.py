@@ -156,7 +156,13 @@ def _has_fit(found: type[Tracker]) -> bool:
 
 
 def _signature_breach(found: type[Tracker]) -> str:
-    calls = {"__init__": ("stream", "options"), "reset": ("seed",), "update": ("frame",), "predict": ("steps",)}
+    calls = {
+        "__init__": ("stream", "options"),
+        "reset": ("seed",),
+        "update": ("frame",),
+        "predict": ("steps",),
+        "export": ("folder",),
+    }
     for method, arguments in calls.items():
         signature = inspect.signature(getattr(found, method))
         try:

@@ -9,6 +9,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from gridtrack.common.config import Settings, validated
@@ -64,6 +65,7 @@ class Server:
             "reset": self._reset,
             "update": self._update,
             "predict": self._predict,
+            "export": self._export,
         }
 
     def answer(self, request: Message) -> list[memoryview]:
@@ -88,7 +90,8 @@ class Server:
         self.stream = messages.stream_from(request)
         self.max_body = messages.update_limit(self.stream.grid)
         self.tracker = kind(self.stream, options)
-        fields = _description(kind, self.tracker.classes, options) | {"code_sha256": registry.code_sha256(kind)}
+        started = {"code_sha256": registry.code_sha256(kind), "device": self.tracker.device}
+        fields = _description(kind, self.tracker.classes, options) | started
         return Message("started", request.number, fields)
 
     def _options(self, tracker: type[Tracker], values: Mapping[str, Any]) -> Settings:
@@ -113,13 +116,17 @@ class Server:
         fields, arrays = messages.forecast_fields(forecast)
         return Message("forecast", request.number, fields | spent, arrays)
 
+    def _export(self, request: Message) -> Message:
+        found = self._running().export(Path(request.value("folder", str)))
+        return Message("exported", request.number, {"about": one_line(found, MAX_LINE)})
+
     def _running(self) -> Tracker:
         if self.tracker is None:
             raise WireError("no stream has been started")
         return self.tracker
 
     def _failure(self, request: Message, error: Exception) -> Message:
-        if isinstance(error, ImportError) and request.kind == "start":
+        if isinstance(error, ImportError) and request.kind in {"start", "export"}:
             error = PluginError(f"tracker '{self.name}': {error}{registry.install_hint(self.name, error)}")
         fields = {"outcome": self._outcome(request, error), "reason": error_line(error)}
         return Message("error", request.number, fields)
@@ -132,7 +139,7 @@ class Server:
             return "unavailable"
         if isinstance(error, WireError):
             return "invalid-output"
-        if request.kind in {"describe", "start"}:
+        if request.kind in {"describe", "start", "export"}:
             if isinstance(error, WeightsError):
                 return "untrained" if self.stream is None or self.stream.weights is None else "not-applicable"
             if isinstance(error, ConfigurationError):

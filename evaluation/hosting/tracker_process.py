@@ -58,6 +58,8 @@ class TrackerDescription:
     """The comparisons in which the other rows are compared with this tracker by default."""
     code_sha256: str = ""
     """Hash of the code that runs; empty if it is not known, as without a stream."""
+    device: str = ""
+    """The name of the device on which it computes; empty for the processor."""
 
 
 class HeldForecasts:
@@ -196,6 +198,13 @@ class TrackerProcess:
             self._held.add(forecast)
             return forecast
 
+    def export(self, folder: Path) -> str:
+        """Let the tracker write its export into the empty `folder`; returns its line about the files."""
+        request = Request("export", "exported", {"folder": str(folder.absolute())})
+        with self._ending_on_error():
+            answer = self._wire.ask(request, self.limits.start_s)
+            return answer.value("about", str)
+
     def _refuse_other_parts(self, forecast: Forecast) -> None:
         """Raises WireError if some forecasts have sampled futures and others have none."""
         has_futures = forecast.futures is not None
@@ -331,4 +340,5 @@ def description_from(answer: Message) -> TrackerDescription:
         messages.role_from(answer),
         messages.reference_for_from(answer),
         messages.code_sha256_from(answer),
+        messages.device_from(answer),
     )

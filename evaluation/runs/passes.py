@@ -8,6 +8,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from gridtrack.common.notices import Line
 from gridtrack.evaluation.hosting.timing import TWENTIETHS, Timings
 from gridtrack.evaluation.referee.deadline import Clock
 from gridtrack.evaluation.runs.result_files import Curves, ResultModel
@@ -67,6 +68,8 @@ class Latency(ResultModel):
     clock: Clock = "tracker"
     """By the tracker's own clock; by the round trip (`host`) where that is far longer than the tracker reports."""
 
+    device: Line = ""
+    """The device on which the tracker computes: its word, not checked; empty for the processor."""
     round_trips: RoundTrips = RoundTrips()
     update: CallTimes
     predict: CallTimes
@@ -99,6 +102,8 @@ class Deadline(ResultModel):
     highest_rate_hz: float = Field(gt=0.0)
     """The rate at which 99 of 100 frames are processed before the next one arrives."""
     clock: Clock = "tracker"
+    """As of the latency."""
+    device: Line = ""
     """As of the latency."""
     round_trips: RoundTrips = RoundTrips()
     """Of the timed calls."""

@@ -38,6 +38,7 @@ def measure_latency(trial: Trial, folder: Path) -> Latency:
     predict = _call_times(calls.forecasts_ms)
     return Latency(
         clock=calls.timings.clock,
+        device=process.description.device,
         round_trips=RoundTrips.of(calls.timings),
         update=_call_times(calls.updates_ms),
         predict=predict,
@@ -66,6 +67,7 @@ def measure_deadline(trial: Trial, regions: SplitRegions, record: TrialRecord, f
         highest_rate_hz=costs.highest_rate_hz,
         forecast_steps=reach,
         clock=costs.clock,
+        device=process.description.device,
         round_trips=RoundTrips.of(calls.timings),
         rates=_at_every_rate(log, trial, regions, record.thresholds, costs, reach),
     )

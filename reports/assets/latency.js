@@ -10,6 +10,7 @@ const ROW = 30, TICK_ROOM = 44, LEAST_MS = 0.01, SLICE_AREA = 48, MOST_SPREAD = 
 const CALLS = [["update", "update"], ["predict", "forecast of all steps"]];
 const rowsTimed = (recording) => recording.rows.filter((row) => row.latency);
 const timed = ({ recording }) => rowsTimed(recordingNamed(recording)).filter((row) => isShown(row.label));
+const timedName = ({ name, latency }) => (latency.device ? `${name} · ${latency.device}` : name);
 const inMs = (ms) => `${ms < LEAST_MS ? `<${LEAST_MS}` : Number(ms.toPrecision(2))}`;
 
 function drawLatency({ recording, call }, width) {
@@ -18,8 +19,8 @@ function drawLatency({ recording, call }, width) {
   const times = [period, ...rows.flatMap((row) => [...row.latency[call], ...row.latency.twentieths[call]])].map(log);
   const [low, high] = [Math.floor(Math.min(...times)), Math.ceil(Math.max(...times) + 0.01)];
   const { svg, x, places } = rowPlot({
-    names: rows.map((row) => row.name), least: ROW, range: [low, high], axis: `${CALLS.find(([name]) => name === call)[1]}, ms`, room: 110, width,
-    words: rows.map((row) => `${row.name} ${inMs(row.latency[call][0])} ms`).join(", "), ticks: (at) => decadeTicks(at, low, high),
+    names: rows.map(timedName), least: ROW, range: [low, high], axis: `${CALLS.find(([name]) => name === call)[1]}, ms`, room: 110, width,
+    words: rows.map((row) => `${timedName(row)} ${inMs(row.latency[call][0])} ms`).join(", "), ticks: (at) => decadeTicks(at, low, high),
   });
   svg.append(draw("line", { class: "period", x1: x(log(period)), x2: x(log(period)), y1: 0, y2: heightOf(places) + 4 }));
   rows.forEach((row, i) => svg.append(drawnRow(row, row.latency[call].map(log).map(x), places[i], width, row.latency[call],
@@ -36,7 +37,7 @@ function decadeTicks(x, low, high) {
 
 function drawnRow(row, [p50, p95, p99], place, width, [median, , most], ends) {
   const { y } = place;
-  return draw("g", { class: `line ${row.style}` }, draw("title", {}, row.name), rowName(place), ...slices(ends, y),
+  return draw("g", { class: `line ${row.style}` }, draw("title", {}, timedName(row)), rowName(place), ...slices(ends, y),
     draw("line", { class: "whisker", x1: p50, x2: p99, y1: y, y2: y }),
     draw("line", { class: "whisker", x1: p95, x2: p95, y1: y - 4, y2: y + 4 }),
     draw("line", { class: "whisker", x1: p99, x2: p99, y1: y - 7, y2: y + 7 }),
@@ -54,8 +55,8 @@ function slices(ends, y) {
 
 function latencyNumbers({ recording, call }) {
   const others = Array.from({ length: 21 }, (_, i) => i).filter((i) => ![50, 95].includes(5 * i));
-  return [["tracker", "p50, ms", "p95, ms", "p99, ms", "peak memory, MiB", "keeps up", ...others.map((i) => `p${5 * i}, ms`)],
-    ...timed({ recording }).map(({ name, latency }) => [name, ...latency[call], latency.peak_mib, latency.keeps_up,
+  return [["tracker", "p50, ms", "p95, ms", "p99, ms", "device", "peak memory, MiB", "keeps up", ...others.map((i) => `p${5 * i}, ms`)],
+    ...timed({ recording }).map(({ name, latency }) => [name, ...latency[call], latency.device || "processor", latency.peak_mib, latency.keeps_up,
       ...others.map((i) => latency.twentieths[call][i])])];
 }
 

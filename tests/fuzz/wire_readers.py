@@ -66,6 +66,7 @@ def started_message(folder: Path) -> None:
         "learns": False,
         "role": "tracker",
         "code_sha256": "a" * 64,
+        "device": "NVIDIA H100",
     }
     write_message(folder, Message("started", 1, lists | reported | {"options": {"a": 1.5}, "options_schema": {}}))
 

@@ -113,7 +113,10 @@ def test_the_file_of_times_has_memory_and_keeps_up_and_each_percentile_once(page
     assert len(set(heading)) == len(heading)
     (fair,) = [dict(zip(heading, row, strict=True)) for row in rows if row[0] == "fair"]
     assert fair["p50, ms"] == p50
-    assert (fair["peak memory, MiB"], fair["keeps up"]) == ("123", "yes")
+    assert (fair["peak memory, MiB"], fair["keeps up"], fair["device"]) == ("123", "yes", "processor")
+    (good,) = [dict(zip(heading, row, strict=True)) for row in rows if row[0] == "good"]
+    assert good["device"] == "NVIDIA H100"
+    assert "good · NVIDIA H100" in page.locator("#latency svg.figure-drawing").text_content()
     assert (fair["recording"], fair["call"]) == ("crossing", call)
     assert sum(bool(fair[f"p{p}, ms"]) for p in range(0, 101, 5) if p not in (50, 95)) == spread
 

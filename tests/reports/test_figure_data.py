@@ -155,6 +155,7 @@ def test_times_are_from_the_latency_pass_and_say_whether_it_keeps_up(good_of):
     row, data = good_of()
     assert row["latency"]["update"] == [2.0, 3.0, 4.0]
     assert (row["latency"]["predict"], row["latency"]["keeps_up"]) == ([20.0, 30.0, 40.0], "yes")
+    assert row["latency"]["device"] == "NVIDIA H100"
     assert row["latency"]["twentieths"]["update"][::10] == [1.0, 2.0, 4.5]
     assert row["latency"]["twentieths"]["predict"] == []
     assert data["recordings"][0]["period_ms"] == 125.0

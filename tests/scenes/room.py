@@ -47,6 +47,7 @@ class Staged(Tracker):
     """
 
     Options = Options
+    device = "NVIDIA H100"
 
     def __init__(self, stream, options):
         super().__init__(stream, options)

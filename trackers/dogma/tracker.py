@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import ClassVar
 
 import numba
@@ -21,6 +22,7 @@ from gridtrack.trackers.dogma.settings import DogmaSettings
 from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.site_map import NO_MAP, SiteMap, count_anywhere, count_frames, mean_of_cells, posterior_rate
 from gridtrack.trackers.training.calibration import CalibratedTracker, Calibration
+from gridtrack.trackers.training.exported import export_settings
 from gridtrack.trackers.training.searched_fit import SettingsSearch, fit_searched
 from gridtrack.trackers.training.weights import array, cell_probabilities, load_weights, tuned_settings
 
@@ -91,6 +93,10 @@ class DogmaTracker(CalibratedTracker):
             occupancy, velocity = forecast(self._state, self._rate_in_window, steps), flow_now(self._state)
         self._calibration.apply(occupancy, self.hidden_s)
         return Forecast(occupancy, velocity=velocity)
+
+    def export(self, folder: Path) -> str:
+        """Write the tuned settings."""
+        return export_settings(folder, self.stream, self._settings)
 
     @classmethod
     def starts_from_general(cls, options: DogmaSettings) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -24,6 +25,7 @@ from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSe
 from gridtrack.trackers.model_free.tracks import Track, Window
 from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.training.calibration import CalibratedTracker, Calibration
+from gridtrack.trackers.training.exported import export_settings
 from gridtrack.trackers.training.weights import array, cell_probabilities, load_weights, tuned_settings
 
 
@@ -131,6 +133,10 @@ class ModelFreeTracker(CalibratedTracker):
     def recoveries(self) -> int:
         """Number of re-initialisations of estimators since `reset`, after numerical failures and divergences."""
         return self._pipeline.restarts
+
+    def export(self, folder: Path) -> str:
+        """Write the tuned settings."""
+        return export_settings(folder, self.stream, self._settings)
 
     @classmethod
     def starts_from_general(cls, options: ModelFreeSettings) -> bool:

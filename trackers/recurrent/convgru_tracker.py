@@ -47,6 +47,14 @@ class DilatedConvGRUTracker(RecurrentTracker):
                 self._seen.apply_to(forecast.semantics[0], self._frame, self.options.evidence)
         return forecast
 
+    def manifest_entries(self) -> dict[str, Any]:
+        """The power of the class probabilities of cells that are occupied now."""
+        if self.options.evidence == "scan":
+            raise ConfigurationError("evidence=scan has a classifier of scans, which is not exported: leave it out")
+        if self._seen is None:
+            return {}
+        return {"class_power_in_occupied_cells": round(float(self._seen.state_alone[0]), 6)}
+
     def _restored(self, weights: Weights) -> StreamNetwork:
         of_network = {name: value for name, value in weights.arrays.items() if not name.startswith(PREFIX)}
         network = super()._restored(replace(weights, arrays=of_network))
@@ -86,14 +94,17 @@ class DilatedConvGRUTracker(RecurrentTracker):
 
     @classmethod
     def prepare_inference(cls, network: Any, options: Any) -> InferenceNetwork:
-        """A variant of `kernels`; a network without gates computes as it was trained.
+        """A variant of `kernels`; a network without gates, or on another device than a processor, computes as it was
+        trained.
 
-        Raises ConfigurationError for a network without gates in bfloat16.
+        Raises ConfigurationError for such a network in bfloat16.
         """
-        if network.layers[0].gates == GATES:
+        has_gates, device = network.layers[0].gates == GATES, network.output_bias.device.type
+        if has_gates and device == "cpu":
             return INFERENCE[options.inference](network)
         if options.inference != "float32":
-            raise ConfigurationError(f"inference={options.inference} needs cell=gru; this network has cell=plain")
+            found = f"the device is {device}" if has_gates else "this network has cell=plain"
+            raise ConfigurationError(f"inference={options.inference} needs cell=gru on device=cpu; {found}")
         return super().prepare_inference(network, options)
 
     @classmethod

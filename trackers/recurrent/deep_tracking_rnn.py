@@ -152,5 +152,5 @@ class DeepTrackingRNNTracker(RecurrentTracker):
 
     @classmethod
     def prepare_inference(cls, network: Any, options: Any) -> InferenceNetwork:
-        """The variant of `kernels`."""
-        return InferenceRNN(network)
+        """The variant of `kernels`, on a processor."""
+        return InferenceRNN(network) if network.output_bias.device.type == "cpu" else InferenceNetwork(network)

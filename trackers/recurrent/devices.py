@@ -23,7 +23,8 @@ from torch import nn
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.trackers.contract import FitTask
 from gridtrack.trackers.recurrent.settings import Precision, TrainingSettings
-from gridtrack.trackers.training.checkpoints import TRAINING_FILE, training_device
+from gridtrack.trackers.training.checkpoints import TRAINING_FILE
+from gridtrack.trackers.training.device import device_count, device_kind
 
 AT_THE_END_S = 10.0
 """Time limit for the last lines of a device process that was killed."""
@@ -32,7 +33,6 @@ TRIES, ROUNDS = 8, 5
 in one try."""
 BATCH, SIZE, INPUTS, OUTPUTS = 2, 100, 16, 48
 """The convolution of the states of a layer of the dilated ConvGRU, with a batch of two grids of 100 cells a side."""
-os.environ.setdefault("PYTORCH_NVML_BASED_CUDA_CHECK", "1")  # else the query would start CUDA: no forks
 
 
 class Devices(NamedTuple):
@@ -51,9 +51,8 @@ class Devices(NamedTuple):
             raise ConfigurationError(
                 f"devices={number} cannot share batch={batch} equally: choose a multiple of {number}"
             )
-        kind = training_device(kind).type
-        found = len(os.sched_getaffinity(0)) if kind == "cpu" else torch.accelerator.device_count()
-        if number > found:
+        kind = device_kind(kind)
+        if number > (found := device_count(kind)):
             raise ConfigurationError(f"devices={number}: this machine has {found} of kind {kind}")
         return cls(kind, number)
 

@@ -8,7 +8,7 @@ the window had contained it from the first frame on.
 from __future__ import annotations
 
 from abc import abstractmethod
-from copy import deepcopy
+from copy import copy, deepcopy
 from functools import cached_property
 from typing import Any, cast
 
@@ -18,6 +18,7 @@ from torch import Tensor
 from gridtrack.common.grid import Shift, rolled
 from gridtrack.trackers.recurrent.network import (
     DecodedLayers,
+    Float32Array,
     Recurrence,
     RecurrentNetwork,
     State,
@@ -38,6 +39,22 @@ class StreamNetwork(Recurrence):
 
     def __init__(self, network: Any) -> None:
         self.network = network
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the states and the planes."""
+        return cast(torch.device, self.network.device)
+
+    def as_trained(self) -> StreamNetwork:
+        """The same network, computed by PyTorch's operations alone."""
+        found = copy(self)
+        found.network = self.network.as_trained()
+        return found
+
+    @property
+    def innermost(self) -> RecurrentNetwork:
+        """The network with the parameters."""
+        return cast(RecurrentNetwork, self.network.innermost)
 
     def initial(self, batch: int) -> State:
         """h_0."""
@@ -79,12 +96,26 @@ class StreamNetwork(Recurrence):
 class InferenceNetwork(StreamNetwork):
     """A trained network for batches of one, without gradients, with a step for each frame.
 
-    It computes as it was trained; the subclasses in `kernels` are faster.
+    It computes as it was trained, on any device; the subclasses in `kernels` are faster, on a processor.
     """
 
     def __init__(self, network: RecurrentNetwork) -> None:
         super().__init__(network)
         self._unseen = states_without_input(network)
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the network."""
+        return self.innermost.output_bias.device
+
+    def as_trained(self) -> StreamNetwork:
+        """The network without kernels."""
+        return InferenceNetwork(self.network)
+
+    @property
+    def innermost(self) -> RecurrentNetwork:
+        """The network that was trained."""
+        return cast(RecurrentNetwork, self.network)
 
     def unseen(self, frames: int) -> State:
         """The state of a network with empty input all the time."""
@@ -92,9 +123,11 @@ class InferenceNetwork(StreamNetwork):
 
     def rolled(self, state: State, shift: Shift, frames: int) -> State:
         """Each cell keeps its state at its place in the world."""
-        return map_state(
-            lambda h, fill: as_tensor(rolled(as_cells(h), shift, fill, axes=(0, 1))), state, self.unseen(frames)
-        )
+
+        def roll(h: Tensor, fill: Float32Array) -> Tensor:
+            return as_tensor(rolled(as_cells(h.cpu()), shift, fill, axes=(0, 1))).to(h.device)
+
+        return map_state(roll, state, self.unseen(frames))
 
     def anchor(self, shift: Shift) -> None:
         """Each cell takes the values of its place; outside a map these are its mean."""
@@ -106,7 +139,7 @@ class InferenceNetwork(StreamNetwork):
     def _learned_maps(self) -> list[tuple[Tensor, Tensor]]:
         """Each map of the network, and a copy of its values as they were learned."""
         maps = (bias.detach() for bias in self.network.maps().values())
-        return [(bias, bias.clone()) for bias in maps if is_map(bias)]
+        return [(bias, bias.cpu().clone()) for bias in maps if is_map(bias)]
 
 
 def is_map(bias: Tensor) -> bool:
@@ -123,7 +156,7 @@ def states_without_input(network: RecurrentNetwork) -> list[State]:
     one_cell: Any = of_one_cell(network)
     state, states = one_cell.initial(1), []
     for _ in range(CONVERGED_AFTER):
-        states.append(map_state(lambda h: h.flatten().numpy(), state))
+        states.append(map_state(lambda h: h.flatten().cpu().numpy(), state))
         before, state = state, one_cell.step(None, state)
         changes = zip(tensors_of(state), tensors_of(before), strict=True)
         if max(float((h - old).abs().max()) for h, old in changes) < CONVERGED:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from torch import Tensor
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Shift, shift_between
 from gridtrack.trackers.contract import FitTask, Forecast, StreamSpec, Tracker
-from gridtrack.trackers.recurrent.inference import InferenceNetwork, StreamNetwork
+from gridtrack.trackers.recurrent.inference import InferenceNetwork, StreamNetwork, is_map
 from gridtrack.trackers.recurrent.network import (
     Recurrence,
     RecurrentNetwork,
@@ -24,6 +25,7 @@ from gridtrack.trackers.recurrent.network import (
 from gridtrack.trackers.recurrent.pacing import StepPace, paced
 from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.registry import registered_name
+from gridtrack.trackers.training.device import device_name, inference_device, wait_for
 from gridtrack.trackers.training.networks import restore_network, trained_settings
 from gridtrack.trackers.training.weights import Weights, load_weights
 
@@ -66,13 +68,18 @@ class RecurrentTracker(Tracker):
 
     @classmethod
     def prepare_inference(cls, network: Any, options: Any) -> InferenceNetwork:
-        """The trained `network` for inference, or a faster variant of it."""
+        """The trained `network` for inference on its device, or a faster variant of it."""
         return InferenceNetwork(network)
 
     @classmethod
     def without_map(cls, options: Any, why: str, task: FitTask) -> Any:
         """The options of a training without one window for all frames, and `why`: without static memory."""
         return options
+
+    @property
+    def device(self) -> str:
+        """The name of the device of the network."""
+        return device_name(self.network.device)
 
     def reset(self, seed: int) -> None:
         """Set the state to h_0; nothing is random, so the seed is not used."""
@@ -87,12 +94,14 @@ class RecurrentTracker(Tracker):
 
         A frame that a late tracker did not receive is a step without input, in which moving objects move on.
         """
-        x = input_planes(frame) if frame.visible.any() else None
+        device = self.network.device
+        x = input_planes(frame).to(device) if frame.visible.any() else None
         with torch.inference_mode():
             for _ in range(self._missed_before(frame.stamp_ns)):
                 self._step(None)
             self._follow(frame.world_T_grid)
             self._step(x)
+        wait_for(device)
 
     def _missed_before(self, stamp_ns: int) -> int:
         """The number of frames that were missed since the last one, MOST_MISSED at most; stores the stamp."""
@@ -128,9 +137,24 @@ class RecurrentTracker(Tracker):
                 decoded.append(self._decoded(state))
             occupancy, semantics = zip(*decoded, strict=True)
             return Forecast(
-                torch.cat(occupancy).numpy(),
-                torch.cat(semantics).contiguous().numpy() if self.classes else None,
+                torch.cat(occupancy).cpu().numpy(),
+                torch.cat(semantics).contiguous().cpu().numpy() if self.classes else None,
             )
+
+    def export(self, folder: Path) -> str:
+        """Write step and decoder as ONNX graphs. Raises ConfigurationError."""
+        from gridtrack.trackers.recurrent.onnx_export import export_network
+
+        return export_network(self, folder)
+
+    @property
+    def place_of_map(self) -> SE2 | None:
+        """`world_T_grid` of the maps; None for a network without maps, which may run anywhere."""
+        return self._place if any(is_map(bias) for bias in self.network.innermost.maps().values()) else None
+
+    def manifest_entries(self) -> dict[str, Any]:
+        """Entries of a manifest that the graphs do not contain. Raises ConfigurationError for an unsupported option."""
+        return {}
 
     def _decoded(self, state: State) -> tuple[Tensor, Tensor | None]:
         """P(occupied) (1, M, M), and P(class) (1, K, M, M) if the tracker has classes."""
@@ -149,11 +173,15 @@ class RecurrentTracker(Tracker):
 
     @classmethod
     def inference_for(cls, network: RecurrentNetwork, stream: StreamSpec, options: Any) -> StreamNetwork:
-        """The trained `network` for the grids of `stream`; a network without maps adapts to their size."""
+        """The trained `network` for the grids of `stream`; a network without maps adapts to their size.
+
+        Raises ConfigurationError if torch does not have the device of the `options`.
+        """
+        device = inference_device(options.device)
         network.size = stream.grid.size
         pace = StepPace.of(stream.period_s, options.step_s)
         set_resolution(network, resolution_of(stream.grid.cell_m, pace.step_s(stream.period_s)))
-        return paced(cls.prepare_inference(channels_last(network.eval()), options), pace)
+        return paced(cls.prepare_inference(channels_last(network.eval().to(device)), options), pace)
 
     @classmethod
     def starts_from_general(cls, options: Any) -> bool:

@@ -7,6 +7,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from gridtrack.common.config import Settings
+from gridtrack.trackers.training.device import DeviceSettings
 from gridtrack.trackers.training.labelled_scans import ClassWeights, LabelSettings
 
 Gate = Literal["keep", "reset", "candidate"]
@@ -15,8 +16,8 @@ EvidenceOption = Literal["state", "scan"]
 GATES: tuple[Gate, ...] = ("keep", "reset", "candidate")
 
 
-class ResolutionSettings(Settings):
-    """Grids of any cell size and period."""
+class ResolutionSettings(DeviceSettings):
+    """Grids of any cell size and period, on any device."""
 
     resolution_input: bool = False
     """Whether cell size and step are inputs of the network, as in general weights; else it learns one of each."""
@@ -111,11 +112,12 @@ class TrainingSettings(Settings):
         return frame < self.burn_in or in_sequence < self.observed_frames
 
 
-class InferenceSettings(Settings):
+class InferenceSettings(DeviceSettings):
     """Settings of inference, which do not depend on training."""
 
     inference: Literal["float32", "bfloat16"] = "float32"
-    """Precision of the convolutions. bfloat16 is faster on a processor with instructions for it, else slower."""
+    """Precision of the convolutions. bfloat16 is faster on a processor with instructions for it, else slower;
+    it is for the processor only."""
     evidence: EvidenceOption = "state"
     """Evidence for the classes of the cells that are occupied now: the latent state, as in the paper, or `scan`: the
     product of its probabilities and those of a classifier of the scan."""

@@ -104,7 +104,7 @@ def _with_weights(kind: type[RecurrentTracker], task: FitTask) -> Callable[[Fram
         raise WeightsError(
             f"{task.out}: no weights to add classes to: train with stage=both, or copy weights to this path"
         )
-    shape = task.options.model_dump(exclude_unset=True, exclude={*TransferSettings.model_fields, "precision"})
+    shape = task.options.model_dump(exclude_unset=True, exclude={*TransferSettings.model_fields, "precision", "device"})
 
     @lru_cache(maxsize=1)
     def made(stream: StreamSpec) -> RecurrentTracker:

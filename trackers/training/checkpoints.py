@@ -12,6 +12,7 @@ import torch
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.files import atomic_write, write_text
 from gridtrack.trackers.contract import FitTask
+from gridtrack.trackers.training.device import device_count, device_kind
 from gridtrack.trackers.training.weights import read_card
 
 TRAINING_FILE = "settings.json"
@@ -24,12 +25,10 @@ def training_device(kind: str) -> torch.device:
 
     Raises ConfigurationError if this machine has none of this kind.
     """
-    accelerator = torch.accelerator.current_accelerator(check_available=True)
-    if kind == "auto":
-        return torch.device("cpu") if accelerator is None else accelerator
-    if kind != "cpu" and (accelerator is None or accelerator.type != kind):
+    found = device_kind(kind)
+    if not device_count(found):
         raise ConfigurationError(f"device {kind}: this machine has none; train on cpu")
-    return torch.device(kind)
+    return torch.device(found)
 
 
 def save_checkpoint(task: FitTask, state: Mapping[str, Any]) -> None:

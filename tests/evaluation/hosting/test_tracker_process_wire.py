@@ -101,6 +101,7 @@ def test_a_program_may_name_its_role_and_the_comparisons_with_it_as_reference(de
     [
         ({"role": "ceiling"}, "'started': role is 'ceiling'; expected one of tracker, floor"),
         ({"role": None}, "'started': role is None; expected one of tracker, floor"),
+        ({"device": "a\nb"}, "'started': device is 'a\\\\nb': expected 1 to 160 bytes of printable UTF-8"),
         ({"reference_for": "occupancy"}, "'started': reference_for is 'occupancy'; expected a list of occupancy"),
         ({"reference_for": [["classes"]]}, r"'started': reference_for is \[\['classes'\]\]; expected a list of"),
         ({"classes": [f"class {i}" for i in range(10_000)]}, "10000 classes; at most 255"),

@@ -79,6 +79,7 @@ def test_a_tracker_that_is_fast_only_where_it_is_timed_is_a_notice(compare, reco
     summary = compare(f"staged:sleep_s=0.03,starts={starts},sleeps=first", recordings=(str(path),), latency=True)
     (notice,) = (one for one in map(str, summary.notices) if "when it was timed alone" in one)
     assert notice.startswith("staged on plain: an update took 3")
+    assert summary.trackers["staged"].recordings["plain"].latency_ms.device == "NVIDIA H100"
 
 
 def test_a_busy_tracker_misses_frames_and_scores_less(compare, costing):
