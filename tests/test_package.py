@@ -126,3 +126,5 @@ def test_the_built_wheel_compares_its_own_demo_recording_without_the_repository(
     python("-m", "gridtrack.cli", "trackers", "new", "my-tracker", **elsewhere)
     assert (tmp_path / "my-tracker" / ".github" / "workflows" / "test.yml").is_file()
     assert (tmp_path / "my-tracker" / "tests" / "my_tracker.json").is_file()
+    python("-m", "gridtrack.cli", "trackers", "new", "my-network", "--learned", **elsewhere)
+    assert (tmp_path / "my-network" / ".github" / "workflows" / "test.yml").is_file()
