@@ -20,7 +20,7 @@ from gridtrack.common.notices import Notice
 from gridtrack.evaluation.referee.splits import EvaluationSplit
 from gridtrack.trackers.selection import Selection
 
-Plane = NDArray[np.float32]
+ForecastPlane = NDArray[np.float32]
 Turn = Callable[[NDArray[Any]], NDArray[Any]]
 FILE = "file"
 """The option of such rows that names their file, or a folder with a file for each recording."""
@@ -147,7 +147,7 @@ class _Seen:
     now: GridFrame
     after: GridFrame
 
-    def read(self, file: ForecastFile, split: EvaluationSplit, turn: Turn | None = None) -> Plane:
+    def read(self, file: ForecastFile, split: EvaluationSplit, turn: Turn | None = None) -> ForecastPlane:
         """The first step, turned in its own plane, in the window of the frame."""
         plane = file.occupancy(self.n, 0)
         cells = CellMap(file, split.test.grid, self.now.world_T_grid.inverse() @ file.world_T_grid(self.n, 0))
@@ -187,7 +187,7 @@ def _turns(file: ForecastFile) -> dict[str, Turn]:
     return {name: turn for name, turn in TURNS.items() if turn(np.empty(file.shape)).shape == (rows, columns)}
 
 
-def _correlation(planes: Iterable[Plane], seen: Iterable[tuple[GridFrame, Mask]]) -> float:
+def _correlation(planes: Iterable[ForecastPlane], seen: Iterable[tuple[GridFrame, Mask]]) -> float:
     """The correlation of planes with the occupied cells of frames, among these cells of each; NaN without variation."""
     pairs = [
         (plane[cells], frame.occupied[cells])
