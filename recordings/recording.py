@@ -169,7 +169,7 @@ class Recording(ABC):
         return topic in (mount.sensor, self.topic_of(mount.sensor))
 
     def annotations(self, topic: str, *, by_order: bool) -> Iterator[Annotation]:
-        """The annotated people on `topic`; `by_order`: a place in an array of poses is a person. Raises RecordingError."""
+        """The annotated people on `topic`; `by_order`: each place in an array of poses is a person. RecordingError."""
         raise RecordingError(f"{self.path}: people on '{topic}': only topics of ROS are read; give them as a CSV file")
 
     def coordinate_frames(self, sensors: Iterable[str]) -> KnownFrames:
