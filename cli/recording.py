@@ -64,6 +64,9 @@ def recording_import(
     people_by_order: Annotated[
         bool, typer.Option("--people-by-order", help="Each place in an array of poses is one person")
     ] = False,
+    people_delay: Annotated[
+        float, typer.Option(metavar="SECONDS", help="How much later than the scans the people are stamped")
+    ] = 0.0,
     ego_motion: Annotated[
         PoseSource,
         typer.Option(
@@ -89,6 +92,7 @@ def recording_import(
             labels=labels,
             people=people,
             people_by_order=people_by_order,
+            people_delay_s=people_delay,
             ego_motion=ego_motion,
             overwrite=overwrite,
             **values,

@@ -55,6 +55,7 @@ def import_recording(
     labels: Path | str | None = None,
     people: str | None = None,
     people_by_order: bool = False,
+    people_delay_s: float = 0.0,
     ego_motion: PoseSource = "recorded",
     overwrite: bool = False,
     **options: Any,
@@ -66,14 +67,15 @@ def import_recording(
     defaults to the site in the source, or to its file name. With `ego_motion` "kiss-icp" the poses come from matching
     the scans, and a single sensor needs no usable recorded poses; with "refined" the recorded motion is the prior of
     the matches. `people` are annotated positions of persons, TOPIC or FILE.csv, with @FRAME if they name none; with
-    `people_by_order` each place in an array of poses is one person. `options`: as in `open_recording`. An existing file
+    `people_by_order` each place in an array of poses is one person, and `people_delay_s` is how much later than the
+    scans they are stamped. `options`: as in `open_recording`. An existing file
     at `out` is replaced only with `overwrite`. Raises RecordingError and ConfigurationError; `out` is then not changed.
     """
     out = Path(out)
     check_path(out, RecordingError)
     recording = _opened(source, options, ego_motion)
     _check_destination(out, recording, overwrite)
-    annotated = None if people is None else parse_people(people, by_order=people_by_order)
+    annotated = None if people is None else parse_people(people, by_order=people_by_order, delay_s=people_delay_s)
     stretches = dict(stretches or {})
     for stretch in stretches.values():
         stretch_of(recording, stretch)
@@ -162,8 +164,10 @@ def _with_matched_poses(
     return described, lambda: with_matched_poses(recording.scans(), trajectory, has_people=has_people)
 
 
-def _people_in(recording: Recording, source: PeopleSource, paths: SensorPaths, ego_motion: PoseSource) -> People:
-    """The annotated people; with poses from the scans only in frames that a sensor carries. Raises RecordingError."""
+def _people_in(
+    recording: Recording, source: PeopleSource, paths: SensorPaths, ego_motion: PoseSource
+) -> dict[float, People]:
+    """The people by their delay; with poses from the scans only in frames that a sensor carries. RecordingError."""
     frames = recording.coordinate_frames(paths.poses)
     if ego_motion != "recorded":
         frames = {name: carried for name, carried in frames.items() if carried is not None}
@@ -201,6 +205,7 @@ def _command(
         ("--topic", read.topic),
         ("--labels", labels and Path(labels).name),
         ("--people", people),
+        ("--people-delay", people and people.delay_s and f"{people.delay_s:.9g}"),
         *((f"--{name}", given[name]) for name in ("site", "grid", "licence", "credit")),
         ("--rate", given["rate_hz"] and f"{given['rate_hz']:g}"),
         *(("--stretch", f"{name}={stretch_text(stretch)}") for name, stretch in stretches.items()),

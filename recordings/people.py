@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gridtrack.common.errors import RecordingError, did_you_mean
+from gridtrack.common.errors import ConfigurationError, RecordingError, did_you_mean
 from gridtrack.common.geometry import SE2
 from gridtrack.common.raycast import directions_of
 from gridtrack.common.scan import MAX_POSITION_M, Scan
@@ -35,11 +35,16 @@ annotated: nobody may be there, or nobody looked."""
 SPEED_S = 1.0
 """The speed of a person is the way over this time about the stamp: from scan to scan it is mostly the annotator's
 noise."""
+MAX_DELAY_S = 1e9
 MAX_ANNOTATIONS = 1_000_000
 MAX_PRESENT = 1000
 """Limits of the positions, and of the persons at one stamp."""
 MANY_FAR = 0.5
 """Share of persons without a return near them from which on a frame or a clock is likely to be wrong."""
+TRIED_SCANS = (-2, -1, 1, 2)
+NEARER, FEWEST_PERSONS = 0.85, 20
+"""Annotations are often stamped a scan too late or too early. So many scans are tried; a warning appears if the mean
+distance from the nearest return falls below this share of it, over at least so many persons."""
 
 
 class Annotation(NamedTuple):
@@ -70,12 +75,14 @@ KnownFrames = Mapping[str, CarriedFrame | None]
 class PeopleSource(NamedTuple):
     """A topic, or a CSV file; `frame` of positions that name none.
 
-    `by_order`: each place in an array of poses is one person in every message.
+    `by_order`: each place in an array of poses is one person in every message. `delay_s`: the annotations are stamped
+    so many seconds later than the scans that they were made on.
     """
 
     name: str
     frame: str = ""
     by_order: bool = False
+    delay_s: float = 0.0
 
     @property
     def is_file(self) -> bool:
@@ -88,12 +95,14 @@ class PeopleSource(NamedTuple):
         return f"{name}@{self.frame}" if self.frame else name
 
 
-def parse_people(text: str, *, by_order: bool = False) -> PeopleSource:
-    """Read `TOPIC`, `FILE.csv`, `TOPIC@FRAME` or `FILE.csv@FRAME`."""
+def parse_people(text: str, *, by_order: bool = False, delay_s: float = 0.0) -> PeopleSource:
+    """Read `TOPIC`, `FILE.csv`, `TOPIC@FRAME` or `FILE.csv@FRAME`. Raises ConfigurationError for an endless delay."""
+    if not abs(delay_s) <= MAX_DELAY_S:
+        raise ConfigurationError(f"--people-delay {delay_s:g}: expected seconds, at most {MAX_DELAY_S:g}")
     name, at, frame = text.rpartition("@")
     if not at or text.lower().endswith(".csv"):
         name, frame = text, ""
-    return PeopleSource(name, frame, by_order)
+    return PeopleSource(name, frame, by_order, delay_s)
 
 
 def read_people(path: Path, first_ns: int) -> Iterator[Annotation]:
@@ -174,6 +183,7 @@ class People:
     def __init__(self, annotations: Iterable[Annotation]) -> None:
         """Raises RecordingError for two positions of one person at one stamp."""
         ordered = sorted(annotations, key=lambda one: (one.track, one.stamp_ns))
+        self.size = len(ordered)
         self.tracks = len({one.track for one in ordered})
         tracks = np.array([one.track for one in ordered], np.int64)
         stamps_ns = np.array([one.stamp_ns for one in ordered], np.int64)
@@ -221,6 +231,8 @@ class SensorPaths:
             poses.setdefault(scan.sensor, []).append(reference_pose(scan))
         self.first_ns = min(own[0] for own in stamps.values())
         self.last_ns = max(own[-1] for own in stamps.values())
+        self.period_ns = round(min(np.median(np.diff(own)) if len(own) > 1 else 0.0 for own in stamps.values()))
+        """The shortest time between two scans of a sensor, median; 0 for a single scan."""
         self.poses = {sensor: InterpolatedPoses(own, poses[sensor]) for sensor, own in stamps.items()}
 
 
@@ -230,36 +242,55 @@ def placed_people(
     paths: SensorPaths,
     frames: KnownFrames,
     note: Callable[[str], None],
-) -> People:
-    """The people at their places in the world; `note` receives a line if something is left out.
+) -> dict[float, People]:
+    """The people at their places in the world, by their delay in seconds; `note` receives a line on what is left out.
 
-    Raises RecordingError for an unknown frame, for too many positions, and if none is within the recording's time.
+    The first has the delay of `source`, the others are TRIED_SCANS later. Raises RecordingError for an unknown frame,
+    for too many positions, and if none is within the recording's time.
     """
     found = list(islice(annotations, MAX_ANNOTATIONS + 1))
     if not found:
         raise RecordingError(f"{source}: no positions of people")
     if len(found) > MAX_ANNOTATIONS:
         raise RecordingError(f"{source}: more than {MAX_ANNOTATIONS} positions of people")
-    inside = [one for one in found if paths.first_ns <= one.stamp_ns <= paths.last_ns]
-    if not inside:
-        begin_s, end_s = ((end(one.stamp_ns for one in found) - paths.first_ns) / 1e9 for end in (min, max))
-        raise RecordingError(
-            f"{source}: its {len(found)} positions are from {begin_s:.1f} s to {end_s:.1f} s after the first scan, and"
-            f" the recording ends at {(paths.last_ns - paths.first_ns) / 1e9:.1f} s: their clock is another one"
-        )
+
+    def people_at(delay_ns: int) -> People:
+        moved = (one._replace(stamp_ns=one.stamp_ns - delay_ns) for one in found)
+        inside = [one for one in moved if paths.first_ns <= one.stamp_ns <= paths.last_ns]
+        return People(_in_world(one, source, paths, frames) for one in inside)
+
+    delay_ns = round(source.delay_s * 1e9)
     try:
-        people = People(_in_world(one, source, paths, frames) for one in inside)
+        people = people_at(delay_ns)
     except RecordingError as error:
         raise RecordingError(f"{source}: {error}") from None
+    _check_clock(source, found, people, paths)
+    _note_left_out(source, len(found), people, note)
+    tried = [delay_ns + scans * paths.period_ns for scans in TRIED_SCANS] if paths.period_ns else []
+    return {one_ns / 1e9: people if one_ns == delay_ns else people_at(one_ns) for one_ns in (delay_ns, *tried)}
+
+
+def _check_clock(source: PeopleSource, found: Sequence[Annotation], people: People, paths: SensorPaths) -> None:
+    """Raise RecordingError if no annotation is within the recording's time."""
+    if people.size:
+        return
+    begin_s, end_s = ((end(one.stamp_ns for one in found) - paths.first_ns) / 1e9 for end in (min, max))
+    raise RecordingError(
+        f"{source}: its {len(found)} positions are from {begin_s:.1f} s to {end_s:.1f} s after the first scan, and"
+        f" the recording ends at {(paths.last_ns - paths.first_ns) / 1e9:.1f} s: their clock is another one; the"
+        " difference can be given with --people-delay"
+    )
+
+
+def _note_left_out(source: PeopleSource, found: int, people: People, note: Callable[[str], None]) -> None:
     left_out = {
-        f"{len(found) - len(inside)} outside of the recording's time": len(found) > len(inside),
+        f"{found - people.size} outside of the recording's time": found > people.size,
         f"{people.alone} without another of the same person within {MAX_PAUSE_S:g} s": people.alone,
         f"{people.pauses_s:.1f} s of pauses longer than {MAX_PAUSE_S:g} s are not annotated": people.pauses_s,
     }
     if any(left_out.values()):
         texts = "; ".join(text for text, count in left_out.items() if count)
-        note(f"people of {source}: {len(found)} positions of {people.tracks} persons; {texts}")
-    return people
+        note(f"people of {source}: {found} positions of {people.tracks} persons; {texts}")
 
 
 def _in_world(one: Annotation, source: PeopleSource, paths: SensorPaths, frames: KnownFrames) -> Annotation:
@@ -282,28 +313,43 @@ def _names(frames: KnownFrames) -> str:
     return ", ".join(frames)
 
 
-def with_people(scans: Iterable[Scan], people: People, note: Callable[[str], None]) -> Iterator[Scan]:
-    """`scans` with the people at their stamps; at the end `note` receives a line if most are far from every return."""
-    persons = far = 0
+def with_people(scans: Iterable[Scan], by_delay: Mapping[float, People], note: Callable[[str], None]) -> Iterator[Scan]:
+    """`scans` with the first of the people; at the end `note` receives a line if they do not fit the returns.
+
+    They do not if most are far from every return, or if those with another delay are nearer.
+    """
+    (own_s, people), *_ = by_delay.items()
+    distances: dict[float, list[NDArray[np.float64]]] = {delay_s: [] for delay_s in by_delay}
     for scan in scans:
+        for delay_s, delayed in by_delay.items():
+            distances[delay_s].append(_distances_to_returns(delayed.at(scan.stamp_ns) or (), scan))
         present = people.at(scan.stamp_ns)
-        if present:
-            if len(present) > MAX_PRESENT:
-                raise RecordingError(f"{len(present)} persons at one stamp; at most {MAX_PRESENT} are read")
-            persons += len(present)
-            far += int(_far_from_returns(present, scan).sum())
         yield scan if present is None else replace(scan, people=present)
-    if far > MANY_FAR * persons:
+    within = {delay_s: np.minimum(np.concatenate(found), PERSON_M) for delay_s, found in distances.items()}
+    far, persons = int((within[own_s] >= PERSON_M).sum()), within[own_s].size
+    mean_m = {delay_s: float(found.mean()) for delay_s, found in within.items() if found.size >= FEWEST_PERSONS}
+    best_s = min(mean_m, key=mean_m.__getitem__, default=own_s)
+    if best_s != own_s and own_s in mean_m and mean_m[best_s] < NEARER * mean_m[own_s]:
+        note(
+            f"the annotated persons are {mean_m[own_s]:.2f} m from the nearest return (mean; {PERSON_M:g} m at most"
+            f" counts), and {mean_m[best_s]:.2f} m if their stamps are {best_s:.3f} s late: give --people-delay"
+            f" {best_s:.3f}"
+        )
+    elif far > MANY_FAR * persons:
         note(
             f"{far} of {persons} persons at the stamps of scans have no return within {PERSON_M:g} m: check the frame"
             " and the clock of the annotations"
         )
 
 
-def _far_from_returns(people: Sequence[Person], scan: Scan) -> NDArray[np.bool_]:
-    """Whether each person (N,) has no return of a scan within PERSON_M."""
+def _distances_to_returns(people: Sequence[Person], scan: Scan) -> NDArray[np.float64]:
+    """The distance (N,) of each person from the nearest return of a scan, metres; infinite without a return."""
+    if len(people) > MAX_PRESENT:
+        raise RecordingError(f"{len(people)} persons at one stamp; at most {MAX_PRESENT} are read")
     is_return = (scan.ranges >= scan.range_min) & (scan.ranges <= scan.range_max)
+    if not people or not is_return.any():
+        return np.full(len(people), np.inf)
     directions = directions_of(scan.angle_min, scan.angle_increment, scan.ranges.size)[is_return]
     returns = reference_pose(scan).apply(directions * scan.ranges[is_return, None].astype(np.float64))
     distance, _ = cKDTree(returns).query([(one.x, one.y) for one in people])
-    return np.asarray(distance > PERSON_M)
+    return np.asarray(distance)

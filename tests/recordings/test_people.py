@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from gridtrack.common.errors import RecordingError
+from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Person
@@ -175,3 +176,27 @@ def test_a_damaged_message_of_people_ends_the_recording_with_a_warning(scan, wri
     recording = open_recording(write(scans))
     assert len(list(recording.scans())) == 3
     assert "a person of /people at 0, 0 with a speed of 'nan'" in recording.warnings[0]
+
+
+@pytest.mark.parametrize(("delay_s", "said"), [(0.0, "0.100"), (0.1, "")])
+def test_annotations_stamped_a_scan_late_are_found_by_their_distance_from_the_returns(
+    scan, write, tmp_path, delay_s, said
+) -> None:
+    """A walker at 2 m/s is the only return; the rows are of the walker one scan before."""
+    ranges = np.full((30, 36), np.inf, np.float32)
+    ranges[:, 0] = 1.0 + 0.2 * np.arange(30)
+    far = {"angle_min": 0.0, "range_max": 20.0}
+    source = write([replace(scan(k), ranges=own, **far) for k, own in enumerate(ranges)])
+    rows = "".join(f"{0.1 * (k + 1):.1f},1,{1.0 + 0.2 * k:.1f},0\n" for k in range(29))
+    (tmp_path / "p.csv").write_text(f"time_s,id,x,y\n{rows}")
+    people = {"people": str(tmp_path / "p.csv"), "people_delay_s": delay_s}
+    found = import_recording(source, tmp_path / "out.mcap", **people)
+    assert places(next(iter(found.scans())).people) == ({1: (1.0, 0.0)} if delay_s else {})
+    warnings = [one for one in found.overview().warnings if "--people-delay" in one]
+    assert [one.rsplit(" ", 1)[1] for one in warnings] == ([said] if said else [])
+    assert ("--people-delay 0.1" in found.info.command) is bool(delay_s)
+
+
+def test_a_delay_without_end_is_refused(imported) -> None:
+    with pytest.raises(ConfigurationError, match="--people-delay nan: expected seconds"):
+        imported("time_s,id,x,y\n1,1,0,0\n", people_delay_s=math.nan)
