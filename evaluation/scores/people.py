@@ -122,11 +122,11 @@ PEOPLE_SCORE = ScoreDefinition(
         Output("area", "PR-AUC, in motion by the annotation", better="higher", scale="odds"),
         Output("persons", "Persons", decimals=0, of_trial=True),
     ),
-    about="On frames in which people are annotated. A person has the dynamic cells within 0.4 m, and is found if one of"
-    " them is called occupied, at the threshold of `dynamic`; hidden if none of them was seen occupied. Calling"
-    " everything occupied finds everyone: the share of dynamic cells away from people that are called occupied, and not"
-    " seen so, is the price. F1 and PR-AUC are those of `in-motion`, with a return in motion where it is within 0.4 m"
-    " of a person faster than 0.3 m/s. Annotators miss people, so no tracker is compared by it.",
+    about="On annotated frames. A person has the dynamic cells within 0.4 m, is hidden if none of them was seen"
+    " occupied, and found if one is called occupied, at the threshold of `dynamic`. Calling everything occupied finds"
+    " everyone; the price is the share of the other dynamic cells, not seen occupied, that are called. F1 and PR-AUC are"
+    " of `in-motion`, with returns in motion within 0.4 m of persons faster than 0.3 m/s. Annotators miss people: no"
+    " tracker is compared by it.",
     strata=people_strata,
     parts=lambda facts: _PARTS,
     count=_count,
