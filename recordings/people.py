@@ -19,12 +19,10 @@ from scipy.spatial import cKDTree
 
 from gridtrack.common.errors import ConfigurationError, RecordingError, did_you_mean
 from gridtrack.common.geometry import SE2
-from gridtrack.common.raycast import directions_of
 from gridtrack.common.scan import MAX_POSITION_M, Scan
 from gridtrack.common.scene import Person
 from gridtrack.recordings.interpolated_poses import InterpolatedPoses
 from gridtrack.recordings.native_messages import MAX_TRACK
-from gridtrack.recordings.observation import reference_pose
 from gridtrack.recordings.stamp_order import MAX_STAMP_NS
 
 PERSON_M = 0.4
@@ -228,7 +226,7 @@ class SensorPaths:
         poses: dict[str, list[SE2]] = {}
         for scan in scans:
             stamps.setdefault(scan.sensor, []).append(scan.stamp_ns)
-            poses.setdefault(scan.sensor, []).append(reference_pose(scan))
+            poses.setdefault(scan.sensor, []).append(scan.reference_T_sensor or scan.world_T_sensor)
         self.first_ns = min(own[0] for own in stamps.values())
         self.last_ns = max(own[-1] for own in stamps.values())
         self.period_ns = round(min(np.median(np.diff(own)) if len(own) > 1 else 0.0 for own in stamps.values()))
@@ -349,7 +347,8 @@ def _distances_to_returns(people: Sequence[Person], scan: Scan) -> NDArray[np.fl
     is_return = (scan.ranges >= scan.range_min) & (scan.ranges <= scan.range_max)
     if not people or not is_return.any():
         return np.full(len(people), np.inf)
-    directions = directions_of(scan.angle_min, scan.angle_increment, scan.ranges.size)[is_return]
-    returns = reference_pose(scan).apply(directions * scan.ranges[is_return, None].astype(np.float64))
+    angles = scan.angle_min + scan.angle_increment * np.flatnonzero(is_return)
+    points = np.stack([np.cos(angles), np.sin(angles)], axis=1) * scan.ranges[is_return, None]
+    returns = (scan.reference_T_sensor or scan.world_T_sensor).apply(points)
     distance, _ = cKDTree(returns).query([(one.x, one.y) for one in people])
     return np.asarray(distance)

@@ -26,7 +26,7 @@ from gridtrack.recordings.native_messages import (
 from gridtrack.recordings.people import PERSON_M
 
 PEOPLE = "/people"
-HEIGHT_M = 1.7
+PERSON_HEIGHT_M = 1.7
 PERSON_COLOUR = (0.8, 0.47, 0.65, 0.4)
 """RGBA, of the palette of the classes."""
 _SPEED = "speed_mps"
@@ -39,10 +39,10 @@ def people_message(people: Sequence[Person], stamp_ns: int) -> SceneUpdate:
         entity = update.entities.add(id=str(person.track), frame_id=WORLD, timestamp=timestamp_of(stamp_ns))
         entity.metadata.add(key=_SPEED, value=repr(person.speed_mps))
         body = entity.cylinders.add(top_scale=1.0, bottom_scale=1.0)
-        body.pose.position.x, body.pose.position.y, body.pose.position.z = person.x, person.y, HEIGHT_M / 2.0
+        body.pose.position.x, body.pose.position.y, body.pose.position.z = person.x, person.y, PERSON_HEIGHT_M / 2.0
         body.pose.orientation.w = 1.0
         body.size.x = body.size.y = 2.0 * PERSON_M
-        body.size.z = HEIGHT_M
+        body.size.z = PERSON_HEIGHT_M
         body.color.r, body.color.g, body.color.b, body.color.a = PERSON_COLOUR
     return update
 

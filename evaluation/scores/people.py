@@ -124,7 +124,7 @@ PEOPLE_SCORE = ScoreDefinition(
     ),
     about="On annotated frames. A person has the dynamic cells within 0.4 m, is hidden if none of them was seen"
     " occupied, and found if one is called occupied, at the threshold of `dynamic`. Calling everything occupied finds"
-    " everyone; the price is the share of the other dynamic cells, not seen occupied, that are called. F1 and PR-AUC are"
+    " everyone: the price is the share of other dynamic cells, not seen occupied, that are called. F1 and PR-AUC are"
     " of `in-motion`, with returns in motion within 0.4 m of persons faster than 0.3 m/s. Annotators miss people: no"
     " tracker is compared by it.",
     strata=people_strata,
