@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gridtrack.common.errors import ConfigurationError, RecordingError, did_you_mean
+from gridtrack.common.errors import ConfigurationError, RecordingError, did_you_mean, one_line
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import MAX_POSITION_M, Scan
 from gridtrack.common.scene import Person
@@ -121,7 +121,7 @@ def read_people(path: Path, first_ns: int) -> Iterator[Annotation]:
                 try:
                     yield _annotation_of(row, first_ns)
                 except ValueError as error:
-                    raise RecordingError(f"{path}, line {reader.line_num}: {error}") from None
+                    raise RecordingError(f"{path}, line {reader.line_num}: {one_line(str(error), 200)}") from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
     except (UnicodeDecodeError, csv.Error) as error:
@@ -298,7 +298,7 @@ def _in_world(one: Annotation, source: PeopleSource, paths: SensorPaths, frames:
     if not name:
         raise RecordingError(f"its positions name no frame: add it, --people {source}@FRAME, one of {_names(frames)}")
     if name not in frames:
-        raise RecordingError(f"positions in the frame '{name[:80]}': {did_you_mean(name, frames)}")
+        raise RecordingError(f"positions in the frame '{one_line(name, 80)}': {did_you_mean(name, frames)}")
     carried = frames[name]
     if carried is None:
         return one
@@ -321,8 +321,7 @@ def with_people(scans: Iterable[Scan], by_delay: Mapping[float, People], note: C
     for scan in scans:
         for delay_s, delayed in by_delay.items():
             distances[delay_s].append(_distances_to_returns(delayed.at(scan.stamp_ns) or (), scan))
-        present = people.at(scan.stamp_ns)
-        yield scan if present is None else replace(scan, people=present)
+        yield replace(scan, people=people.at(scan.stamp_ns))
     within = {delay_s: np.minimum(np.concatenate(found), PERSON_M) for delay_s, found in distances.items()}
     far, persons = int((within[own_s] >= PERSON_M).sum()), within[own_s].size
     mean_m = {delay_s: float(found.mean()) for delay_s, found in within.items() if found.size >= FEWEST_PERSONS}

@@ -94,6 +94,13 @@ def test_a_second_import_keeps_the_people_and_the_command_repeats_the_first(impo
     assert "9 scans with annotated people" in str(again.overview())
 
 
+def test_other_annotations_replace_all_that_were_there(imported, tmp_path) -> None:
+    imported("time_s,id,x,y\n0,7,1,2\n0.5,7,1,2\n")
+    (tmp_path / "other.csv").write_text("time_s,id,x,y\n1,8,0,0\n1.5,8,0,0\n")
+    again = import_recording(tmp_path / "out.mcap", tmp_path / "again.mcap", people=str(tmp_path / "other.csv"))
+    assert {one.track for scan in again.scans() for one in scan.people or ()} == {8}
+
+
 def test_a_stretch_has_people_where_it_meets_the_annotated_time(imported, tmp_path, source) -> None:
     imported("time_s,id,x,y\n1,7,1,2\n1.5,7,1,2.8\n")
     out = tmp_path / "out.mcap"
@@ -130,6 +137,9 @@ def test_people_stay_in_the_world_of_the_recorded_poses_when_others_are_matched(
         ("time_s,id,x,y\n500,1,0,0\n501,1,0,0\n", "its 2 positions are from 500.0 s to 501.0 s after the first scan"),
         ("time_s,id,x,y,frame\n1,1,0,0,map\n", "in the frame 'map': known: scan, world"),
         ("time_s,id,x,y,frame\n1,1,0,0,map\x1b[31m\n", "in the frame"),
+        ('time_s,id,x,y,frame\n1,1,0,0,"a\nb"\n', "in the frame 'a"),
+        (f"time_s,id,x,y\n1,{'9' * 5000},0,0\n", "line 2: Exceeds the limit"),
+        (f"time_s,id,x,y\n1,{'a' * 200_000},0,0\n", "not a CSV in UTF-8 (field larger than field limit"),
         ("\x00\x01", "expected the columns"),
     ],
 )
