@@ -55,6 +55,19 @@ def recording_import(
     licence: Annotated[str, typer.Option(metavar="TEXT", help="Licence of the recording")] = "",
     credit: Annotated[str, typer.Option(metavar="TEXT", help="Authors of the recording")] = "",
     labels: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV of the class of each beam")] = None,
+    people: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TOPIC|CSV",
+            help="Annotated positions of persons: a topic or FILE.csv, with @FRAME if they name no frame",
+        ),
+    ] = None,
+    people_by_order: Annotated[
+        bool, typer.Option("--people-by-order", help="Each place in an array of poses is one person")
+    ] = False,
+    people_delay: Annotated[
+        float, typer.Option(metavar="SECONDS", help="How much later than the scans the people are stamped")
+    ] = 0.0,
     ego_motion: Annotated[
         PoseSource,
         typer.Option(
@@ -78,6 +91,9 @@ def recording_import(
             licence=licence,
             credit=credit,
             labels=labels,
+            people=people,
+            people_by_order=people_by_order,
+            people_delay_s=people_delay,
             ego_motion=ego_motion,
             overwrite=overwrite,
             **values,

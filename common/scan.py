@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.scene import Scene
+from gridtrack.common.scene import Person, Scene
 
 MAX_BEAMS = 100_000
 MAX_ANGLE_RAD = 4.0 * math.pi
@@ -57,7 +57,8 @@ class Scan:
     `range_min` is invalid and gives no information (ROS REP 117). `world_T_sensor` is the pose that trackers get;
     `reference_T_sensor`, if it differs, is the pose for scoring forecasts. `labels` (B,) uint8 are indices into the
     recording's classes, or UNLABELLED. `scene` is the true scene, if the recording has it, in the reference world
-    frame. Trackers never get labels, scene and reference poses. Beam i is measured `i * time_increment_s` after the
+    frame. `people` are the annotated persons in the same frame, None where nothing is annotated. Trackers never get
+    labels, scene, people and reference poses. Beam i is measured `i * time_increment_s` after the
     stamp; 0 if the beam times are unknown. `last_angle` is the angle of the last beam if the format says it beside the
     other two: they may contradict each other. `pose_quality` is the quality of a pose from matching scans.
     """
@@ -76,3 +77,4 @@ class Scan:
     time_increment_s: float = 0.0
     last_angle: float | None = None
     pose_quality: PoseQuality | None = None
+    people: tuple[Person, ...] | None = None

@@ -31,6 +31,19 @@ class SceneObject:
 
 
 @dataclass(frozen=True, slots=True)
+class Person:
+    """An annotated person at one instant: `track` identifies the person over time.
+
+    `x`, `y` in metres, world frame; `speed_mps`, m/s.
+    """
+
+    track: int
+    x: float
+    y: float
+    speed_mps: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Scene:
     """All objects at one instant.
 

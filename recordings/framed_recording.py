@@ -24,6 +24,7 @@ from gridtrack.recordings.frames.trajectory import MAX_TRANSFORMS, AllTransforms
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FrameTree, StampedTransform, frame_name
 from gridtrack.recordings.meaning import with_meaning
+from gridtrack.recordings.people import CarriedFrame, KnownFrames
 from gridtrack.recordings.read_options import NO_POSES, Mount
 from gridtrack.recordings.recording import Recording, Topics
 from gridtrack.recordings.recording_info import RecordingInfo
@@ -119,6 +120,17 @@ class FramedRecording(Recording):
             mirrored=found.mirrored,
         )
         return f"give the mount, as in `{self.import_command(['--mount', str(mount)])}`"
+
+    def coordinate_frames(self, sensors: Iterable[str]) -> KnownFrames:
+        """The frames at the ends of the chains, and those that carry a sensor rigidly, of the first sensor on them."""
+        known: dict[str, CarriedFrame | None] = {}
+        for topic, chain in self.chains.of_topic.items():
+            sensor, (parent, parent_T_sensor) = self.sensor_of(topic), chain.mount
+            known.setdefault(chain.world, None)
+            known.setdefault(parent, CarriedFrame(sensor, parent_T_sensor.placement().pose.inverse()))
+            if chain.links:
+                known.setdefault(chain.links[-1].child, CarriedFrame(sensor, mirrored=chain.mirrored))
+        return known
 
     def separate_lasers_with(self, sensor: str) -> str:
         """As in every recording."""

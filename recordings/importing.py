@@ -1,4 +1,4 @@
-"""Importing a recording: written as a native one, with site, grid, stretches, and labels from a CSV file."""
+"""Importing a recording: written as a native one, with site, grid, stretches, labels and annotated people."""
 
 from __future__ import annotations
 
@@ -24,6 +24,15 @@ from gridtrack.common.scene import UNLABELLED
 from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.frames.trajectory import ClocksApartError
 from gridtrack.recordings.opening import open_recording
+from gridtrack.recordings.people import (
+    People,
+    PeopleSource,
+    SensorPaths,
+    parse_people,
+    placed_people,
+    read_people,
+    with_people,
+)
 from gridtrack.recordings.read_options import NO_POSES, PoseSource
 from gridtrack.recordings.recording import Recording
 from gridtrack.recordings.recording_info import RecordingInfo, Stretch, stretch_text
@@ -44,6 +53,9 @@ def import_recording(
     licence: str = "",
     credit: str = "",
     labels: Path | str | None = None,
+    people: str | None = None,
+    people_by_order: bool = False,
+    people_delay_s: float = 0.0,
     ego_motion: PoseSource = "recorded",
     overwrite: bool = False,
     **options: Any,
@@ -54,27 +66,34 @@ def import_recording(
     options give the same bytes. Warnings about the file are written too, so reading the result repeats them. `site`
     defaults to the site in the source, or to its file name. With `ego_motion` "kiss-icp" the poses come from matching
     the scans, and a single sensor needs no usable recorded poses; with "refined" the recorded motion is the prior of
-    the matches. `options`: as in `open_recording`. An existing file at `out` is replaced only with `overwrite`.
-    Raises RecordingError and ConfigurationError; `out` is then not changed.
+    the matches. `people` are annotated positions of persons, TOPIC or FILE.csv, with @FRAME if they name none; with
+    `people_by_order` each place in an array of poses is one person, and `people_delay_s` is how much later than the
+    scans they are stamped. `options`: as in `open_recording`. An existing file
+    at `out` is replaced only with `overwrite`. Raises RecordingError and ConfigurationError; `out` is then not changed.
     """
     out = Path(out)
     check_path(out, RecordingError)
     recording = _opened(source, options, ego_motion)
     _check_destination(out, recording, overwrite)
+    annotated = None if people is None else parse_people(people, by_order=people_by_order, delay_s=people_delay_s)
     stretches = dict(stretches or {})
     for stretch in stretches.values():
         stretch_of(recording, stretch)
     given = {"site": site, "grid": grid, "licence": licence, "credit": credit, "rate_hz": rate_hz}
     info = _info(recording, {**given, "stretches": stretches}, labels).model_copy(
-        update={"command": _command(recording, out, given, stretches, labels, ego_motion)}
+        update={"command": _command(recording, out, given, stretches, labels, annotated, ego_motion)}
     )
     if recording.pose_problem:
         raise RecordingError(f"{recording.path}: {recording.pose_problem}")
-    scans: Iterable[Scan] = recording.scans()
+    posed: Callable[[], Iterable[Scan]] = recording.scans
     if ego_motion != "recorded":
-        info, scans = _with_matched_poses(info, recording, ego_motion)
+        info, posed = _with_matched_poses(info, recording, ego_motion)
+    scans = posed()
     if labels is not None:
         scans = with_labels(scans, Path(labels), info.classes)
+    if annotated is not None:
+        found = _people_in(recording, annotated, SensorPaths(posed()), ego_motion)
+        scans = with_people(scans, found, recording.notify)
     _write(out, info, scans, recording.warnings_for_copy)
     return open_recording(out, strict=recording.options.strict)
 
@@ -130,8 +149,8 @@ def _check_destination(out: Path, recording: Recording, overwrite: bool) -> None
 
 def _with_matched_poses(
     info: RecordingInfo, recording: Recording, ego_motion: PoseSource
-) -> tuple[RecordingInfo, Iterator[Scan]]:
-    """The scans with the poses of their matches, and the metadata that describes them."""
+) -> tuple[RecordingInfo, Callable[[], Iterator[Scan]]]:
+    """The metadata that describes the poses of the matches, and the scans with these poses."""
     from gridtrack.recordings.ego_motion import MatchingSettings, matched_trajectory, with_matched_poses
 
     if ego_motion == "refined" and not recording.survey.moves:
@@ -141,7 +160,22 @@ def _with_matched_poses(
         )
     trajectory = matched_trajectory(recording.scans(), ego_motion, MatchingSettings())
     described = info.model_copy(update={"poses": trajectory.describe(ego_motion)})
-    return described, with_matched_poses(recording.scans(), trajectory)
+    has_people = any(sensor.with_people for sensor in recording.survey.sensors.values())
+    return described, lambda: with_matched_poses(recording.scans(), trajectory, has_people=has_people)
+
+
+def _people_in(
+    recording: Recording, source: PeopleSource, paths: SensorPaths, ego_motion: PoseSource
+) -> dict[float, People]:
+    """The people by their delay; with poses from the scans only in frames that a sensor carries. RecordingError."""
+    frames = recording.coordinate_frames(paths.poses)
+    if ego_motion != "recorded":
+        frames = {name: carried for name, carried in frames.items() if carried is not None}
+    if source.is_file:
+        annotations = read_people(Path(source.name), paths.first_ns)
+    else:
+        annotations = recording.annotations(source.name, by_order=source.by_order)
+    return placed_people(source, annotations, paths, frames, recording.notify)
 
 
 def _info(recording: Recording, given: Mapping[str, Any], labels: Path | str | None) -> RecordingInfo:
@@ -160,6 +194,7 @@ def _command(
     given: Mapping[str, Any],
     stretches: Mapping[str, Stretch],
     labels: Path | str | None,
+    people: PeopleSource | None,
     ego_motion: PoseSource,
 ) -> str:
     """The command line that repeats the import, without the folders of this machine."""
@@ -169,6 +204,8 @@ def _command(
         ("--format", read.format),
         ("--topic", read.topic),
         ("--labels", labels and Path(labels).name),
+        ("--people", people),
+        ("--people-delay", people and people.delay_s and f"{people.delay_s:.9g}"),
         *((f"--{name}", given[name]) for name in ("site", "grid", "licence", "credit")),
         ("--rate", given["rate_hz"] and f"{given['rate_hz']:g}"),
         *(("--stretch", f"{name}={stretch_text(stretch)}") for name, stretch in stretches.items()),
@@ -179,6 +216,7 @@ def _command(
         ("--ego-motion", None if ego_motion == "recorded" else ego_motion),
     ]
     words = [word for option, value in options if value for word in (option, str(value))]
+    words += ["--people-by-order"] if people and people.by_order else []
     return shlex.join(["gridtrack", "recording", "import", recording.name, *words])
 
 

@@ -169,7 +169,7 @@ class SceneWriter:
         if self._static is scene.static:
             return None
         self._static = scene.static
-        update = _empty_update(stamp_ns)
+        update = empty_update(stamp_ns)
         for i, outline in enumerate(scene.static):
             update.entities.append(self._entity(f"static {i}", outline, scene.static_label))
             _place(update.entities[-1], SE2(), stamp_ns)
@@ -177,7 +177,7 @@ class SceneWriter:
 
     def objects(self, scene: Scene, stamp_ns: int) -> SceneUpdate:
         """All objects; the message replaces the one before. Raises RecordingError."""
-        update = _empty_update(stamp_ns)
+        update = empty_update(stamp_ns)
         outlines: Counter[int] = Counter()
         for road_user in scene.objects:
             part = outlines[road_user.track]
@@ -210,7 +210,7 @@ class SceneWriter:
         return entity
 
 
-def _empty_update(stamp_ns: int) -> SceneUpdate:
+def empty_update(stamp_ns: int) -> SceneUpdate:
     """An update that deletes the entities before it; the deletion has the stamp of the scan."""
     update = SceneUpdate()
     update.deletions.add(type=SceneEntityDeletion.ALL, timestamp=timestamp_of(stamp_ns))
@@ -241,13 +241,13 @@ class SceneReader:
 
     def add(self, topic: str, data: bytes) -> None:
         """Read a message of OUTLINES or OBJECTS. Raises DamageError for an invalid or too large one."""
-        update = _scene_update(topic, data)
+        update = read_scene_update(topic, data)
         placed = [(_pose(topic, entity), self._body(topic, entity)) for entity in update.entities]
         if topic == OUTLINES:
             self._static = tuple(_read_only(pose.apply(body.outline)) for pose, body in placed)
             self._static_label = placed[0][1].label if placed else UNLABELLED
             return
-        objects = tuple(SceneObject(_track(body.name), body.label, pose, body.outline) for pose, body in placed)
+        objects = tuple(SceneObject(track_of(body.name), body.label, pose, body.outline) for pose, body in placed)
         stamp_ns = nanoseconds_of(update.deletions[0].timestamp) if update.deletions else -1
         self._scene = (stamp_ns, Scene(self._static, self._static_label, objects))
 
@@ -279,7 +279,8 @@ class SceneReader:
         return _Body(entity.id, UNLABELLED if name is None else self._labels[name], outline)
 
 
-def _scene_update(topic: str, data: bytes) -> SceneUpdate:
+def read_scene_update(topic: str, data: bytes) -> SceneUpdate:
+    """A message of `topic`, of a bounded size. Raises DamageError."""
     if len(data) > MAX_SCENE_BYTES:
         raise DamageError(f"corrupt: a message of {topic} of {len(data)} bytes; at most {MAX_SCENE_BYTES} are read")
     update = SceneUpdate()
@@ -308,7 +309,8 @@ def _read_only(corners: object) -> Outline:
     return outline
 
 
-def _track(name: str) -> int:
+def track_of(name: str) -> int:
+    """The track of an entity with the id `name`. Raises DamageError."""
     name = name.partition("/")[0]
     if name.isascii() and name.isdecimal() and len(name) < 20 and int(name) < MAX_TRACK:
         return int(name)

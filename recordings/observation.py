@@ -13,7 +13,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Points
 from gridtrack.common.raycast import cast_scan, end_cells
 from gridtrack.common.scan import Scan
-from gridtrack.common.scene import UNLABELLED, Scene
+from gridtrack.common.scene import UNLABELLED, Person, Scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +35,11 @@ class Observation:
     def scene(self) -> Scene | None:
         """The true scene, if the recording has it."""
         return next((scan.scene for scan in self.scans if scan.scene is not None), None)
+
+    @property
+    def people(self) -> tuple[Person, ...] | None:
+        """The annotated people, in the reference world frame; None where nothing is annotated."""
+        return next((scan.people for scan in self.scans if scan.people is not None), None)
 
     @property
     def reference_T_grid(self) -> SE2:

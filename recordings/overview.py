@@ -33,6 +33,8 @@ class SensorOverview(Settings):
     """Share of ranges that are exactly 0.0."""
     labelled_scans: int
     scans_with_truth: int
+    scans_with_people: int = 0
+    """Scans in the stretches with annotated people."""
     moves: bool | None
     """None if its poses are not known."""
     pose_drift_m: float | None = None
@@ -63,6 +65,7 @@ class SensorOverview(Settings):
             zero_share=round(sensor.zeros / readings, 4),
             labelled_scans=sensor.labelled,
             scans_with_truth=sensor.with_truth,
+            scans_with_people=sensor.with_people,
             moves=sensor.moved if poses_known else None,
             pose_drift_m=round(drift_m, 4) if poses_known and drift_m is not None else None,
         )
@@ -108,5 +111,6 @@ def _sensor_lines(s: SensorOverview) -> list[str]:
         + ("" if s.pose_drift_m is None else f"; by its poses a wall moves {s.pose_drift_m:.3f} m in a second"),
         f"{s.no_return_share:.1%} no return, {s.invalid_share:.1%} invalid, {s.zero_share:.1%} exactly 0.0,"
         f" {s.labelled_scans} scans labelled"
-        + (f", {s.scans_with_truth} scans with truth" if s.scans_with_truth else ""),
+        + (f", {s.scans_with_truth} scans with truth" if s.scans_with_truth else "")
+        + (f", {s.scans_with_people} scans with annotated people" if s.scans_with_people else ""),
     ]

@@ -17,7 +17,9 @@ from gridtrack.common.notices import Notice
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.file_reading import DamageError, Growth
 from gridtrack.recordings.meaning import with_meaning
+from gridtrack.recordings.native_messages import WORLD
 from gridtrack.recordings.overview import RecordingOverview, SensorOverview
+from gridtrack.recordings.people import Annotation, CarriedFrame, KnownFrames
 from gridtrack.recordings.read_options import Mount, ReadOptions
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.recordings.stamp_order import StampOrder
@@ -165,6 +167,14 @@ class Recording(ABC):
     def is_mount_of(self, mount: Mount, topic: str) -> bool:
         """Whether a mount belongs to the sensor with the scans of `topic`."""
         return topic in (mount.sensor, self.topic_of(mount.sensor))
+
+    def annotations(self, topic: str, *, by_order: bool) -> Iterator[Annotation]:
+        """The annotated people on `topic`; `by_order`: each place in an array of poses is a person. RecordingError."""
+        raise RecordingError(f"{self.path}: people on '{topic}': only topics of ROS are read; give them as a CSV file")
+
+    def coordinate_frames(self, sensors: Iterable[str]) -> KnownFrames:
+        """The frames in which people may be given: the world's, and those of the `sensors`."""
+        return {WORLD: None, **{sensor: CarriedFrame(sensor) for sensor in sensors}}
 
     @abstractmethod
     def read(self, topics: Topics) -> Iterator[Scan]:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.common.errors import RecordingError
+from gridtrack.common.errors import RecordingError, did_you_mean
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.file_reading import DamageError
 from gridtrack.recordings.framed_recording import Content, EncodedMessage, FramedRecording
@@ -23,8 +23,10 @@ from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import StampedTransform
 from gridtrack.recordings.native_messages import MAX_SWEEP_S
 from gridtrack.recordings.output_definitions import ROS1_OUTPUTS, ROS2_OUTPUTS
+from gridtrack.recordings.people import Annotation
 from gridtrack.recordings.read_options import CloudSlice, ReadOptions
 from gridtrack.recordings.recording import Topics
+from gridtrack.recordings.ros_people import PeopleReader, is_people
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
@@ -326,6 +328,27 @@ class RosRecording(FramedRecording):
             if heights_m.size and np.ptp(heights_m) < FLAT_M:
                 return f"low_m={heights_m.min() - FLAT_M / 2:.1f},high_m={heights_m.max() + FLAT_M / 2:.1f}"
         return EXAMPLE_SLICE
+
+    def annotations(self, topic: str, *, by_order: bool) -> Iterator[Annotation]:
+        """As in every recording: from messages of people, or of poses."""
+        known: dict[str, None] = {}
+        reader = PeopleReader(topic, by_order=by_order, received=self.options.stamps == "received")
+        for message in self._messages_before_damage():
+            if not is_people(message.kind):
+                continue
+            known[message.topic] = None
+            if message.topic == topic:
+                try:
+                    with self._decoded(message) as decoded:
+                        yield from reader.read(decoded, message.kind, message.received_ns)
+                except (DamageError, RecordingError) as error:
+                    raise RecordingError(f"{self.path}: {error}") from None
+        if topic not in known:
+            raise RecordingError(f"{self.path}: no topic '{topic}' with people; {did_you_mean(topic, known)}")
+
+    def _messages_before_damage(self) -> Iterator[EncodedMessage]:
+        with contextlib.suppress(DamageError):  # reported when the scans are read
+            yield from self.messages()
 
     def why_no_scans(self, topics: Topics) -> str:
         """As in every recording; point clouds are read on request."""

@@ -126,6 +126,12 @@ class GridStream:
         """Whether the recording has the true scene."""
         return any(scan.scene is not None for scan in islice(self.recording.scans(), len(self.recording.survey.poses)))
 
+    @property
+    def has_people(self) -> bool:
+        """Whether people are annotated in the stretch."""
+        sensors = [sensor for sensor in self.recording.survey.sensors.values() if sensor.with_people]
+        return any(one.people_ns[0] <= self.stamp_ns(-1) and one.people_ns[1] >= self.stamp_ns(0) for one in sensors)
+
     def observations(self) -> Iterator[Observation]:
         """The frames with their scans. For the referee only: no tracker receives one.
 

@@ -73,6 +73,9 @@ class SensorSurvey:
     """The smallest and the largest finite range other than 0.0, metres, whether valid or not."""
     labelled: int = 0
     with_truth: int = 0
+    with_people: int = 0
+    people_ns: tuple[int, int] = (0, 0)
+    """Stamps of the first and last scan with annotated people."""
     jumps: PoseJumps = field(default_factory=PoseJumps)
     drift: PoseDrift = field(default_factory=PoseDrift)
     rest: PoseDrift = field(default_factory=lambda: PoseDrift(at_rest=True))
@@ -97,6 +100,9 @@ class SensorSurvey:
         self.farthest = max(self.farthest, float(finite.max(initial=-math.inf)))
         self.labelled += scan.labels is not None
         self.with_truth += scan.scene is not None
+        if scan.people is not None:
+            self.people_ns = (self.people_ns[0] if self.with_people else scan.stamp_ns, scan.stamp_ns)
+            self.with_people += 1
         self.jumps.add(scan.stamp_ns, scan.world_T_sensor)
         self.drift.add(scan)
         self.alternation.add(scan)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -20,6 +20,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.referee.kinds import Regions
 from gridtrack.evaluation.referee.motion import MotionFinder, ObservedMotion, ReturnsInMotion, parts_of
+from gridtrack.evaluation.referee.people import people_in
 from gridtrack.evaluation.referee.strata import LastSeen, RegionMaps
 from gridtrack.evaluation.referee.targets import Target, target_of
 from gridtrack.recordings.observation import Observation
@@ -239,6 +240,7 @@ class Moment:
             motion = parts_of(moving, seen.frame.occupied, region_maps.dynamic, grid)
             bodies = self._in_motion.bodies
             target = target_of(seen, grid, self._source.classes, motion, bodies)
+            target = replace(target, people=people_in(seen, grid, region_maps.dynamic))
             self._newest = newest = window, region_maps, target
         return newest[2]
 

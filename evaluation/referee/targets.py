@@ -13,6 +13,7 @@ from gridtrack.common.grid import GridFrame, GridSpec, Mask, snapped
 from gridtrack.common.raycast import directions_of, turned, window_ranges
 from gridtrack.common.scene import UNLABELLED
 from gridtrack.evaluation.referee.motion import BodyMotions, body_of_returns
+from gridtrack.evaluation.referee.people import PeopleInWindow
 from gridtrack.evaluation.referee.strata import RANGES, REGIONS, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, RegionMaps
 from gridtrack.recordings.observation import Observation, check_labels, labelled_returns
 from gridtrack.recordings.truth import FREE, INTERIOR, OUTLINE, TruthGrid, truth_grid
@@ -68,7 +69,7 @@ class Target:
     each dynamic cell, an index into PARTS. `cells` (N,) int64, row * M +
     column: the occupied cells with a known class, visible and hidden; `labels` (N,) uint8: their classes, indices into
     the recording's classes. `beams` cross the window. `flow()`: the true velocities, found when they
-    are first asked for.
+    are first asked for. `people`: None where no people are annotated.
     """
 
     frame: GridFrame
@@ -78,6 +79,7 @@ class Target:
     labels: NDArray[np.uint8] = field(default_factory=lambda: _NO_LABELS)
     beams: CrossingBeams = field(default_factory=CrossingBeams.none)
     flow: Callable[[], TrueFlow] = TrueFlow.none
+    people: PeopleInWindow | None = None
 
     @classmethod
     def of_frame(cls, frame: GridFrame) -> Target:

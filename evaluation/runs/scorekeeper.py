@@ -32,6 +32,7 @@ def facts_of(
         classes=tuple(split.test.classes),
         tracker_classes=tuple(tracker_classes),
         has_truth=split.test.has_truth,
+        has_people=split.test.has_people,
         period_s=split.test.period_s,
         robot=robot,
     )

@@ -65,6 +65,7 @@ CROWDED = 0.005
 """A frame is crowded if at least this share of its visible cells off static ones is occupied."""
 _SLICES = ("dynamic", "in-motion", "standing")
 _HIDDEN = "occluded dynamic"
+_WITH_PEOPLE = "contacts with people"
 _DISTANCES = tuple(f"contacts {name}" for name in RANGE_NAMES)
 _DENSITIES = ("contacts among few", "contacts in a crowd")
 _TIMES = tuple(f"contacts {begin:g}-{end:g} s ahead" for begin, end in pairwise((0.0, *CONTACT_HORIZONS_S)))
@@ -86,9 +87,12 @@ _PARTS = (
 
 def contact_strata(facts: TrialFacts) -> tuple[str, ...]:
     """All contacts; then by the first cell: in motion, standing, its distance from the sensor, hidden at first (with
-    truth), and of each class; by the time until the contact; and by the density of the frame."""
+    truth), of each class, and of an annotated person; by the time until the contact; and by the density of the
+    frame."""
     hidden = (_HIDDEN,) if facts.has_truth else ()
-    return *_SLICES, *hidden, *(f"dynamic {name}" for name in facts.classes), *_DISTANCES, *_TIMES, *_DENSITIES
+    people = (_WITH_PEOPLE,) if facts.has_people else ()
+    classes = (f"dynamic {name}" for name in facts.classes)
+    return *_SLICES, *hidden, *classes, *people, *_DISTANCES, *_TIMES, *_DENSITIES
 
 
 def longest(facts: TrialFacts) -> int:
@@ -188,11 +192,11 @@ def _add_contacts(
 
 
 def _of_frame(forecast: ScoredForecast, facts: TrialFacts) -> NDArray[np.bool_]:
-    """Whether the frame belongs to each stratum (K,): all frames do, but for a crowd, and few, only some."""
+    """Whether the frame belongs to each stratum (K,): all frames do, but for a crowd, few, and people only some."""
     first, dynamic = forecast.targets[0].frame, forecast.region_maps.dynamic
     crowded = (first.occupied & dynamic).sum() >= CROWDED * (first.visible & dynamic).sum()
-    left_out = _DENSITIES[not crowded]
-    return np.array([name != left_out for name in contact_strata(facts)])
+    left_out = [_DENSITIES[not crowded], _WITH_PEOPLE if forecast.targets[0].people is None else ""]
+    return np.array([name not in left_out for name in contact_strata(facts)])
 
 
 def paths_of(forecast: ScoredForecast, facts: TrialFacts) -> Paths:
@@ -256,6 +260,10 @@ def _slices_of(events: Events, forecast: ScoredForecast, facts: TrialFacts) -> N
             own[target.cells] = target.labels
         for number, name in enumerate(facts.classes):
             slices[f"dynamic {name}"][met] = labels[step, cell] == number
+    if facts.has_people:
+        nobody = np.zeros(forecast.targets[0].state.size, np.bool_)
+        near = [nobody if target.people is None else target.people.near.ravel() for target in forecast.targets]
+        slices[_WITH_PEOPLE][met] = np.stack(near)[step, cell]
     return np.stack(list(slices.values()))
 
 

@@ -124,8 +124,8 @@ def block(name: str, size: int) -> tuple[str, ...]:
 @dataclass(frozen=True, slots=True)
 class TrialFacts:
     """A trial as scores see it: cells of `cell_m` metres, steps 0..`steps`, the strata that are scored, the
-    classes of the recording and of the tracker, its thresholds, and whether there is ground truth. Frames are
-    `period_s` seconds apart, and contacts are of `robot`."""
+    classes of the recording and of the tracker, its thresholds, and whether there are ground truth and annotated
+    people. Frames are `period_s` seconds apart, and contacts are of `robot`."""
 
     cell_m: float
     steps: int
@@ -134,6 +134,7 @@ class TrialFacts:
     classes: tuple[str, ...] = ()
     tracker_classes: tuple[str, ...] = ()
     has_truth: bool = False
+    has_people: bool = False
     period_s: float = 0.1
     robot: Robot = SMALL_ROBOT
 

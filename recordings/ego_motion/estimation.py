@@ -14,6 +14,7 @@ from gridtrack.recordings.ego_motion.fit import MatchingSettings
 from gridtrack.recordings.ego_motion.matching import ScanMatch, ScanMatcher
 from gridtrack.recordings.ego_motion.prior import LastMotion, Prior, motion_prior, odometry_prior
 from gridtrack.recordings.ego_motion.returns import OBJECT_M
+from gridtrack.recordings.interpolated_poses import InterpolatedPoses
 from gridtrack.recordings.read_options import PoseSource
 
 REST_M, REST_RAD = 0.01, 0.005
@@ -147,16 +148,22 @@ def matched_trajectory(scans: Iterable[Scan], source: PoseSource, settings: Matc
     return trajectory
 
 
-def with_matched_poses(scans: Iterable[Scan], trajectory: MatchedTrajectory) -> Iterator[Scan]:
+def with_matched_poses(
+    scans: Iterable[Scan], trajectory: MatchedTrajectory, *, has_people: bool = False
+) -> Iterator[Scan]:
     """`scans` with the poses of `trajectory`, estimated from the same scans.
 
     Other sensors keep their recorded pose relative to the matched sensor, interpolated at their stamps. If the true
-    scene is known, the recorded pose becomes the reference pose: the scene is in its world frame.
+    scene is known, or the recording `has_people`, the recorded pose becomes the reference pose: they are in its world
+    frame.
     """
-    recorded, matched = _Interpolated(trajectory, trajectory.recorded), _Interpolated(trajectory, trajectory.matched)
+    recorded, matched = (
+        InterpolatedPoses(trajectory.stamps_ns, poses) for poses in (trajectory.recorded, trajectory.matched)
+    )
     found = zip(trajectory.matched, trajectory.qualities, strict=True)
     for scan in scans:
-        reference = scan.reference_T_sensor or (scan.world_T_sensor if scan.scene is not None else None)
+        known = has_people or scan.scene is not None
+        reference = scan.reference_T_sensor or (scan.world_T_sensor if known else None)
         if scan.sensor == trajectory.sensor:
             pose, quality = next(found)
             yield replace(scan, world_T_sensor=pose, reference_T_sensor=reference, pose_quality=quality)
@@ -164,21 +171,6 @@ def with_matched_poses(scans: Iterable[Scan], trajectory: MatchedTrajectory) -> 
             mounted = recorded.at(scan.stamp_ns).inverse() @ scan.world_T_sensor
             pose = matched.at(scan.stamp_ns) @ mounted
             yield replace(scan, world_T_sensor=pose, reference_T_sensor=reference)
-
-
-class _Interpolated:
-    """Poses at any stamp: position and heading are linear between two scans, constant outside."""
-
-    def __init__(self, trajectory: MatchedTrajectory, poses: list[SE2]) -> None:
-        self._stamps_ns = np.array(trajectory.stamps_ns, np.int64)
-        self._x, self._y, theta = _columns(poses)
-        self._theta = np.unwrap(theta)
-
-    def at(self, stamp_ns: int) -> SE2:
-        # relative to the stamp: seconds since 1970 as floats have a resolution of a microsecond
-        since_s = (self._stamps_ns - stamp_ns) / 1e9
-        x, y, theta = (float(np.interp(0.0, since_s, values)) for values in (self._x, self._y, self._theta))
-        return SE2(x, y, wrap_angle(theta))
 
 
 def _columns(poses: list[SE2]) -> np.typing.NDArray[np.float64]:

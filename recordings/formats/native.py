@@ -4,7 +4,7 @@
 (foxglove.FrameTransform, world_T_sensor, written where it changes), `/reference_pose` or `/reference_pose/SENSOR`
 (foxglove.PoseInFrame, reference_T_sensor of scans that have it, written where it changes), `/labels` or
 `/labels/SENSOR` (the labelled scan once more, with the index of each beam's class as its intensity; 255: unlabelled),
-and the messages in native_messages.py. The metadata record `gridtrack` contains the RecordingInfo.
+and the messages in native_messages.py and people_messages.py. The metadata record `gridtrack` has the RecordingInfo.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError, one_line
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import PoseQuality, Scan
-from gridtrack.common.scene import Scene
+from gridtrack.common.scene import Person, Scene
 from gridtrack.common.untrusted import parse_json
 from gridtrack.recordings.file_reading import DamageError, Growth
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile, McapMessage
@@ -58,6 +58,7 @@ from gridtrack.recordings.native_messages import (
     timestamp_of,
     topic_name,
 )
+from gridtrack.recordings.people_messages import PEOPLE, people_message, read_people_message
 from gridtrack.recordings.recording import Recording, Topics
 from gridtrack.recordings.recording_info import RecordingInfo
 from gridtrack.recordings.registry import RecordingFormat
@@ -98,6 +99,7 @@ class NativeRecording(Recording):
         beam_times: dict[str, float] = {}
         qualities: dict[str, PoseQuality] = {}
         truth: SceneReader | None = None
+        people: tuple[int, tuple[Person, ...] | None] = (-1, None)
         file = McapFile(self.path, self.growth)
         for message in file.messages():
             topic = message.channel.topic
@@ -119,6 +121,8 @@ class NativeRecording(Recording):
             elif topic in (OUTLINES, OBJECTS):
                 truth = truth or SceneReader(self.info.classes)
                 truth.add(topic, message.data)
+            elif topic == PEOPLE:
+                people = read_people_message(message.data)
             elif is_scan and self.options.topic in (None, topic):
                 scan = _decoded(LaserScan(), message)
                 scene = truth.scene_at(nanoseconds_of(scan.timestamp)) if truth is not None else None
@@ -129,6 +133,7 @@ class NativeRecording(Recording):
                     reference_T_sensor=references.get(topic_name(REFERENCE_POSE, scan.frame_id)),
                     time_increment_s=beam_times.get(topic_name(BEAM_TIMES, scan.frame_id), 0.0),
                     pose_quality=qualities.pop(topic_name(POSE_QUALITY, scan.frame_id), None),
+                    people=people[1] if people[0] == found.stamp_ns else None,
                 )
         self._report_source(file.metadata.get(WARNINGS_NAME, {}))
 
@@ -240,6 +245,7 @@ class _NativeWriter:
         self._json_channels: dict[str, int] = {}
         self._truth = SceneWriter(info.classes)
         self._written: tuple[int, Scene] | None = None
+        self._people_ns = -1
 
     def write(self, scan: Scan) -> None:
         """Write the pose, truth and labels before their scan, so that a reader has them in time."""
@@ -255,6 +261,9 @@ class _NativeWriter:
             self._add_json(POSE_QUALITY, scan, pose_quality_message(scan.stamp_ns, scan.pose_quality))
         if scan.scene is not None:
             self._write_truth(scan.scene, scan.stamp_ns)
+        if scan.people is not None and scan.stamp_ns != self._people_ns:
+            self._people_ns = scan.stamp_ns
+            self._add(PEOPLE, people_message(scan.people, scan.stamp_ns), scan.stamp_ns)
         message = _scan_message(scan)
         if scan.labels is not None:
             labelled = LaserScan()

@@ -70,8 +70,8 @@ export function stratumChoice(recording, score, has) {
   return ["stratum", noun[0].toUpperCase() + noun.slice(1), strataOf(recording, has, noun)];
 }
 
-// Strata of contacts alone have a name of their own.
-export const stratumWords = (name, noun = "cells") => (name.startsWith("contacts ") ? name : `${name} ${noun}`);
+// Strata of contacts and of people alone have a name of their own.
+export const stratumWords = (name, noun = "cells") => (/^(contacts|people)\b/.test(name) ? name : `${name} ${noun}`);
 
 export function scoresOf(recording, stratum, has = () => true) {
   return outputs.filter(has).filter(({ key }) => recording.rows.some((row) => isDefined(row, stratum, key)))
