@@ -339,7 +339,7 @@ class RosRecording(FramedRecording):
             known[message.topic] = None
             if message.topic == topic:
                 try:
-                    with self._decoded(message) as decoded:
+                    with self.decoded(message) as decoded:
                         yield from reader.read(decoded, message.kind, message.received_ns)
                 except (DamageError, RecordingError) as error:
                     raise RecordingError(f"{self.path}: {error}") from None

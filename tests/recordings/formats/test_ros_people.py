@@ -10,13 +10,13 @@ from rosbags.typesys import get_types_from_msg
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import import_recording
-from gridtrack.recordings.ros_people import PEOPLE_TYPES
+from gridtrack.recordings.output_definitions import ROS1_OUTPUTS, ROS2_OUTPUTS
 
 from scenes.drive_bag import FRONT, MS, REAR, START_NS, Ros, robot_at, two_scanner_drive
 
 ROS = {1: Ros(1), 2: Ros(2)}
-for _ros in ROS.values():
-    for _kind, _text in PEOPLE_TYPES.items():
+for _ros, _definitions in zip(ROS.values(), (ROS1_OUTPUTS, ROS2_OUTPUTS), strict=True):
+    for _kind, _text in _definitions.items():
         if _kind not in _ros.store.types:
             _ros.store.register(get_types_from_msg(_text, _kind))
 STAMPS_MS = (500, 1000, 1500)
