@@ -20,8 +20,10 @@ from gridtrack.reports.styles import page_css
 from gridtrack.reports.table import RECORDED
 from gridtrack.trackers.contract import Role
 
-BAR = 240
+BAR = 150
 """Width of the drawing of an interval, pixels, from 0 to 1."""
+VERDICT_MARKS = {"better": " ▲", "worse": " ▼"}
+"""Marks of rows that are better and worse than the reference."""
 MARKS: Mapping[Role, str] = {"tracker": "", "floor": "floor", "recorded": RECORDED}
 """The mark of a row by its role."""
 
@@ -77,14 +79,14 @@ def estimate_text(value: BoardValue) -> str:
 
 
 def difference_text(row: BoardRow) -> str:
-    """The difference from the reference with its interval and the verdict of its test."""
+    """The difference from the reference with its interval, and a mark if its test shows one."""
     if not row.verdict:
         return ""
     found, decimals = row.difference, row.values[0].output.decimals
     if np.isnan(found.low):
         return f"{float(found.value):+.{decimals}f}"
     ends = f"[{float(found.low):+.{decimals}f}, {float(found.high):+.{decimals}f}]"
-    return f"{float(found.value):+.{decimals}f} {ends} {row.verdict}"
+    return f"{float(found.value):+.{decimals}f} {ends}{VERDICT_MARKS.get(row.verdict, '')}"
 
 
 @dataclass(frozen=True)

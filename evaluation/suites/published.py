@@ -12,15 +12,17 @@ from gridtrack.common.config import Settings
 from gridtrack.common.files import read_json, write_text
 from gridtrack.common.notices import Line
 from gridtrack.evaluation.regression.baseline import digest_of, lines_of
-from gridtrack.evaluation.regression.measurement import Measurement
+from gridtrack.evaluation.regression.measurement import Measurement, UnitSums
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.runs.run_record import Machine, read_run_record
 from gridtrack.evaluation.runs.trial_record import read_trial_record
+from gridtrack.evaluation.scores.registry import scores
 from gridtrack.evaluation.suites.suite import ROWS, SuiteError
 
 ROW_SCHEMA: Final = 1
 MAX_ROW_BYTES = 16 << 20
 ROW_SUFFIX = ".json"
+KEPT_STRATA = ("in-motion", "visible")
 
 
 class PublishedRow(Settings):
@@ -54,9 +56,7 @@ def rows_of_run(run: Path, suite: str, credit: str = "", like: Measurement | Non
     measured, record = measure_run(run, like), read_run_record(run)
     found = []
     for label in measured.trackers:
-        own = measured.model_copy(
-            update={"trackers": {label: measured.trackers[label]}, "scores": {label: measured.scores[label]}}
-        )
+        own = _alone(measured, label)
         trials = [read_trial_record(run / f"{label}@{name}") for name in own.recordings]
         found.append(
             PublishedRow(
@@ -71,6 +71,29 @@ def rows_of_run(run: Path, suite: str, credit: str = "", like: Measurement | Non
             )
         )
     return found
+
+
+def _alone(measured: Measurement, label: str) -> Measurement:
+    """The sums of one row: of the scores that may lead, in their own strata and in KEPT_STRATA."""
+    leading = {score.name: {score.stratum, *KEPT_STRATA} for score in scores(()) if score.may_lead}
+    entry = measured.trackers[label]
+
+    def kept(unit: UnitSums) -> UnitSums:
+        sums = {
+            score: {stratum: bands for stratum, bands in strata.items() if stratum in leading[score]}
+            for score, strata in unit.sums.items()
+            if score in leading
+        }
+        return unit.model_copy(update={"sums": sums})
+
+    recordings = {
+        name: trial.model_copy(update={"units": tuple(map(kept, trial.units))})
+        for name, trial in entry.recordings.items()
+    }
+    parts = {score: own for score, own in measured.scores[label].items() if score in leading}
+    return measured.model_copy(
+        update={"trackers": {label: entry.model_copy(update={"recordings": recordings})}, "scores": {label: parts}}
+    )
 
 
 def write_row(path: Path, row: PublishedRow) -> None:

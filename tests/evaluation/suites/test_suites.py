@@ -78,7 +78,7 @@ def test_its_sentences_and_rows_say_what_is_better(rows, tmp_path):
         "F1, in-motion, 0.5 to 1.5 s",
         "difference from good",
     ]
-    assert printed[2]["difference from good"].endswith(" worse")
+    assert printed[2]["difference from good"].endswith(" ▼")
 
 
 def test_the_page_is_escaped_and_has_no_script(rows, tmp_path):
