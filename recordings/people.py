@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gridtrack.common.errors import ConfigurationError, RecordingError, did_you_mean, one_line
 from gridtrack.common.geometry import SE2
@@ -349,5 +348,7 @@ def _distances_to_returns(people: Sequence[Person], scan: Scan) -> NDArray[np.fl
     angles = scan.angle_min + scan.angle_increment * np.flatnonzero(is_return)
     points = np.stack([np.cos(angles), np.sin(angles)], axis=1) * scan.ranges[is_return, None]
     returns = (scan.reference_T_sensor or scan.world_T_sensor).apply(points)
+    from scipy.spatial import cKDTree  # heavy, and few recordings have people
+
     distance, _ = cKDTree(returns).query([(one.x, one.y) for one in people])
     return np.asarray(distance)

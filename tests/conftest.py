@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import hypothesis
 import pytest
 
 from studies.support.plugins import every_class, write_distribution
@@ -19,6 +20,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # workers fill the cores: two thr
 
 # a shell that runs the tests in the background has them ignore Ctrl-C, and with them every process that they start
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# a loaded machine may take any time for an example
+hypothesis.settings.register_profile("loaded", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+hypothesis.settings.load_profile("loaded")
 
 PLUGINS = Path(__file__).parent / "plugins"
 

@@ -129,7 +129,7 @@ function caption(chosen) {
   const own = `${scoreWords(outputNamed(chosen.score))}${hasIntervals ? ", with 95 % intervals" : ""}${right}`;
   const marks = chosen.reference === NO_REFERENCE ? "" : ` ▲ better, ▼ worse${tests ? "" : " by intervals"}.`;
   if (!tests) return `${own}. Not tested: ${recordingNamed(chosen.recording).untested}.${marks}`;
-  return `${own}. A bar joins rows that do not differ significantly: p < 0.05 over ${tests.units} independent units, corrected for ${tests.pairs} pairs.${marks} ${manyRankings(chosen)}`;
+  return `${own}. A bar joins rows that do not differ significantly: p < 0.05 over ${tests.units} units, corrected for ${tests.pairs} pairs.${marks} ${manyRankings(chosen)}`;
 }
 
 // A warning about comparing many rankings.

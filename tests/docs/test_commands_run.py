@@ -49,7 +49,7 @@ THEMES = {
     ),
     "training": (
         *("docs/weights.md", "docs/weights.md 3", "docs/scale.md 4", "docs/trackers/floor.md"),
-        *("docs/trackers/model-free.md", "docs/trackers/one-shot.md", "docs/drives.md 2"),
+        *("docs/trackers/model-free.md", "docs/trackers/one-shot.md", "docs/drives.md 2", "docs/onnx.md"),
         "docs/results/moving/drives.md",
     ),
     "outputs": ("docs/recorded-bags.md", "docs/recorded-bags.md 2"),
@@ -86,6 +86,7 @@ SMALLER = (
     ("--engine slurm --slurm partition=long,timeout_min=240", "--engine local"),
     ("--engine ray", "--engine local"),
     ("my.mcap --tracker persistence --tracker static-map --segment 20s", "my.bag --tracker blank --segment 10s"),
+    ("export dilated-convgru --grid 100x0.2 ", "export kalman --grid 20x0.2 "),
     ("weights=DIR", "weights=data/weights"),
     ("FOLDER", "data/weights"),
     ("--minutes 75", "--minutes 0.2 --start 30s"),

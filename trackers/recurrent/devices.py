@@ -23,8 +23,8 @@ from torch import nn
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.trackers.contract import FitTask
 from gridtrack.trackers.recurrent.settings import Precision, TrainingSettings
-from gridtrack.trackers.training.checkpoints import TRAINING_FILE
-from gridtrack.trackers.training.device import device_count, device_kind
+from gridtrack.trackers.training.checkpoints import TRAINING_FILE, training_device
+from gridtrack.trackers.training.device import device_count
 
 AT_THE_END_S = 10.0
 """Time limit for the last lines of a device process that was killed."""
@@ -51,7 +51,7 @@ class Devices(NamedTuple):
             raise ConfigurationError(
                 f"devices={number} cannot share batch={batch} equally: choose a multiple of {number}"
             )
-        kind = device_kind(kind)
+        kind = training_device(kind).type
         if number > (found := device_count(kind)):
             raise ConfigurationError(f"devices={number}: this machine has {found} of kind {kind}")
         return cls(kind, number)
