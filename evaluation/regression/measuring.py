@@ -231,13 +231,16 @@ def _unit_sums(trial: ReadTrial, numbers: NDArray[np.int64], scores: Sequence[st
         )
 
 
-def band_of(horizon_s: float) -> str | None:
-    """The step band of a horizon; None for step 0."""
-    return next((name for name, (low, high) in BANDS.items() if low < horizon_s <= high + 1e-9), None)
-
-
 def _steps_by_band(horizons_s: Sequence[float]) -> dict[str, list[int]]:
-    bands = [band_of(horizon) for horizon in horizons_s]
+    """The steps of each band; step 0 is in none.
+
+    A step up to half a period beyond a limit is below it: at 5.9 Hz the step of half a second is 0.51 s ahead.
+    """
+    half_s = (horizons_s[1] - horizons_s[0]) / 2
+    bands = [
+        next((name for name, (low, high) in BANDS.items() if low < horizon_s - half_s + 1e-9 <= high), None)
+        for horizon_s in horizons_s
+    ]
     return {name: [step for step, its in enumerate(bands) if its == name] for name in BANDS if name in bands}
 
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
 from gridtrack.evaluation.regression.measurement import PackedSums, Parts
+from gridtrack.evaluation.regression.measuring import _steps_by_band
 
 SUMS, PARTS = TypeAdapter(PackedSums), TypeAdapter(Parts)
 
@@ -31,3 +32,13 @@ def test_a_histogram_of_few_counts_is_short():
         "contacts 0-699",
         "seconds",
     ]
+
+
+def test_the_step_nearest_to_half_a_second_is_in_the_short_band_at_every_rate():
+    """At 10 Hz it is 0.5 s ahead, at 5.9 Hz 0.51 s."""
+    assert _steps_by_band([step / 10 for step in range(21)]) == {
+        "short": [1, 2, 3, 4, 5],
+        "middle": [6, 7, 8, 9, 10, 11, 12, 13, 14, 15],
+        "long": [16, 17, 18, 19, 20],
+    }
+    assert _steps_by_band([0.17 * step for step in range(10)]) == {"short": [1, 2, 3], "middle": [4, 5, 6, 7, 8, 9]}
