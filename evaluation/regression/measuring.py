@@ -234,11 +234,12 @@ def _unit_sums(trial: ReadTrial, numbers: NDArray[np.int64], scores: Sequence[st
 def _steps_by_band(horizons_s: Sequence[float]) -> dict[str, list[int]]:
     """The steps of each band; step 0 is in none.
 
-    A step up to half a period beyond a limit is below it: at 5.9 Hz the step of half a second is 0.51 s ahead.
+    A step up to half a period beyond a limit is below it, because the step nearest to half a second may be: at 7 Hz it
+    is 0.571429 s ahead, in digits of `horizons_s`.
     """
-    half_s = (horizons_s[1] - horizons_s[0]) / 2
+    half_s = 0.501 * (horizons_s[1] - horizons_s[0])
     bands = [
-        next((name for name, (low, high) in BANDS.items() if low < horizon_s - half_s + 1e-9 <= high), None)
+        next((name for name, (low, high) in BANDS.items() if low < horizon_s - half_s <= high), None)
         for horizon_s in horizons_s
     ]
     return {name: [step for step, its in enumerate(bands) if its == name] for name in BANDS if name in bands}

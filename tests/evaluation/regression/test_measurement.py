@@ -35,7 +35,8 @@ def test_a_histogram_of_few_counts_is_short():
 
 
 def test_the_step_nearest_to_half_a_second_is_in_the_short_band_at_every_rate():
-    """At 10 Hz it is 0.5 s ahead, at 5.9 Hz 0.51 s."""
+    """At 10 Hz it is 0.5 s ahead, at 5.9 Hz 0.51 s, at 7 Hz 0.571 s."""
+    assert _steps_by_band([round(step / 7, 6) for step in range(9)])["short"] == [1, 2, 3, 4]
     assert _steps_by_band([step / 10 for step in range(21)]) == {
         "short": [1, 2, 3, 4, 5],
         "middle": [6, 7, 8, 9, 10, 11, 12, 13, 14, 15],
