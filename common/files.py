@@ -185,12 +185,12 @@ def _why_no_json(text: bytes) -> str:
 
 
 def sha256_of(path: Path, limit: int | None = None) -> str:
-    """SHA-256 of a file, or of all files of a folder in the order of their names: 64 hexadecimal digits.
+    """SHA-256 of a file, or of all files in a folder and below, in the order of their paths: 64 hexadecimal digits.
 
     At most the first `limit` bytes of each file are read, in pieces. Raises OSError.
     """
     digest = hashlib.sha256()
-    for part in sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]:
+    for part in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
         with open_regular(part) as file:
             while block := file.read(1 << 20 if limit is None else min(1 << 20, limit - file.tell())):
                 digest.update(block)

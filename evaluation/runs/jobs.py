@@ -23,13 +23,13 @@ from gridtrack.common.files import name_from
 from gridtrack.common.notices import Notice
 from gridtrack.evaluation.engines.engine import EngineError, Monitor
 from gridtrack.evaluation.engines.task import TaskFolder, run_task
-from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitRegions, plan_split
 from gridtrack.evaluation.runs.learned import read_weights
 from gridtrack.evaluation.runs.oracle import ORACLE_REPLACES, oracle_validation, run_oracle
 from gridtrack.evaluation.runs.plan import Trial, sampling_of, segmented
 from gridtrack.evaluation.runs.prior_pass import PRIOR_FILE, PriorRun
+from gridtrack.evaluation.runs.recorded_rows import hash_of_file
 from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
 from gridtrack.evaluation.runs.run_folder import versions
 from gridtrack.evaluation.runs.run_record import RecordingIdentity, TrialIdentity, identity_of
@@ -39,6 +39,7 @@ from gridtrack.evaluation.runs.trial import REPLACED, STDERR_LOG, TrialRun, erro
 from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, TrialRecord, hashes_of, read_trial_record
 from gridtrack.evaluation.scores.registry import scores
 from gridtrack.recordings.stretches import parse_stretch
+from gridtrack.trackers import registry
 from gridtrack.trackers.selection import Launch, Selection, launch
 
 JobKind = Literal["scores", "oracle", "prior", "robustness"]
@@ -292,11 +293,21 @@ class RowOrder(Settings):
             identity=trial.identity(),
         )
 
-    def trial(self, split: EvaluationSplit, seed: int, limits: Limits) -> Trial:
+    def trial(self, split: EvaluationSplit, settings: CompareSettings) -> Trial:
         """The trial on this machine. Raises a GridtrackError if it is a different one here."""
         start = self.launch if self.launch.external else launch(self.selection.name)
         weights = read_weights(self.weights, self.weights_from or self.weights.parent) if self.weights else None
-        trial = Trial(self.selection, start, split, weights, seed, limits)
+        trial = Trial(
+            self.selection,
+            start,
+            split,
+            weights,
+            settings.seed,
+            settings.limits,
+            scores=settings.scores,
+            robot=settings.robot,
+            file_sha256=hash_of_file(self.selection) if self.selection.name in registry.recorded() else "",
+        )
         _require_equal(f"{trial.label}: its weights", weights.sha256 if weights else "", self.weights_sha256)
         _require_equal(f"{trial.label}: its settings", trial.identity(), self.identity)
         return trial
@@ -397,7 +408,7 @@ def ordered_job(folder: TaskFolder, note: Callable[[str], None]) -> RunJob:
     shared = SharedInputs(order.settings, note, order.thresholds)
     if order.row is None:
         return OracleJob(split, folder.files, shared)
-    trial = order.row.trial(split, order.settings.seed, order.settings.limits)
+    trial = order.row.trial(split, order.settings)
     if order.record is None:
         return TrialJob(trial, folder.files, shared)
     measure = PriorJob if order.kind == "prior" else RobustnessJob

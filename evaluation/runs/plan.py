@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import ConfigurationError, PluginError, WeightsError, did_you_mean
-from gridtrack.common.files import check_path, sha256_of
+from gridtrack.common.files import check_path
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.notices import Notice
 from gridtrack.evaluation.hosting.limits import Limits
@@ -36,7 +36,7 @@ from gridtrack.evaluation.runs.learned import (
     refuse_leaks,
     weights_in,
 )
-from gridtrack.evaluation.runs.recorded_rows import check_recorded, recorded_file, with_own_file
+from gridtrack.evaluation.runs.recorded_rows import check_recorded, hash_of_file, recorded_file, with_own_file
 from gridtrack.evaluation.runs.run_record import RunConfiguration, TrialIdentity, identity_of
 from gridtrack.evaluation.runs.settings import CompareSettings, check_together
 from gridtrack.evaluation.runs.summary import ALL_RECORDINGS
@@ -81,6 +81,8 @@ class Trial:
     """Names of the scores of other packages by which it is scored."""
     robot: Robot = SMALL_ROBOT
     """The virtual robot of contact foresight."""
+    file_sha256: str = ""
+    """Of the file of recorded forecasts."""
 
     @property
     def label(self) -> str:
@@ -186,7 +188,7 @@ class Trial:
             argv=tuple(self.launch.argv if self.launch.external else self.launch.argv[1:]),
             seed=self.seed,
             threads=self.limits.threads,
-            file_sha256=sha256_of(self.recorded) if self.recorded else "",
+            file_sha256=self.file_sha256,
         )
 
 
@@ -294,8 +296,10 @@ def _trials(
     """A trial for each row on each split; `weights` by label and place. Raises ConfigurationError."""
     for split, others in zip(splits, _others_of_recording(splits), strict=True):
         for selection in selections:
+            is_recorded = selection.name in registry.recorded()
+            own = with_own_file(selection, split) if is_recorded else selection
             trial = Trial(
-                with_own_file(selection, split) if selection.name in registry.recorded() else selection,
+                own,
                 launches[selection.label],
                 split,
                 weights[selection.label, _place_of(split)],
@@ -304,6 +308,7 @@ def _trials(
                 others,
                 settings.scores,
                 settings.robot,
+                hash_of_file(own) if is_recorded else "",
             )
             _refuse_thresholds_of_another_site(trial)
             yield trial

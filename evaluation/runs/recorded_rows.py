@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.common.files import name_from
+from gridtrack.common.files import name_from, sha256_of
 from gridtrack.common.forecast_file import ForecastFile, open_forecasts
 from gridtrack.common.forecast_reader import CellMap, ForecastReader
 from gridtrack.common.grid import GridFrame, Mask, nearest_step
@@ -64,6 +64,15 @@ def recorded_file(selection: Selection) -> Path:
     if FILE not in selection.options:
         raise ConfigurationError(f"{selection.label}: it needs a file: {selection.label}={selection.name}:file=FILE")
     return Path(str(selection.options[FILE]))
+
+
+def hash_of_file(selection: Selection) -> str:
+    """SHA-256 of the file of a row. Raises ConfigurationError if it cannot be read."""
+    path = recorded_file(selection)
+    try:
+        return sha256_of(path)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read ({error.strerror})") from None
 
 
 def check_recorded(selection: Selection, split: EvaluationSplit) -> Iterator[Notice]:

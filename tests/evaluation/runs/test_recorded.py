@@ -9,8 +9,10 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.forecast_file import write_forecasts
+from gridtrack.evaluation.runs.jobs import JobOrder, SharedInputs
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.sums import SUMS_FILE
+from gridtrack.evaluation.scores.robot import CAR
 from gridtrack.recordings.stream import open_stream
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_tables
@@ -188,3 +190,14 @@ def test_a_row_needs_a_file_and_a_folder_has_one_for_each_recording(settings, fi
     plan = resolve(settings(f"mine=recorded:file={folder}", recordings=recordings))
     assert plan.trials[0].recorded == folder / "room.npz"
     assert len(plan.trials[0].identity().file_sha256) == 64
+
+
+def test_another_machine_runs_the_same_trial_with_the_robot_of_the_run(settings, files, tmp_path):
+    row, recordings = files()
+    plan = resolve(settings(row, recordings=recordings, robot=CAR, seed=3))
+    (here,) = plan.trials
+    shared = SharedInputs(plan.settings, lambda text: None, tmp_path)
+    order = JobOrder.read(JobOrder.of("scores", here, shared).model_dump_json(by_alias=True))
+    there = order.row.trial(order.split(), order.settings)
+    assert (there.robot, there.scores, there.seed) == (CAR, here.scores, 3)
+    assert there.file_sha256 == here.file_sha256 != ""
