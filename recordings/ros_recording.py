@@ -195,21 +195,25 @@ def cloud_points(message: Any) -> NDArray[np.float64]:
 
 
 @cache
-def _ros1_types() -> Any:
-    """The message definitions for ROS 1, the same for every recording: rosbags compiles each at its first message."""
+def _ros1_types(outputs: bool) -> Any:
+    """The message definitions for ROS 1, the same for every recording: rosbags compiles each at its first message.
+
+    The many definitions of `outputs` take a tenth of a second, so that other messages have a store without them.
+    """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
     for kind in TRANSFORMS:  # the packages of transforms are not in this store
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
-    return _with_outputs(store, ROS1_OUTPUTS)
+    return _with_outputs(store, ROS1_OUTPUTS) if outputs else store
 
 
 @cache
-def _ros2_types() -> Any:
+def _ros2_types(outputs: bool) -> Any:
     from rosbags.typesys import Stores, get_typestore
 
-    return _with_outputs(get_typestore(Stores.LATEST), ROS2_OUTPUTS)
+    store = get_typestore(Stores.LATEST)
+    return _with_outputs(store, ROS2_OUTPUTS) if outputs else store
 
 
 def _with_outputs(store: Any, definitions: Mapping[str, str]) -> Any:
@@ -248,9 +252,9 @@ class RosRecording(FramedRecording):
         """The decoded message. Raises DamageError if decoding it, or using it inside the block, fails."""
         try:
             if message.encoding == "ros1":
-                yield _ros1_types().deserialize_ros1(message.data, message.kind)
+                yield _ros1_types(message.kind in ROS1_OUTPUTS).deserialize_ros1(message.data, message.kind)
             elif message.encoding == "cdr":
-                yield _ros2_types().deserialize_cdr(message.data, message.kind)
+                yield _ros2_types(message.kind in ROS2_OUTPUTS).deserialize_cdr(message.data, message.kind)
             else:
                 raise RecordingError(f"'{message.topic}' is encoded as '{message.encoding}'; expected ros1 or cdr")
         except self._errors as error:
