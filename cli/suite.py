@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -72,13 +73,8 @@ def suite_run(
 
     folder = suite_folder(name)
     suite, published = read_suite(folder), {row.label: row for row in published_rows(folder)}
-    if unknown := next((label for label in again or () if label not in published), None):
-        raise ConfigurationError(f"--again {unknown}: no such row; {did_you_mean(unknown, published)}")
     own = [selection.label for selection in parse_selections(tracker or ())]
-    if taken := next((label for label in own if label in published), None):
-        raise ConfigurationError(f"--tracker {taken}: a published row has this label: name yours, as in mine={taken}")
-    if not own and not again:
-        raise ConfigurationError("name a --tracker, or a published row to run --again")
+    _refuse_labels(own, again or (), published)
     values: dict[str, Any] = suite.settings(data or DATA) | {
         "trackers": [*(tracker or ()), *(published[label].selection for label in again or ())],
         "out": out,
@@ -103,6 +99,16 @@ def suite_run(
         where = f" of {len(suite.recordings)} recordings, such as {differing[0]}" if differing else ""
         typer.echo(f"{label}: {equal}{where}")
     typer.echo(f"report: {done.report}")
+
+
+def _refuse_labels(own: Sequence[str], again: Sequence[str], published: Collection[str]) -> None:
+    """Raise ConfigurationError for a row to run again that is not published, or a tracker with its label."""
+    if unknown := next((label for label in again if label not in published), None):
+        raise ConfigurationError(f"--again {unknown}: no such row; {did_you_mean(unknown, published)}")
+    if taken := next((label for label in own if label in published), None):
+        raise ConfigurationError(f"--tracker {taken}: a published row has this label: name yours, as in mine={taken}")
+    if not own and not again:
+        raise ConfigurationError("name a --tracker, or a published row to run --again")
 
 
 @app.command("row")
@@ -154,7 +160,5 @@ def suite_page(
         raise ConfigurationError(f"{folder}: no published rows: `gridtrack suite row RUN --suite {name}` writes some")
     if reference and reference not in rows:
         raise ConfigurationError(f"--reference {reference}: no such row; {did_you_mean(reference, rows)}")
-    board = leaderboard(list(rows.values()), reference or next(iter(rows)), suite.headline)
-    if not reference:
-        board = leaderboard(list(rows.values()), board.rows[0].label, suite.headline)
+    board = leaderboard(list(rows.values()), reference, suite.headline)
     typer.echo(f"page: {render_leaderboard(suite, board, out)}")

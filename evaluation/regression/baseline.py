@@ -78,7 +78,7 @@ def read_baseline(path: Path) -> Baseline:
     try:
         baseline = Baseline.model_validate(content)
     except ValidationError as error:
-        raise BaselineError(f"{path}: not a baseline ({_first_error(error)}): make it again with --update") from None
+        raise BaselineError(f"{path}: not a baseline ({first_fault(error)}): make it again with --update") from None
     require_comparable(baseline.runs)
     return baseline
 
@@ -122,6 +122,7 @@ def _is_empty(runs: Any) -> bool:
     return not runs or any(isinstance(run, dict) and {} in (run.get("trackers"), run.get("recordings")) for run in runs)
 
 
-def _first_error(error: ValidationError) -> str:
+def first_fault(error: ValidationError) -> str:
+    """The first fault of a file: its place and what is wrong there."""
     first = error.errors(include_url=False, include_input=False)[0]
     return f"{'.'.join(str(key)[:60] for key in first['loc']) or 'content'}: {first['msg']}"

@@ -100,14 +100,17 @@ def _missing_entries(baseline: Measurement, run: Measurement) -> Iterator[str]:
 def _other_splits(baseline: Measurement, run: Measurement) -> Iterator[str]:
     for name, then in baseline.recordings.items():
         now = run.recordings.get(name, then)
-        differing = [key for key in SplitKey.model_fields if getattr(then, key) != getattr(now, key)]
-        if differing:
-            key = differing[0]
+        if key := differing_key(then, now):
             old, new = (str(getattr(side, key))[:80] for side in (then, now))
             yield (
                 f"{name}: not run as for the baseline ({key}: '{old}' in the baseline, '{new}' in the run):"
                 f" {_as_then(baseline)}"
             )
+
+
+def differing_key(one: SplitKey, other: SplitKey) -> str:
+    """The name of the first field in which two recordings of runs differ; empty if they pair."""
+    return next((key for key in SplitKey.model_fields if getattr(one, key) != getattr(other, key)), "")
 
 
 def _other_units(baseline: Measurement, run: Measurement) -> Iterator[str]:

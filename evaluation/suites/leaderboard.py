@@ -12,7 +12,8 @@ from itertools import combinations
 
 import numpy as np
 
-from gridtrack.evaluation.regression.measurement import Measurement, SplitKey
+from gridtrack.evaluation.regression.measurement import Measurement
+from gridtrack.evaluation.regression.pairing import differing_key
 from gridtrack.evaluation.scores.definition import Floats, Output, ScoreDefinition, Sums
 from gridtrack.evaluation.scores.registry import scores
 from gridtrack.evaluation.statistics.jackknife import (
@@ -48,14 +49,13 @@ class BoardRow:
     """A row of the leaderboard.
 
     `rank`: one more than the number of rows that are better by their paired tests. `values`: the headline score first.
-    `difference`: from the reference, in the direction of better; `p`: corrected for all pairs; both NaN if not tested.
+    `difference`: from the reference; NaN if it is not tested. `verdict`: of its test, corrected for all pairs.
     """
 
     row: PublishedRow
     rank: int
     values: tuple[BoardValue, ...]
     difference: IntervalEstimate
-    p: float
     verdict: str
 
     @property
@@ -85,46 +85,39 @@ class Leaderboard:
 
 
 def leaderboard(published: Sequence[PublishedRow], reference: str, headline: str) -> Leaderboard:
-    """The leaderboard of rows with unlike labels; `reference`: the label of the row that differences are from."""
-    first = next(row for row in published if row.label == reference)
+    """The leaderboard of rows with unlike labels.
+
+    `reference`: the label of the row that differences are from; empty: the best one.
+    """
+    first = next(row for row in published if reference in ("", row.label))
     why = {row.label: why_not_paired(first.measurement, row.measurement) for row in published}
     paired = [row for row in published if not why[row.label]]
     columns = _columns(paired, headline)
     found = {row.label: [_replicates(row, score) for score in columns] for row in paired}
-    lead = columns[0].lead
+    ordered = sorted(paired, key=lambda row: -np.nan_to_num(float(found[row.label][0].value), nan=-np.inf))
+    reference = reference or ordered[0].label
     pairs = list(combinations(found, 2))
     tests = [difference(found[one][0], found[other][0]) for one, other in pairs]
     corrected = holm(np.array([float(test.p) for test in tests]))
-    better = [
-        (one, other) if lead.direction * float(test.value) > 0 else (other, one)
-        for (one, other), test, p in zip(pairs, tests, corrected, strict=True)
-        if p < 0.05
-    ]
-    p_of = {frozenset(pair): float(p) for pair, p in zip(pairs, corrected, strict=True)}
-    rows = []
-    for row in paired:
-        own = found[row.label]
-        gain = difference(own[0], found[reference][0])
-        p = p_of.get(frozenset((row.label, reference)), float("nan"))
-        rows.append(
-            BoardRow(
-                row,
-                1 + sum(other == row.label for _, other in better),
-                tuple(
-                    BoardValue(score, interval(its, score.lead.scale)) for score, its in zip(columns, own, strict=True)
-                ),
-                gain,
-                p,
-                "" if row.label == reference else verdict_of(lead.direction * float(gain.value), p),
-            )
+    verdicts: dict[tuple[str, str], str] = {}
+    for (one, other), test, p in zip(pairs, tests, corrected.tolist(), strict=True):
+        verdicts[one, other] = verdict_of(float(test.value), p)
+        verdicts[other, one] = verdict_of(-float(test.value), p)
+    rows = tuple(
+        BoardRow(
+            row,
+            1 + sum(verdicts[row.label, other] == "worse" for other in found if other != row.label),
+            tuple(
+                BoardValue(score, interval(own, score.lead.scale))
+                for score, own in zip(columns, found[row.label], strict=True)
+            ),
+            difference(found[row.label][0], found[reference][0]),
+            verdicts.get((row.label, reference), ""),
         )
-    rows.sort(key=lambda row: -lead.direction * np.nan_to_num(float(row.values[0].estimate.value), nan=-np.inf))
-    return Leaderboard(
-        tuple(rows),
-        reference,
-        found[reference][0].units,
-        tuple(f"{label}: {text}" for label, text in why.items() if text),
+        for row in ordered
     )
+    left_out = tuple(f"{label}: {text}" for label, text in why.items() if text)
+    return Leaderboard(rows, reference, found[reference][0].units, left_out)
 
 
 def why_not_paired(one: Measurement, other: Measurement) -> str:
@@ -134,11 +127,8 @@ def why_not_paired(one: Measurement, other: Measurement) -> str:
     if one.recordings.keys() != other.recordings.keys() or one.block_s != other.block_s:
         return "other recordings or units"
     for name, split in one.recordings.items():
-        differing = [
-            key for key in SplitKey.model_fields if getattr(split, key) != getattr(other.recordings[name], key)
-        ]
-        if differing:
-            return f"{name} was compared otherwise ({differing[0]})"
+        if key := differing_key(split, other.recordings[name]):
+            return f"{name} was compared otherwise ({key})"
     mine, others = ({name: _delivered(trial, name) for name in one.recordings} for trial in (one, other))
     return next((f"other frames of {name}" for name in mine if mine[name] != others[name]), "")
 
@@ -149,7 +139,7 @@ def _delivered(measured: Measurement, name: str) -> list[tuple[int, str]]:
 
 
 def _columns(rows: Sequence[PublishedRow], headline: str) -> list[ScoreDefinition]:
-    """The scores that may lead and that every row has, the `headline` first."""
+    """The scores that may lead (higher is better) and that every row has, the `headline` first."""
     has = [set(row.measurement.scores[row.label]) for row in rows]
     found = [score for score in scores(()) if score.may_lead and score.lead.margin is not None]
     known = [score for score in found if all(score.name in own for own in has)]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, ValidationError
 
 from gridtrack.common.config import Settings
 from gridtrack.common.files import read_json, write_text
 from gridtrack.common.notices import Line
-from gridtrack.evaluation.regression.baseline import digest_of, lines_of
+from gridtrack.evaluation.regression.baseline import digest_of, first_fault, lines_of
 from gridtrack.evaluation.regression.measurement import Measurement, UnitSums
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.runs.run_record import Machine, read_run_record
@@ -56,7 +56,7 @@ def rows_of_run(run: Path, suite: str, credit: str = "", like: Measurement | Non
     measured, record = measure_run(run, like), read_run_record(run)
     found = []
     for label in measured.trackers:
-        own = _alone(measured, label)
+        own = _alone(measured, label, suite)
         trials = [read_trial_record(run / f"{label}@{name}") for name in own.recordings]
         found.append(
             PublishedRow(
@@ -73,8 +73,11 @@ def rows_of_run(run: Path, suite: str, credit: str = "", like: Measurement | Non
     return found
 
 
-def _alone(measured: Measurement, label: str) -> Measurement:
-    """The sums of one row: of the scores that may lead, in their own strata and in KEPT_STRATA."""
+def _alone(measured: Measurement, label: str, suite: str) -> Measurement:
+    """The sums of one row: of the scores that may lead, in their own strata and in KEPT_STRATA.
+
+    Folders of the machine, in its command and in options that name files, are left out.
+    """
     leading = {score.name: {score.stratum, *KEPT_STRATA} for score in scores(()) if score.may_lead}
     entry = measured.trackers[label]
 
@@ -91,9 +94,15 @@ def _alone(measured: Measurement, label: str) -> Measurement:
         for name, trial in entry.recordings.items()
     }
     parts = {score: own for score, own in measured.scores[label].items() if score in leading}
-    return measured.model_copy(
-        update={"trackers": {label: entry.model_copy(update={"recordings": recordings})}, "scores": {label: parts}}
-    )
+    options = {key: _without_folder(value) for key, value in entry.options.items()}
+    row = entry.model_copy(update={"recordings": recordings, "options": options})
+    command = ("gridtrack", "suite", "run", suite, "--tracker", f"{label}={entry.tracker}")
+    return measured.model_copy(update={"command": command, "trackers": {label: row}, "scores": {label: parts}})
+
+
+def _without_folder(value: Any) -> Any:
+    """The name of a file at an absolute path; other values as they are."""
+    return Path(value).name if isinstance(value, str) and Path(value).is_absolute() else value
 
 
 def write_row(path: Path, row: PublishedRow) -> None:
@@ -109,9 +118,7 @@ def read_row(path: Path) -> PublishedRow:
     except FileNotFoundError:
         raise SuiteError(f"{path}: there is no such row; `gridtrack suite row RUN` writes one") from None
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(str(key)[:60] for key in first["loc"]) or "content"
-        raise SuiteError(f"{path}: not a published row ({where}: {first['msg']})") from None
+        raise SuiteError(f"{path}: not a published row ({first_fault(error)})") from None
     if row.digest != digest_of(content["measurement"]) or set(row.measurement.trackers) != {row.label}:
         raise SuiteError(f"{path}: changed since it was written (its digest does not match): restore it")
     return row

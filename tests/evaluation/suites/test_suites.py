@@ -151,6 +151,7 @@ def test_a_tracker_is_compared_with_published_rows_that_are_not_run(gridtrack, r
     assert "mine on made-1: " in done.out
     assert "blank: its sums are equal to the published ones" in done.out
     assert not (tmp_path / "mine" / "persistence@room").exists()
+    assert str(tmp_path) not in (folder / "rows" / "blank.json").read_text(), "rows name no folder of a machine"
     done = gridtrack(*first, tmp_path / "again", "--tracker", "persistence")
     assert (done.code, "name yours, as in mine=persistence" in done.err) == (2, True)
     done = gridtrack("suite", "page", folder, "--out", tmp_path / "page")
