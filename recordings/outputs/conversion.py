@@ -20,9 +20,11 @@ from gridtrack.recordings.outputs.grids import MAX_OUTPUT_BYTES, GridSource, par
 from gridtrack.recordings.outputs.messages import Notes, OutputTopics
 from gridtrack.recordings.outputs.object_table import ObjectList, TwistFrame, completed, read_table
 from gridtrack.recordings.outputs.objects import OBJECT_MESSAGES, read_objects
-from gridtrack.recordings.outputs.rasterise import StaticMap, draw_object
+from gridtrack.recordings.outputs.rasterise import StaticMap
+from gridtrack.recordings.outputs.width import DEFAULT_WIDTH_M, Placed, WidthFit, drawn
 from gridtrack.recordings.read_options import ReadOptions
 from gridtrack.recordings.stream import GridStream, open_stream
+from gridtrack.recordings.stretches import parse_stretch
 
 TABLES = (".csv", ".parquet")
 
@@ -46,8 +48,10 @@ class OutputSettings(ReadOptions):
     """Topic of tracked or predicted objects, or a table of objects (.csv, .parquet)"""
     horizon_s: Seconds = Field(2.5, gt=0.0, le=60.0)
     """Longest time ahead of objects"""
-    width_m: Annotated[float, Option("width", "METRES"), from_text(metres)] = Field(0.2, ge=0.0, le=10.0)
-    """Standard deviation of the position of an object without a covariance"""
+    width_m: Annotated[float | None, Option("width", "METRES"), from_text(metres)] = Field(None, ge=0.0, le=10.0)
+    """Standard deviation of the position of an object without a covariance; default: fitted on --validation"""
+    validation: Annotated[str, Option(metavar="STRETCH")] = "validation"
+    """Stretch of the recording on which the width is fitted, a name or 0s-60s"""
     twist_frame: Annotated[TwistFrame | None, Option(metavar="object|world")] = None
     """Frame of the velocities of objects: their own, or that of the message; default: by the type of the message"""
 
@@ -91,16 +95,16 @@ def write_objects(stream: GridStream, settings: OutputSettings, out: Path, notes
             f" name a part, {stream.recording.path}@0s-60s, or a shorter --horizon"
         )
     predicted = any(one.paths for item in lists for one in item.objects)
+    width_m = settings.width_m
+    if width_m is None:
+        width_m = _fitted_width(stream, settings, lists, twist_frame, notes)
     origins = np.empty((len(lists), 2))
     with TemporaryDirectory(prefix=f"{out.name}.", dir=out.parent) as folder:
         shape = (len(lists), len(lead_s), *grid.shape)
         occupancy = np.lib.format.open_memmap(Path(folder) / "occupancy.npy", "w+", np.uint8, shape)
-        for n, (item, frame_map, window) in enumerate(_with_static_map(stream, lists)):
-            planes = np.repeat(frame_map.probability[None], len(lead_s), axis=0)
-            for one in item.objects:
-                draw_object(planes, one, one.velocities[twist_frame], lead_s, grid, window, settings.width_m)
-            occupancy[n] = np.rint(255.0 * planes)
-            origins[n] = window.x + grid.origin[0], window.y + grid.origin[1]
+        for n, placed in enumerate(_placed(stream, lists)):
+            occupancy[n] = np.rint(255.0 * drawn(placed, twist_frame, lead_s, grid, width_m))
+            origins[n] = placed.window.x + grid.origin[0], placed.window.y + grid.origin[1]
         write_forecasts(
             out,
             {
@@ -126,7 +130,7 @@ def _lists(stream: GridStream, settings: OutputSettings, notes: Notes) -> tuple[
     return read_objects(topics, message_type, notes), settings.twist_frame or message_type.twist_frame
 
 
-def _with_static_map(stream: GridStream, lists: list[ObjectList]) -> Iterator[tuple[ObjectList, StaticMap, SE2]]:
+def _placed(stream: GridStream, lists: Iterable[ObjectList]) -> Iterator[Placed]:
     """Each list with the static map of the frames up to its stamp, at least one, and the window of the last of them."""
     static, ahead = StaticMap(stream.grid), iter(stream)
     frame: GridFrame | None = next(ahead)
@@ -135,4 +139,30 @@ def _with_static_map(stream: GridStream, lists: list[ObjectList]) -> Iterator[tu
         while frame is not None and frame.stamp_ns <= item.stamp_ns:
             static.add(frame)
             window, frame = frame.world_T_grid, next(ahead, None)
-        yield item, static, window
+        yield Placed(item, static.probability, window)
+
+
+def _fitted_width(
+    stream: GridStream, settings: OutputSettings, lists: list[ObjectList], twist_frame: TwistFrame, notes: Notes
+) -> float:
+    """The width, metres, with the least log loss on the validation stretch; the default without one, noted."""
+    if all(one.covariance is not None for item in lists for one in item.objects):
+        return DEFAULT_WIDTH_M
+    stretch = parse_stretch(f"{stream.recording.path}@{settings.validation}")[1]
+    if isinstance(stretch, str) and stretch not in stream.recording.info.stretches:
+        notes.note(
+            f"--width is {DEFAULT_WIDTH_M} m, the default: with --validation 0s-60s it is fitted on a part of the"
+            " recording that is not scored"
+        )
+        return DEFAULT_WIDTH_M
+    of_fit = GridStream(stream.recording, stretch, grid=stream.grid)
+    within = of_fit.recorded
+    placed = [one for one in _placed(stream, lists) if within.start_ns <= one.objects.stamp_ns < within.end_ns]
+    fit = WidthFit(placed, twist_frame, stream.grid, settings.horizon_s)
+    for frame in of_fit:
+        fit.add(frame, of_fit.period_s)
+    if not fit.forecasts:
+        notes.note(f"--width is {DEFAULT_WIDTH_M} m, the default: no forecast and later frame lie in {of_fit.name}")
+        return DEFAULT_WIDTH_M
+    notes.note(f"--width is {fit.best_m:g} m: the least log loss of {fit.forecasts} predicted frames of {of_fit.name}")
+    return fit.best_m

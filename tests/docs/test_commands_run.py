@@ -67,6 +67,7 @@ SMALLER = (
     ("data/junction/validation.tracks@0s-90s", "data/junction/validation.tracks"),
     ("data/junction/validation.tracks@0s-60s", "data/junction/validation.tracks"),
     ("compare my.bag ", "compare my.bag@0s-9s "),
+    ("--validation 0s-60s --out tracks.npz", "--validation 0s-1s --out tracks.npz"),
     ("my.bag@60s- --validation my.bag@0s-60s", "my.bag@20s- --validation my.bag@0s-8s"),
     ("RECORDING...", "my.bag@0s-9s"),
     ("RECORDING", "my.bag@0s-9s"),

@@ -96,9 +96,13 @@ class Outputs:
             **(headed if self.ros.version == 2 else {}),
         )
 
-    def objects(self, at_ms: float, *objects: Any, kind: str = "Predicted", frame: str = FRAME) -> Message:
+    def objects(
+        self, at_ms: float, *objects: Any, kind: str = "Predicted", frame: str = FRAME, delay_ms: float = DELAY_MS
+    ) -> Message:
         name = f"autoware_perception_msgs/msg/{kind}Objects"
-        return self.message("/objects", name, at_ms, header=self.ros.header(at_ms, frame), objects=list(objects))
+        return self.message(
+            "/objects", name, at_ms, delay_ms, header=self.ros.header(at_ms, frame), objects=list(objects)
+        )
 
     def car(
         self,
