@@ -88,7 +88,7 @@ class AdvectionTracker(Tracker):
         if before.stamp_ns == now.stamp_ns:
             return np.zeros((2, *now.state.shape), np.float32)
         blur_cells = self.options.smoothing_m / self.stream.grid.cell_m
-        flow = optical_flow_tvl1(  # type: ignore[no-untyped-call]
+        flow = optical_flow_tvl1(
             *(gaussian_filter(one.state, blur_cells) for one in (now, before)),
             attachment=self.options.attachment,
             dtype=np.float32,
