@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     )
     from gridtrack.trackers.training.card import Card, card_for
     from gridtrack.trackers.training.checkpoints import (
-        delete_checkpoint,
         load_checkpoint,
         save_checkpoint,
         training_device,
@@ -61,7 +60,6 @@ __all__ = [
     "Weights",
     "card_for",
     "compare",
-    "delete_checkpoint",
     "load_checkpoint",
     "load_start",
     "load_weights",
@@ -98,7 +96,6 @@ _HOMES = {
     "Weights": "trackers.training.weights",
     "card_for": "trackers.training.card",
     "compare": "reports.python_api",
-    "delete_checkpoint": "trackers.training.checkpoints",
     "load_checkpoint": "trackers.training.checkpoints",
     "load_start": "trackers.training.weights",
     "load_weights": "trackers.training.weights",

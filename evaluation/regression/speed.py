@@ -58,7 +58,7 @@ class TurnsRow:
 def compare_speed(
     baseline: Baseline, run: Measurement, reference: str | None, margin: float
 ) -> tuple[tuple[SpeedRow, ...], tuple[str, ...]]:
-    """The rows of every tracker except the reference; without a reference no rows, and a note with the reason.
+    """The rows of every tracker except the reference; without a reference no rows, and a note if both sides have times.
 
     Raises Unmeasured if a reference is given and a trial of either side has no latency.
     """
@@ -66,8 +66,7 @@ def compare_speed(
     without = [reason for then in baseline.runs for reason in _without_speed(first, then, "baseline")]
     without += _without_speed(first, run, "run")
     if reference is None:
-        why = without[0] if without else "name the tracker to compare with by --speed-reference"
-        return (), (f"speed is not judged: {why}",)
+        return (), () if without else ("speed is not judged: name the tracker to compare with by --speed-reference",)
     if without:
         raise Unmeasured([f"speed cannot be judged: {reason}" for reason in without])
     rows = []

@@ -6,6 +6,7 @@ Its messages are described in `training_process.py`, the other end.
 from __future__ import annotations
 
 import faulthandler
+import signal
 import sys
 import threading
 import traceback
@@ -28,6 +29,7 @@ def main() -> None:
     """Run the `fit` of the tracker named on the command line, and exit."""
     read_fd, write_fd = take_wire()
     faulthandler.enable()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background of a shell ignores it
     try:
         run_fit(sys.argv[1], read_fd, write_fd)
     except KeyboardInterrupt:

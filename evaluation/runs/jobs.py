@@ -224,7 +224,7 @@ class PriorJob(_MeasurementJob):
     """The expectation of a tracker with weights for a place."""
 
     kind: JobKind = "prior"
-    measurement = "its prior"
+    measurement = "the forecast before its first frame"
 
     def run(self, monitor: Monitor) -> TrialRecord:
         """Measure the prior. Raises Interrupted, TrialEnded."""

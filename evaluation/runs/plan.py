@@ -170,7 +170,7 @@ class Trial:
             ["gridtrack", "train", self.selection.name, *stretches.arguments, *self._sampling_options()]
         )
         then = f"the rest, {stretches.compare}, into another folder" if stretches.compare else "again with --resume"
-        return f"{missing}; run `{command}`, then compare {then}"
+        return f"{missing}; run `{command}`, then compare {then}, or name a folder of weights with --weights"
 
     def _sampling_options(self) -> list[str]:
         """The grid and rate of this comparison as command-line options, if they differ from the recording's own."""

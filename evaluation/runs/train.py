@@ -53,10 +53,12 @@ from gridtrack.recordings.stretches import parse_stretch
 from gridtrack.trackers.selection import Selection, launch
 from gridtrack.trackers.training.card import GENERAL, CardThresholds, StartedFrom, TrainingData
 from gridtrack.trackers.training.progress import Progress
-from gridtrack.trackers.training.weights import add_thresholds, complete_card, read_card
+from gridtrack.trackers.training.weights import add_thresholds, can_continue, complete_card, delete_progress, read_card
 
 NamedStretch = tuple[Path, Stretch | str | None]
 """A recording, with a stretch, the name of a stretch, or None for its own."""
+NAMED_STRETCHES = 3
+"""Limit of the validation stretches that are named in a line."""
 COMMAND = "the command of the training"
 """`fit` receives this instead of the command, which names files of recordings; the card gets the command afterwards."""
 
@@ -91,8 +93,10 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         path = weights_path(recipe.out or user_weights_folder(), recipe.tracker, site)
         _make_folder(path.parent)
         stretches = StretchFiles([*train_on, *validate_on], Path(folder), cache)
+        report(f"validation: {', '.join(stream.name for stream in validate_on[:NAMED_STRETCHES])}{_more(validate_on)}")
         _fit(process, stretches, len(train_on), recipe, start, path, report)
         _add_thresholds(recipe.tracker, path, stretches, len(train_on), report)
+        delete_progress(_log_folder(path))
     return path
 
 
@@ -119,7 +123,7 @@ def _fit(
             stretches.regions,
             report,
             out=path,
-            log_dir=path.with_suffix(".logs"),
+            log_dir=_log_folder(path),
             seed=recipe.seed,
             command=COMMAND,
             general=recipe.general,
@@ -138,7 +142,7 @@ def _add_thresholds(
     tracker: str, path: Path, stretches: StretchFiles, train_count: int, report: Callable[[str], None]
 ) -> None:
     """Choose the thresholds of the card at `path` on the stretches after the first `train_count`."""
-    report("thresholds for recordings without a validation stretch")
+    report("choosing the thresholds on the card, for recordings without a validation stretch")
     validation = range(train_count, len(stretches.streams))
     try:
         with ProgressLines(report) as lines:
@@ -147,7 +151,9 @@ def _add_thresholds(
             if thresholds is not None:
                 add_thresholds(path, thresholds)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"interrupted; {path} is complete, but without thresholds") from None
+        raise KeyboardInterrupt(
+            f"interrupted; {path} is complete, but without thresholds; the same command adds them"
+        ) from None
 
 
 def _complete(
@@ -179,8 +185,10 @@ def _site_of(stream: GridStream) -> str:
 def _what_is_kept(path: Path, *, written: bool) -> str:
     """The result of an interrupted training, and how to continue, in one line; `written`: it has written a card."""
     again = "the same command continues it"
+    if not can_continue(_log_folder(path)):
+        again = "there is no checkpoint: the same command begins again"
     if not path.exists():
-        return f"interrupted before there was a result; {again}"
+        return f"interrupted before there were weights; {again}"
     reached = read_card(path).interrupted
     if reached:
         return f"interrupted at {reached}; {path} has the best so far; {again}"
@@ -224,6 +232,17 @@ def _data_of(streams: Sequence[GridStream]) -> list[TrainingData]:
         )
         for stream, time in recorded
     ]
+
+
+def _log_folder(path: Path) -> Path:
+    """The folder of logs and checkpoints beside a card."""
+    return path.with_suffix(".logs")
+
+
+def _more(streams: Sequence[GridStream]) -> str:
+    """How many streams are beyond the ones that are named, as text."""
+    more = len(streams) - NAMED_STRETCHES
+    return f" and {more} more" if more > 0 else ""
 
 
 def _make_folder(folder: Path) -> None:

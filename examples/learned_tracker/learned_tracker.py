@@ -24,7 +24,6 @@ from gridtrack import (
     StreamSpec,
     Tracker,
     card_for,
-    delete_checkpoint,
     load_checkpoint,
     load_weights,
     restore_network,
@@ -127,7 +126,6 @@ class LearnedTracker(Tracker):
                 save_interrupted(task.out, *card_and_arrays(task, best), f"update {done} of {options.updates}")
             raise
         save_weights(task.out, *card_and_arrays(task, best))
-        delete_checkpoint(task)
 
 
 def card_and_arrays(task: FitTask, best: dict[str, Any]) -> tuple[Card, dict[str, Any]]:

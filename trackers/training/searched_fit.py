@@ -42,7 +42,7 @@ from gridtrack.trackers.training.excerpts import (
     excerpts_of_places,
     mean_of_defined,
 )
-from gridtrack.trackers.training.weights import load_start, save_interrupted, save_weights, tuned_settings
+from gridtrack.trackers.training.weights import SEARCH_FILE, load_start, save_interrupted, save_weights, tuned_settings
 
 if TYPE_CHECKING:
     import optuna
@@ -111,7 +111,6 @@ def fit_searched(
             **notes,
         }
     save_weights(task.out, card_for(name, task, settings.model_dump(), results), arrays)
-    delete_search_log(task)
 
 
 def _begin(
@@ -230,7 +229,6 @@ def step_of(source: FrameSource, horizon_s: float) -> int:
     return max(1, nearest_step(horizon_s, source.period_s))
 
 
-SEARCH_FILE = "search.json"
 MAX_LOG_BYTES = 1 << 24
 FINALISTS = 5
 """Number of the best settings of a search between which the validation recordings decide."""
@@ -284,11 +282,6 @@ class SearchLog:
             write_text(self._path, json.dumps({"search": self._search, "scores": self._scores}))
 
 
-def delete_search_log(task: FitTask) -> None:
-    """Delete the scores of a search after its result is written: a search with other code must not use them."""
-    (task.log_dir / SEARCH_FILE).unlink(missing_ok=True)
-
-
 def search_settings(
     ranges: Mapping[str, tuple[float, float]],
     target: SearchTarget[_Tuned],
@@ -303,7 +296,7 @@ def search_settings(
     Each key of `ranges` is searched log-uniformly from low to high; the other settings are taken from `start`, which is
     the only result if nothing is searched. Settings that are significantly worse than the best ones so far are not
     scored on all excerpts. The same seed gives the same search. The scores of each iteration are written to
-    `task.log_dir`: an interrupted search with the same `task.train` continues there, until `delete_search_log`.
+    `task.log_dir`: an interrupted search with the same `task.train` continues there.
 
     Raises RecordingError if the target is undefined, SearchInterrupted if it is interrupted after an iteration,
     ConfigurationError without torch.

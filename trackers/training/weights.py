@@ -30,6 +30,8 @@ from gridtrack.trackers.training.card import CARD_SCHEMA, Card, CardThresholds, 
 MAX_ARRAYS_BYTES = 1 << 30
 MAX_CARD_BYTES = 1 << 20
 ARRAYS_SUFFIX = ".safetensors"
+CHECKPOINT_FILE, SEARCH_FILE = "last.ckpt", "search.json"
+"""Files in the log folder of a training, or in a folder of it, from which it continues after an interrupt."""
 
 _Tuned = TypeVar("_Tuned", bound=Settings)
 
@@ -73,6 +75,18 @@ def save_interrupted(path: Path, card: Card, arrays: Mapping[str, NDArray[Any]],
         if not earlier.interrupted and (earlier.classes or not card.classes):
             return
     save_weights(path, card.model_copy(update={"interrupted": reached}), arrays)
+
+
+def can_continue(log_dir: Path) -> bool:
+    """Whether the log folder has files from which a training continues."""
+    return any(True for name in (CHECKPOINT_FILE, SEARCH_FILE) for _ in log_dir.rglob(name))
+
+
+def delete_progress(log_dir: Path) -> None:
+    """Delete these files, but no checkpoints in folders, when all stages of a training are done: a training with other
+    code must not continue from them."""
+    for name in (CHECKPOINT_FILE, SEARCH_FILE):
+        (log_dir / name).unlink(missing_ok=True)
 
 
 def _previous(arrays_path: Path) -> Path:

@@ -461,10 +461,10 @@ def test_speed_is_judged_as_a_ratio_so_a_slower_machine_passes_and_a_slower_trac
     assert regress(slower, *asked, "--speed-margin", "0.7").code == 0
 
 
-def test_unmeasured_speed_is_noted_and_never_passes_if_requested(short_baseline, write_run, regress):
+def test_unmeasured_speed_never_passes_if_requested(short_baseline, write_run, regress):
     run = write_run("now", NAMES, recordings=2)
-    noted = regress(run, "--baseline", short_baseline)
-    assert (noted.code, "note: speed is not judged: kalman@junction-00 has no latency in the" in noted.out) == (0, True)
+    plain = regress(run, "--baseline", short_baseline)
+    assert (plain.code, "speed" in plain.out) == (0, False)
     requested = regress(run, "--baseline", short_baseline, "--speed-reference", "persistence")
     assert (requested.code, "speed cannot be judged" in requested.err) == (3, True)
 

@@ -22,7 +22,9 @@ pytestmark = pytest.mark.usefixtures("trackers_here")
 
 def test_the_suggested_training_has_the_grid_and_rate_of_the_comparison(settings):
     (trial,) = resolve(settings("static-map")).trials
-    assert trial.how_to_train.endswith("room.mcap`, then compare again with --resume")
+    assert trial.how_to_train.endswith(
+        "room.mcap`, then compare again with --resume, or name a folder of weights with --weights"
+    )
     (trial,) = resolve(settings("static-map", grid="30x0.1", rate_hz=5.0)).trials
     assert "room.mcap --grid 30x0.1@-1.5,-1.5 --rate 5`" in trial.how_to_train
 

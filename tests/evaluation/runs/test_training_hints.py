@@ -68,7 +68,7 @@ def planned(folder, *recordings, segment_s=None):
 def test_the_hint_of_an_untrained_tracker_trains_it_for_the_same_comparison(record, tmp_path):
     path = record("my room")
     reason = compare(path, tmp_path / "run")
-    assert reason.endswith("`, then compare again with --resume")
+    assert reason.endswith("`, then compare again with --resume, or name a folder of weights with --weights")
     run_command_in(reason)
     assert compare(path, tmp_path / "run", "--resume") == ""
 

@@ -22,6 +22,7 @@ from tests.conftest import PLUGINS
 
 from scenes.agreement import wait_until
 
+AGAIN = "there is no checkpoint: the same command begins again"
 FITS = '''
 import os, time
 from gridtrack.common.errors import WeightsError
@@ -149,7 +150,7 @@ def test_ctrl_c_reaches_fit_and_no_process_survives_the_command(end, record, tmp
     assert ("saved" in rest) == (end == signal.SIGINT)
     if end == signal.SIGINT:
         assert process.returncode == 130
-        assert errors == "gridtrack: interrupted before there was a result; the same command continues it\n"
+        assert errors == f"gridtrack: interrupted before there were weights; {AGAIN}\n"
     wait_until(lambda: not psutil.pid_exists(child))
 
 
@@ -164,7 +165,7 @@ def test_ctrl_c_reports_the_weights_that_are_kept(record, tmp_path):
         process, _ = begun(how, recording, tmp_path)
         os.kill(process.pid, signal.SIGINT)
         errors = process.communicate(timeout=20)[1]
-        assert errors == f"gridtrack: interrupted; {card} {text}; the same command continues it\n"
+        assert errors == f"gridtrack: interrupted; {card} {text}; {AGAIN}\n"
         assert "how=writes-and-sleeps" in read_card(card).command
 
 
@@ -175,3 +176,16 @@ def begun(how, recording, out):
     assert process.stdout is not None
     lines = iter(process.stdout.readline, "")
     return process, int(next(line for line in lines if line.strip().isdecimal()))  # not a line of progress
+
+
+@pytest.mark.usefixtures("fits")
+def test_a_job_in_the_background_of_a_shell_is_interrupted_too(record, tmp_path):
+    """A shell without job control starts it with SIGINT ignored."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        process, _ = begun("sleeps", record(), tmp_path)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    os.kill(process.pid, signal.SIGINT)
+    assert "saved" in process.communicate(timeout=20)[0]
+    assert process.returncode == 130

@@ -160,7 +160,6 @@ def test_an_interrupted_search_keeps_its_best_and_continues_with_the_same_result
     assert rest.calls == 2 + FINALISTS + 2  # and the scores of the result on both stretches
     assert read_card(tmp_path / "hall.toml") == read_card(tmp_path / "whole" / "hall.toml")
     assert read_card(tmp_path / "hall.toml").interrupted == ""
-    assert not (tmp_path / "log" / "search.json").exists()
 
 
 def test_an_interrupted_search_keeps_the_weights_of_an_earlier_training(tmp_path, monkeypatch):

@@ -173,7 +173,7 @@ def test_a_training_does_not_repeat_warnings_of_its_libraries_about_each_other(s
 
 
 def test_a_log_folder_of_another_training_is_refused(short):
-    with pytest.raises(ConfigurationError, match="other settings"):
+    with pytest.raises(ConfigurationError, match="of another training: updates is 3, there 2"):
         fit(DeepTrackingRNNTracker, short[0], TRAIN, VALIDATE, updates=3, **BRIEF)
 
 
