@@ -37,7 +37,11 @@ SMALL = StreamSpec(GridSpec(40, 0.2), 0.125, "here")
 LIVE = sorted(entries().keys() - recorded().keys())
 
 
-TINY: dict[str, dict[str, object]] = {"conv-lstm": {"layers": 1, "channels": 3}}
+TINY: dict[str, dict[str, object]] = {
+    "conv-lstm": {"layers": 1, "channels": 3},
+    "simvp": {"channels": 2, "hidden": 4, "blocks": 2},
+    "sogmp": {"channels": 2, "hidden": 4},
+}
 """Options of tiny networks, of trackers without shipped weights."""
 
 

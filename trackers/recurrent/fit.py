@@ -11,7 +11,7 @@ import logging
 import math
 import signal
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from datetime import timedelta
@@ -32,7 +32,7 @@ from gridtrack.trackers.recurrent.devices import Devices, training_precision
 from gridtrack.trackers.recurrent.network import Network
 from gridtrack.trackers.recurrent.network_tracker import NetworkTracker
 from gridtrack.trackers.recurrent.sequences import SequenceDataset
-from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
+from gridtrack.trackers.recurrent.settings import TrainingSettings, TransferSettings
 from gridtrack.trackers.recurrent.training_module import TrainingModule, scores_text
 from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.training.card import card_for
@@ -86,7 +86,8 @@ def fit_network(kind: type[NetworkTracker], task: FitTask) -> None:
         return validation_scores(score_on, held_out, SELECTION_HORIZONS_S)
 
     module = TrainingModule(network, in_training, dataset, options, devices, validate)
-    trained = train_network(module, task, start)
+    others = {*TransferSettings.model_fields, *kind.running.model_fields}
+    trained = train_network(module, task, options.model_dump(exclude=others), start)
     arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
     settings = options.model_dump(mode="json", exclude=set(kind.running.model_fields))
     card = card_for(name, task, settings, trained.scores)
@@ -200,9 +201,11 @@ class TrainingResult(NamedTuple):
     reached: str
 
 
-def train_network(module: TrainingModule, task: FitTask, start: Weights | None = None) -> TrainingResult:
+def train_network(
+    module: TrainingModule, task: FitTask, settings: Mapping[str, Any], start: Weights | None = None
+) -> TrainingResult:
     """Train the network of `module` in place to the weights with the best validation score; a `start` is a candidate
-    too.
+    too. `settings`: those that the training depends on.
 
     Logs (CSV, TensorBoard) and checkpoints are written to `task.log_dir`; checkpoints of the same training in it are
     resumed. An interrupt ends the training at the best weights so far. Raises ConfigurationError if the folder has
@@ -212,7 +215,7 @@ def train_network(module: TrainingModule, task: FitTask, start: Weights | None =
         logging.getLogger(name).setLevel(logging.WARNING)
     network = module.network
     last = _checkpoint_in(task, LAST)
-    resumed = last if is_resumed(task, last, _settings_of(module.settings)) else None
+    resumed = last if is_resumed(task, last, settings) else None
     module.done = _updates_in(resumed) if resumed else 0
     initial, initial_scores = deepcopy(network.state_dict()), {}
     if start is not None:
@@ -304,8 +307,3 @@ def _checkpoint_in(task: FitTask, which: str) -> Path:
 def _updates_in(checkpoint: Path) -> int:
     """The number of updates at a checkpoint."""
     return int(torch.load(checkpoint, weights_only=True, map_location="cpu")["global_step"])
-
-
-def _settings_of(settings: TrainingSettings) -> dict[str, Any]:
-    """The settings that a training depends on."""
-    return settings.model_dump(exclude={*TransferSettings.model_fields, *InferenceSettings.model_fields})
