@@ -43,6 +43,8 @@ TINY: dict[str, dict[str, object]] = {
     "sogmp": {"channels": 2, "hidden": 4},
 }
 """Options of tiny networks, of trackers without shipped weights."""
+CHEAPER = {"sogmp": {"samples": 2}}
+"""Options with which the suite takes less time."""
 
 
 def weights_for(name: str, site: str, folder: Path) -> Path | None:
@@ -59,7 +61,8 @@ def weights_for(name: str, site: str, folder: Path) -> Path | None:
 @pytest.mark.parametrize("name", LIVE)
 def test_a_registered_tracker_satisfies_the_contract(name: str, trackers_here: None, tmp_path: Path) -> None:
     """A learned tracker has general weights here: weights of a site are for a larger grid; the next test uses them."""
-    results = check_tracker(launch(name), replace(ANYWHERE, weights=weights_for(name, "anywhere", tmp_path)))
+    stream = replace(ANYWHERE, weights=weights_for(name, "anywhere", tmp_path))
+    results = check_tracker(launch(name), stream, CHEAPER.get(name))
     if missing := [r.observed for r in results[:3] if "No module named" in r.observed]:
         pytest.skip(missing[0])
     assert [r for r in results if not r.kept] == []
