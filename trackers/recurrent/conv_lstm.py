@@ -37,17 +37,17 @@ class ConvLSTMOptions(ConvLSTMSettings, TrainingSettings):
     """Shape and training of the ConvLSTM."""
 
 
-class LayerState(NamedTuple):
+class LSTMState(NamedTuple):
     """The hidden state and the cells of a layer, each (B, C, M, M)."""
 
     h: Tensor
     c: Tensor
 
 
-def no_state(like: Tensor, batch: int, channels: int, size: int) -> LayerState:
+def no_state(like: Tensor, batch: int, channels: int, size: int) -> LSTMState:
     """h_0 = c_0 = 0, of the type and on the device of `like`."""
     zero = like.new_zeros((batch, channels, size, size)).contiguous(memory_format=torch.channels_last)
-    return LayerState(zero, zero)
+    return LSTMState(zero, zero)
 
 
 class ConvLSTMLayer(nn.Module):
@@ -74,7 +74,7 @@ class ConvLSTMLayer(nn.Module):
         else:
             candidate[:, -1] += 2.0 * (-1.0) ** torch.arange(self.channels)
 
-    def forward(self, x: Tensor | None, state: LayerState) -> LayerState:
+    def forward(self, x: Tensor | None, state: LSTMState) -> LSTMState:
         """The new state; an empty input is not convolved."""
         if x is None:
             sums = conv2d(state.h, self.weight[:, self.inputs :], padding=1)
@@ -83,10 +83,10 @@ class ConvLSTMLayer(nn.Module):
         bias: Tensor = self.shift(self.bias.view(-1, 1, 1))
         take, keep, show, candidate = (sums + bias).chunk(4, dim=1)
         c = torch.sigmoid(keep) * state.c + torch.sigmoid(take) * torch.tanh(candidate)
-        return LayerState(torch.sigmoid(show) * torch.tanh(c), c)
+        return LSTMState(torch.sigmoid(show) * torch.tanh(c), c)
 
 
-LSTMStates = tuple[LayerState, ...]
+LSTMStates = tuple[LSTMState, ...]
 
 
 class ConvLSTM(RecurrentNetwork):

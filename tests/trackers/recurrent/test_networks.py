@@ -7,7 +7,7 @@ import pytest
 torch = pytest.importorskip("torch")
 from torch.nn.functional import conv2d  # noqa: E402
 
-from gridtrack.trackers.recurrent.conv_lstm import ConvLSTM, ConvLSTMLayer, ConvLSTMSettings, LayerState  # noqa: E402
+from gridtrack.trackers.recurrent.conv_lstm import ConvLSTM, ConvLSTMLayer, ConvLSTMSettings, LSTMState  # noqa: E402
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN  # noqa: E402
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU  # noqa: E402
 from gridtrack.trackers.recurrent.fit import start_from_rate  # noqa: E402
@@ -47,8 +47,8 @@ def test_a_conv_lstm_layer_equals_its_equations_with_eight_separate_convolutions
     ]
     take, keep, show = map(torch.sigmoid, sums[:3])
     new = keep * c + take * torch.tanh(sums[3])
-    found = layer(x, LayerState(h, c))
-    torch.testing.assert_close(found, LayerState(show * torch.tanh(new), new))
+    found = layer(x, LSTMState(h, c))
+    torch.testing.assert_close(found, LSTMState(show * torch.tanh(new), new))
 
 
 def test_only_static_gates_have_a_static_memory():
