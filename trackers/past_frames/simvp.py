@@ -31,11 +31,11 @@ BLOCK_SCALE = 0.01
 class SimVPSettings(ResolutionSettings):
     """The shape of SimVP; the defaults are the published one for Moving MNIST, with hid_S 16 and hid_T 128."""
 
-    channels: int = Field(16, ge=2, le=256, multiple_of=2)
+    channels: int = Field(16, ge=2, le=64, multiple_of=2)
     """Channels of encoder and decoder."""
     halvings: int = Field(2, ge=1, le=4)
     """Pairs of convolutions in the encoder, and in the decoder; each halves, or doubles, the size."""
-    hidden: int = Field(128, ge=2, le=1024, multiple_of=2)
+    hidden: int = Field(128, ge=2, le=512, multiple_of=2)
     """Channels of the translator."""
     blocks: int = Field(4, ge=2, le=16)
     """Blocks of the translator."""

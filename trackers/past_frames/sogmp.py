@@ -31,7 +31,7 @@ BETA = 0.01
 class SOGMPSettings(ResolutionSettings):
     """The shape of the network; the defaults are the published one."""
 
-    channels: int = Field(32, ge=1, le=256)
+    channels: int = Field(32, ge=1, le=128)
     """Channels of the ConvLSTM."""
     hidden: int = Field(64, ge=1, le=512)
     """Channels of encoder and decoder at half the size; at a quarter they have twice as many."""

@@ -45,12 +45,13 @@ class StreamForecaster:
         forecasts the steps that it would take.
         """
         pasts = torch.from_numpy(self.pace.past_of(frames, PAST_STEPS)).to(self.device, torch.float32)
-        draw = torch.Generator().manual_seed(seed)
         own_steps = math.ceil(steps * self.pace.substeps / self.pace.phases)
-        logits = self.network.forecast(pasts.repeat_interleave(self.samples, dim=0), own_steps, draw).logits
-        size = frames.shape[-1]
-        by_series = torch.sigmoid(logits).view(len(pasts), self.samples, own_steps, size, size)
-        in_order = by_series.permute(1, 2, 0, 3, 4).flatten(1, 2)[:, self.pace.substeps - 1 :: self.pace.substeps]
+        by_series = []
+        for number, past in enumerate(pasts):
+            draw = torch.Generator().manual_seed(seed + number)
+            logits = self.network.forecast(past.expand(self.samples, *past.shape), own_steps, draw).logits
+            by_series.append(torch.sigmoid(logits))
+        in_order = torch.stack(by_series, dim=2).flatten(1, 2)[:, self.pace.substeps - 1 :: self.pace.substeps]
         found: NDArray[np.float32] = in_order[:, :steps].cpu().numpy()
         return found
 
