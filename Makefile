@@ -120,7 +120,7 @@ junction: $(VENV)/.installed-sim ## simulate the junction's recordings with SUMO
 runs/worlds: | $(VENV)/.installed-sim
 	$(BIN)/gridtrack simulate worlds --count 400 --minutes 1.5 --seed 10001 --out $@
 
-weights: $(VENV)/.installed-dev runs/worlds ## train everything in data/weights by its recipe (a day)
+weights: $(VENV)/.installed-dev runs/worlds ## train everything in data/weights by its recipe (days of a processor)
 	for recipe in studies/recipes/weights/*.toml; do $(BIN)/gridtrack train --recipe $$recipe || exit 1; done
 
 baseline: $(VENV)/.installed-dev ## update the baseline of tests/test_own_trackers.py, after an intended change of a tracker

@@ -14,6 +14,7 @@ BENCHMARKS = (
     "harness",
     "recurrent",
     "inference",
+    "peers",
     "dogma",
     "model_free",
     "hour",

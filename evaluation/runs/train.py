@@ -95,7 +95,7 @@ def train_tracker(recipe: Recipe, report: Callable[[str], None] = print) -> Path
         stretches = StretchFiles([*train_on, *validate_on], Path(folder), cache)
         report(f"validation: {', '.join(stream.name for stream in validate_on[:NAMED_STRETCHES])}{_more(validate_on)}")
         _fit(process, stretches, len(train_on), recipe, start, path, report)
-        _add_thresholds(recipe.tracker, path, stretches, len(train_on), report)
+        _add_thresholds(recipe, path, stretches, len(train_on), report)
         delete_progress(_log_folder(path))
     return path
 
@@ -139,7 +139,7 @@ def _fit(
 
 
 def _add_thresholds(
-    tracker: str, path: Path, stretches: StretchFiles, train_count: int, report: Callable[[str], None]
+    recipe: Recipe, path: Path, stretches: StretchFiles, train_count: int, report: Callable[[str], None]
 ) -> None:
     """Choose the thresholds of the card at `path` on the stretches after the first `train_count`."""
     report("choosing the thresholds on the card, for recordings without a validation stretch")
@@ -147,13 +147,18 @@ def _add_thresholds(
     try:
         with ProgressLines(report) as lines:
             kinds = [(stretches.streams[n], stretches.kinds(n)) for n in validation]
-            thresholds = choose_card_thresholds(tracker, path, kinds, lines.progress)
+            thresholds = choose_card_thresholds(_thresholds_row(recipe), path, kinds, lines.progress)
             if thresholds is not None:
                 add_thresholds(path, thresholds)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"interrupted; {path} is complete, but without thresholds; the same command adds them"
         ) from None
+
+
+def _thresholds_row(recipe: Recipe) -> Selection:
+    """The tracker with the weights of the `recipe`, on the device of its options."""
+    return Selection(recipe.tracker, recipe.tracker, {k: v for k, v in recipe.options.items() if k == "device"})
 
 
 def _complete(
@@ -391,12 +396,14 @@ HORIZON_STEP_S, LAST_S = 0.1, 2.5
 """A card has thresholds for horizons in steps of HORIZON_STEP_S up to LAST_S; the last one counts beyond it too."""
 FORECAST_EVERY_S = 1.0
 THRESHOLDS_LOG = "thresholds.log"
+THRESHOLDS_LIMITS = Limits(predict_s=600.0)
+"""Nobody waits for these forecasts: a tracker may be slower than in a comparison."""
 
 
 def choose_card_thresholds(
-    tracker: str, path: Path, validation: Sequence[tuple[GridStream, CellKinds]], progress: Progress
+    row: Selection, path: Path, validation: Sequence[tuple[GridStream, CellKinds]], progress: Progress
 ) -> CardThresholds | None:
-    """The thresholds with the best F1 of `tracker` with the weights at `path`, on all `validation` stretches together.
+    """The thresholds with the best F1 of a `row` with the weights at `path`, on all `validation` stretches together.
 
     Each with the kinds of its cells, which the training found on its own stretches: nothing is found on the rest of a
     recording, which may be scored later. None if all of them are too short. Raises TrialEnded if the tracker
@@ -409,7 +416,7 @@ def choose_card_thresholds(
     total = Tally.empty(round(LAST_S / HORIZON_STEP_S), strata)
     with progress.stage("thresholds on recording", len(validation)) as stage:
         for stream, kinds in validation:
-            _add(total, _tally(tracker, path, stream, kinds, progress).of(strata), stream.period_s)
+            _add(total, _tally(row, path, stream, kinds, progress).of(strata), stream.period_s)
             stage.advance()
     bins = _filled(best_thresholds(total, "").bins, total.positives.sum(axis=2) > 0)
     values = Thresholds(bins, strata=strata).values
@@ -423,12 +430,12 @@ def _steps(stream: GridStream) -> int:
     return min(nearest_step(LAST_S, stream.period_s), (len(stream) - WARM_UP) // 2)
 
 
-def _tally(tracker: str, path: Path, stream: GridStream, kinds: CellKinds, progress: Progress) -> Tally:
+def _tally(row: Selection, path: Path, stream: GridStream, kinds: CellKinds, progress: Progress) -> Tally:
     """The counts on one stretch with these `kinds` of its cells, by its own steps."""
     recording, every = stream.recording.path, max(1, round(FORECAST_EVERY_S / stream.period_s))
     split = EvaluationSplit(recording.stem, recording, stream, stream, _steps(stream), every)
     weights = LearnedWeights(path, read_card(path), sha256_of(path), path.parent)
-    trial = Trial(Selection(tracker, tracker), launch(tracker), split, weights, seed=0, limits=Limits())
+    trial = Trial(row, launch(row.name), split, weights, seed=0, limits=THRESHOLDS_LIMITS)
     log = path.with_suffix(".logs") / THRESHOLDS_LOG
     log.parent.mkdir(exist_ok=True)
     with trial.tracker_process(log) as process, progress.stage("frame", len(stream)) as frames:

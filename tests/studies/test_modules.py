@@ -75,6 +75,7 @@ A_RUN = "needs the folder of a comparison"
 DRAWN = "test_comparisons.py runs it on drawn comparisons"
 LONG = {
     "benchmarks.harness": "goes through the whole demo recording three times",
+    "benchmarks.peers": "trains on whole batches",
     "benchmarks.recurrent": "trains on whole batches",
     "studies.drive_recordings": "needs SUMO",
     "studies.kept_summary": "test_results.py runs it",

@@ -1,1 +1,1 @@
-"""Recurrent networks as trackers: the dilated ConvGRU and the original Deep Tracking RNN."""
+"""Recurrent networks as trackers, and the training that all networks of grids share."""

@@ -11,7 +11,7 @@ from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitTask, Forecast
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU
-from gridtrack.trackers.recurrent.inference import InferenceNetwork, StreamNetwork
+from gridtrack.trackers.recurrent.inference import InferenceNetwork
 from gridtrack.trackers.recurrent.kernels.convgru import INFERENCE, TRAINING
 from gridtrack.trackers.recurrent.network import Recurrence
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
@@ -55,7 +55,7 @@ class DilatedConvGRUTracker(RecurrentTracker):
             return {}
         return {"class_power_in_occupied_cells": round(float(self._seen.state_alone[0]), 6)}
 
-    def _restored(self, weights: Weights) -> StreamNetwork:
+    def _restored(self, weights: Weights) -> Any:
         of_network = {name: value for name, value in weights.arrays.items() if not name.startswith(PREFIX)}
         network = super()._restored(replace(weights, arrays=of_network))
         self._seen = seen_cells_of(weights, self.stream.grid)

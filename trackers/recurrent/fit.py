@@ -1,4 +1,4 @@
-"""Training of a recurrent tracker, from recordings to its weights; it may start from a general network.
+"""Training of a network tracker, from recordings to its weights; it may start from a general network.
 
 General weights have one bias for each channel. At a site each bias is a map of the place, the static memory, which
 starts at the general bias in every cell. Before the first update both networks are therefore the same function. The
@@ -11,7 +11,7 @@ import logging
 import math
 import signal
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from datetime import timedelta
@@ -29,10 +29,10 @@ from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import nearest_step
 from gridtrack.trackers.contract import FitTask, FrameSource, StretchScore, stream_of
 from gridtrack.trackers.recurrent.devices import Devices, training_precision
-from gridtrack.trackers.recurrent.network import RecurrentNetwork
-from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
+from gridtrack.trackers.recurrent.network import Network
+from gridtrack.trackers.recurrent.network_tracker import NetworkTracker
 from gridtrack.trackers.recurrent.sequences import SequenceDataset
-from gridtrack.trackers.recurrent.settings import InferenceSettings, TrainingSettings, TransferSettings
+from gridtrack.trackers.recurrent.settings import TrainingSettings, TransferSettings
 from gridtrack.trackers.recurrent.training_module import TrainingModule, scores_text
 from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.training.card import card_for
@@ -58,8 +58,8 @@ FOR_ANY_PLACE = {"resolution_input": True, "step_s": 0.1}
 """Settings of a general network, unless others are given."""
 
 
-def fit_network(kind: type[RecurrentTracker], task: FitTask) -> None:
-    """Train the network of a tracker and write its weights; see RecurrentTracker.fit."""
+def fit_network(kind: type[NetworkTracker], task: FitTask) -> None:
+    """Train the network of a tracker and write its weights; see NetworkTracker.fit."""
     name = registered_name(kind)
     start = None if task.start is None else load_start(task.start, name)
     options = task.options if start is None else settings_from_general(kind, task.options, start)
@@ -77,7 +77,7 @@ def fit_network(kind: type[RecurrentTracker], task: FitTask) -> None:
         begin_from(network, start)
     held_out = excerpts_of_places(task.validation, VALIDATED_S) if task.general else task.validation
 
-    def validate(trained: RecurrentNetwork) -> dict[str, float]:
+    def validate(trained: Network) -> dict[str, float]:
         def score_on(source: FrameSource) -> StretchScore:
             stream, steps = stream_of(source), nearest_step(max(SELECTION_HORIZONS_S), source.period_s)
             inference = kind.inference_for(deepcopy(trained).cpu(), stream, options)
@@ -86,9 +86,10 @@ def fit_network(kind: type[RecurrentTracker], task: FitTask) -> None:
         return validation_scores(score_on, held_out, SELECTION_HORIZONS_S)
 
     module = TrainingModule(network, in_training, dataset, options, devices, validate)
-    trained = train_network(module, task, start)
+    others = {*TransferSettings.model_fields, *kind.running.model_fields}
+    trained = train_network(module, task, options.model_dump(exclude=others), start)
     arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
-    settings = options.model_dump(mode="json", exclude=set(InferenceSettings.model_fields))
+    settings = options.model_dump(mode="json", exclude=set(kind.running.model_fields))
     card = card_for(name, task, settings, trained.scores)
     if trained.reached:
         save_interrupted(task.out, card, arrays, trained.reached)
@@ -96,7 +97,7 @@ def fit_network(kind: type[RecurrentTracker], task: FitTask) -> None:
     save_weights(task.out, card, arrays)
 
 
-def _for_windows_of(dataset: SequenceDataset, kind: type[RecurrentTracker], options: Any, task: FitTask) -> Any:
+def _for_windows_of(dataset: SequenceDataset, kind: type[NetworkTracker], options: Any, task: FitTask) -> Any:
     """The options for these windows: without maps where they differ, and for general weights."""
     if task.general:
         return kind.without_map(options, "general weights know no place", task)
@@ -106,7 +107,7 @@ def _for_windows_of(dataset: SequenceDataset, kind: type[RecurrentTracker], opti
 
 
 @torch.no_grad()
-def start_from_rate(network: RecurrentNetwork, rate: float) -> None:
+def start_from_rate(network: Network, rate: float) -> None:
     """Set the output bias so that an untrained network forecasts the occupied `rate` in (0, 1), not one half.
 
     About 2 % of the visible cells are occupied; the first updates of training need not learn that number.
@@ -120,13 +121,13 @@ def general_options(options: Any) -> Any:
     return options.model_copy(update={name: FOR_ANY_PLACE[name] for name in not_given})
 
 
-def settings_from_general(kind: type[RecurrentTracker], options: Any, weights: Weights) -> Any:
+def settings_from_general(kind: type[NetworkTracker], options: Any, weights: Weights) -> Any:
     """The `options`, with the settings of the general `weights` for options that were not given.
 
     Raises WeightsError if a given option is another shape than theirs.
     """
     fields = kind.Options.model_fields.keys() - TransferSettings.model_fields.keys()
-    shared = fields - {"precision", "devices", *kind.map_options, *FIRST_MOTION, *InferenceSettings.model_fields}
+    shared = fields - {"precision", "devices", *kind.map_options, *FIRST_MOTION, *kind.running.model_fields}
     theirs = {name: value for name, value in weights.card.settings.items() if name in shared}
     trained = validated(kind.Options, theirs, f"weights of {weights.card.tracker}, settings")
     for name in sorted(options.model_fields_set & shared - TrainingSettings.model_fields.keys()):
@@ -139,7 +140,7 @@ def settings_from_general(kind: type[RecurrentTracker], options: Any, weights: W
     return validated(kind.Options, theirs | shorter | options.model_dump(exclude_unset=True), "training")
 
 
-def begin_from(network: RecurrentNetwork, weights: Weights) -> None:
+def begin_from(network: Network, weights: Weights) -> None:
     """Load the arrays of the general `weights` into `network`, at a site each bias in every cell of its map.
 
     Their class decoder is left out. Raises WeightsError if an array is missing or has another shape.
@@ -193,16 +194,18 @@ IGNORED_WARNINGS = (
 """Warnings of Lightning, as patterns, that are of no use to the user of a training."""
 
 
-class TrainedNetwork(NamedTuple):
+class TrainingResult(NamedTuple):
     """The `scores` of the best weights; the progress that a training `reached` when interrupted, or ""."""
 
     scores: dict[str, float]
     reached: str
 
 
-def train_network(module: TrainingModule, task: FitTask, start: Weights | None = None) -> TrainedNetwork:
+def train_network(
+    module: TrainingModule, task: FitTask, settings: Mapping[str, Any], start: Weights | None = None
+) -> TrainingResult:
     """Train the network of `module` in place to the weights with the best validation score; a `start` is a candidate
-    too.
+    too. `settings`: those that the training depends on.
 
     Logs (CSV, TensorBoard) and checkpoints are written to `task.log_dir`; checkpoints of the same training in it are
     resumed. An interrupt ends the training at the best weights so far. Raises ConfigurationError if the folder has
@@ -212,7 +215,7 @@ def train_network(module: TrainingModule, task: FitTask, start: Weights | None =
         logging.getLogger(name).setLevel(logging.WARNING)
     network = module.network
     last = _checkpoint_in(task, LAST)
-    resumed = last if is_resumed(task, last, _settings_of(module.settings)) else None
+    resumed = last if is_resumed(task, last, settings) else None
     module.done = _updates_in(resumed) if resumed else 0
     initial, initial_scores = deepcopy(network.state_dict()), {}
     if start is not None:
@@ -227,7 +230,7 @@ def train_network(module: TrainingModule, task: FitTask, start: Weights | None =
         network.load_state_dict(initial)
         scores = initial_scores
     reached = f"update {_updates_in(_checkpoint_in(task, LAST))} of {module.settings.updates}" if interrupted else ""
-    return TrainedNetwork(scores, reached)
+    return TrainingResult(scores, reached)
 
 
 def _train(module: TrainingModule, resumed: Path | None, task: FitTask) -> bool:
@@ -304,8 +307,3 @@ def _checkpoint_in(task: FitTask, which: str) -> Path:
 def _updates_in(checkpoint: Path) -> int:
     """The number of updates at a checkpoint."""
     return int(torch.load(checkpoint, weights_only=True, map_location="cpu")["global_step"])
-
-
-def _settings_of(settings: TrainingSettings) -> dict[str, Any]:
-    """The settings that a training depends on."""
-    return settings.model_dump(exclude={*TransferSettings.model_fields, *InferenceSettings.model_fields})

@@ -1,16 +1,17 @@
-"""The interface of a recurrent network for training, tracking and a moving window."""
+"""The interfaces of networks: of all for training, and of recurrent ones for tracking in a moving window."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator
-from typing import Any, Literal, Protocol
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from gridtrack.trackers.recurrent.settings import TrainingSettings
 from gridtrack.trackers.training.networks import cell_input, period_input
 
 Float32Array = NDArray[np.float32]
@@ -21,11 +22,31 @@ State = Any
 DecodedLayers = Literal["last", "all"]
 
 
-class Recurrence(Protocol):
-    """The steps of a network and its occupancy decoder."""
+class WindowForecast(NamedTuple):
+    """The forecasts of some frames of training windows, for the loss.
+
+    `frames`: F numbers of frames in a window. `logits` (F * B, M, M) of P(occupied): the first of these frames of all
+    windows, then the second one. `penalty`: what the loss has besides their cross-entropy, nats.
+    """
+
+    frames: Sequence[int]
+    logits: Tensor
+    penalty: Tensor | float = 0.0
+
+
+class TrainedNetwork(Protocol):
+    """A network as its training sees it."""
 
     mixed_resolutions: bool = False
     """Whether the windows of one batch may differ in cell size and period."""
+
+    @abstractmethod
+    def forecast_windows(self, windows: Tensor, settings: TrainingSettings) -> WindowForecast:
+        """Forecast frames of `windows` (B, T, 2, M, M) of 0 and 1 from those before them that are observed."""
+
+
+class Recurrence(TrainedNetwork, Protocol):
+    """The steps of a network and its occupancy decoder."""
 
     @abstractmethod
     def initial(self, batch: int) -> State:
@@ -43,25 +64,50 @@ class Recurrence(Protocol):
     def occupancy(self, features: Tensor) -> Tensor:
         """Logits of P(occupied), (B, M, M)."""
 
+    def forecast_windows(self, windows: Tensor, settings: TrainingSettings) -> WindowForecast:
+        """The decoded state after every frame, observed or blank; the burn-in has neither forecast nor gradient."""
+        state = self.initial(windows.shape[0])
+        features = []
+        for t, x in enumerate(windows.transpose(0, 1)):
+            observed = x.contiguous(memory_format=torch.channels_last) if settings.is_observed(t) else None
+            with torch.set_grad_enabled(t >= settings.burn_in):
+                state = self.step(observed, state)
+            if t >= settings.burn_in:
+                features.append(self.features(state))
+        return WindowForecast(range(settings.burn_in, windows.shape[1]), self.occupancy(torch.cat(features)))
 
-class RecurrentNetwork(nn.Module, Recurrence):
-    """Base of the networks: a Recurrence with parameters.
 
-    `size`: cells a side of its grids; a network without maps takes grids of any size, once this is set. A subclass
-    defines the methods of Recurrence and `output_bias`; the other methods have defaults.
+class Network(nn.Module, TrainedNetwork):
+    """Base of the networks.
+
+    `size`: cells a side of its grids; a network without maps takes grids of any size, once this is set.
     """
 
     def __init__(self, size: int) -> None:
         super().__init__()
         self.size = size
-        self.decoded_layers: DecodedLayers = "last"
-        self.decode_semantics: nn.Module | None
-        self.register_module("decode_semantics", None)
 
     @property
     @abstractmethod
     def output_bias(self) -> Tensor:
         """The bias (1,) of the occupancy decoder's output."""
+
+    def maps(self) -> dict[str, nn.Parameter]:
+        """The static memory, by name: parameters (C, M, M), or (C, 1, 1) in a network for any place."""
+        return {name: parameter for name, parameter in self.named_parameters() if parameter.ndim == 3}
+
+
+class RecurrentNetwork(Network, Recurrence):
+    """Base of the recurrent networks: a Recurrence with parameters.
+
+    A subclass defines the methods of Recurrence and `output_bias`; the other methods have defaults.
+    """
+
+    def __init__(self, size: int) -> None:
+        super().__init__(size)
+        self.decoded_layers: DecodedLayers = "last"
+        self.decode_semantics: nn.Module | None
+        self.register_module("decode_semantics", None)
 
     def class_planes(self, state: State, layers: DecodedLayers) -> Tensor:
         """The part of the latent state that the class decoder reads, (B, C, M, M); `features` unless overridden."""
@@ -73,10 +119,6 @@ class RecurrentNetwork(nn.Module, Recurrence):
             return None
         logits: Tensor = self.decode_semantics(self.class_planes(state, self.decoded_layers))
         return logits
-
-    def maps(self) -> dict[str, nn.Parameter]:
-        """The static memory, by name: parameters (C, M, M), or (C, 1, 1) in a network for any place."""
-        return {name: parameter for name, parameter in self.named_parameters() if parameter.ndim == 3}
 
 
 def map_state(function: Callable[..., Any], state: State, *others: State) -> State:

@@ -21,7 +21,8 @@ from torch import Tensor, nn
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.trackers.recurrent.inference import StreamNetwork
 from gridtrack.trackers.recurrent.network import State, map_state, tensors_of
-from gridtrack.trackers.recurrent.recurrent_tracker import MOST_MISSED, RecurrentTracker
+from gridtrack.trackers.recurrent.network_tracker import MOST_MISSED
+from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.training.exported import write_manifest, write_readme
 
 STEP_FILE, DECODER_FILE, UNSEEN_FILE = "step.onnx", "decoder.onnx", "unseen.npy"

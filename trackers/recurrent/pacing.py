@@ -56,6 +56,21 @@ class StepPace(NamedTuple):
         spaced[self.substeps - 1 :: self.substeps] = planes
         return spaced
 
+    def frames_of_past(self, steps: int) -> int:
+        """Number of last frames that the last `steps` steps are made from, in every phase."""
+        return steps * self.phases if self.phases > 1 else math.ceil(steps / self.substeps)
+
+    def past_of(self, frames: NDArray[np.uint8], steps: int) -> NDArray[np.uint8]:
+        """The last `steps` steps (phases, steps, ...) of each phase, from the last `frames_of_past(steps)` frames.
+
+        The first phase takes the next frame; the last one has taken the last one.
+        """
+        if self.substeps == 1:
+            return np.ascontiguousarray(frames.reshape(steps, self.phases, *frames.shape[1:]).swapaxes(0, 1))
+        spaced = np.zeros((1, steps, *frames.shape[1:]), np.uint8)
+        spaced[0, (steps - 1) % self.substeps :: self.substeps] = frames
+        return spaced
+
     def frame_of(self, step: int) -> int:
         """The number of the last frame of the series before or at step number `step`; 0 at least."""
         return step * self.phases if self.substeps == 1 else max(0, (step + 1) // self.substeps - 1)

@@ -1,7 +1,7 @@
 """One network in a training by Lightning: the loss of its windows, its optimiser and validation.
 
-The loss is from Ondruska et al. (2016), section III: the binary cross-entropy of every frame, observed or predicted, on
-its visible cells.
+The loss is from Ondruska et al. (2016), section III: the binary cross-entropy of every frame that the network forecasts
+on its visible cells.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from torch.utils.data import DataLoader
 
 from gridtrack.trackers.recurrent.devices import Devices
 from gridtrack.trackers.recurrent.motion import near_entered_cells
-from gridtrack.trackers.recurrent.network import Recurrence, RecurrentNetwork, channels_last, set_resolution
+from gridtrack.trackers.recurrent.network import Network, TrainedNetwork, channels_last, set_resolution
 from gridtrack.trackers.recurrent.sequences import EpochSampler, Item, SequenceDataset
 from gridtrack.trackers.recurrent.settings import TrainingSettings
 
-Validate = Callable[[RecurrentNetwork], dict[str, float]]
+Validate = Callable[[Network], dict[str, float]]
 """Scores the network as a tracker on the validation stretches; the network with the highest `score` is kept."""
 
 
@@ -45,37 +45,30 @@ class SequenceLoss(NamedTuple):
 
 
 def sequence_loss(
-    network: Recurrence, windows: Tensor, settings: TrainingSettings, rate: float, motion_weight: float = 0.0
+    network: TrainedNetwork, windows: Tensor, settings: TrainingSettings, rate: float, motion_weight: float = 0.0
 ) -> SequenceLoss:
-    """Binary cross-entropy of the forecast of each frame on its visible cells.
+    """Binary cross-entropy of each forecast frame on its visible cells, and the penalty of the network.
 
-    `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. The burn-in has neither loss nor gradient. A visible
-    cell near an entered one has the weight 1 + `motion_weight`. A cell that no frame sees has the weight
-    `unseen_weight`, and as its target the occupied `rate` of the recordings, which windows with more in them than a
-    recording, such as moving shapes, do not have.
+    `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. A visible cell near an entered one has the weight 1 +
+    `motion_weight`. A cell that no frame sees has the weight `unseen_weight`, and as its target the occupied `rate` of
+    the recordings, which windows with more in them than a recording, such as moving shapes, do not have.
     """
-    frames = windows.transpose(0, 1)
-    state = network.initial(windows.shape[0])
-    features = []
-    for t, x in enumerate(frames):
-        observed = x.contiguous(memory_format=torch.channels_last) if settings.is_observed(t) else None
-        with torch.set_grad_enabled(t >= settings.burn_in):
-            state = network.step(observed, state)
-        if t >= settings.burn_in:
-            features.append(network.features(state))
-    logits = network.occupancy(torch.cat(features)).float()
-    visible, occupied = frames[settings.burn_in :].flatten(0, 1).unbind(dim=1)
+    forecast = network.forecast_windows(windows, settings)
+    frames = list(forecast.frames)
+    visible, occupied = windows.transpose(0, 1)[frames].flatten(0, 1).unbind(dim=1)
     weight = visible
     if motion_weight:
-        near = near_entered_cells(windows.bool()).transpose(0, 1)[settings.burn_in :].flatten(0, 1)
+        near = near_entered_cells(windows.bool()).transpose(0, 1)[frames].flatten(0, 1)
         weight = visible * (1.0 + motion_weight * near)
     visible_weight = weight.sum()
     if settings.unseen_weight:
-        unseen = ~windows[:, :, 0].bool().any(dim=1).repeat(len(features), 1, 1)
+        unseen = ~windows[:, :, 0].bool().any(dim=1).repeat(len(frames), 1, 1)
         weight = weight + settings.unseen_weight * unseen
         occupied = torch.where(unseen, rate, occupied)
-    total = functional.binary_cross_entropy_with_logits(logits, occupied, weight=weight, reduction="sum")
-    return SequenceLoss(total, visible_weight)
+    total = functional.binary_cross_entropy_with_logits(
+        forecast.logits.float(), occupied, weight=weight, reduction="sum"
+    )
+    return SequenceLoss(total + forecast.penalty, visible_weight)
 
 
 class TrainingModule(lightning.LightningModule):
@@ -83,8 +76,8 @@ class TrainingModule(lightning.LightningModule):
 
     def __init__(
         self,
-        network: RecurrentNetwork,
-        in_training: Recurrence,
+        network: Network,
+        in_training: TrainedNetwork,
         dataset: SequenceDataset,
         settings: TrainingSettings,
         devices: Devices,

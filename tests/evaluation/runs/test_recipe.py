@@ -10,10 +10,12 @@ import pytest
 
 from gridtrack.common.config import parse_pairs, validated
 from gridtrack.common.errors import ConfigurationError, RecordingError, WeightsError
+from gridtrack.evaluation.runs import train as train_module
 from gridtrack.evaluation.runs.recipe import Recipe, complete_recipe, read_recipe, recipe_like
 from gridtrack.evaluation.runs.train import train_tracker
+from gridtrack.evaluation.runs.trial import Trial
 from gridtrack.trackers import registry
-from gridtrack.trackers.selection import parse_selection
+from gridtrack.trackers.selection import Selection, parse_selection
 from gridtrack.trackers.training.weights import read_card
 
 pytestmark = pytest.mark.usefixtures("trackers_here")
@@ -123,16 +125,21 @@ def test_a_folder_stands_for_the_recordings_in_it_and_the_command_names_the_fold
     assert f"{folder}@0s-4s" in shlex.split(card.command)
 
 
-def test_a_network_learns_general_weights_from_a_folder_and_has_thresholds(record, train):
-    """The tracker runs with these weights to choose the thresholds."""
+def test_a_network_learns_general_weights_from_a_folder_and_has_thresholds(record, train, monkeypatch):
+    """The tracker runs with these weights to choose the thresholds, on the device of the options."""
+    rows: list[Selection] = []
+    monkeypatch.setattr(train_module, "Trial", lambda row, *rest, **more: rows.append(row) or Trial(row, *rest, **more))
     pytest.importorskip("lightning")
     folder = record().parent
     options = {"channels": 4, "updates": 1, "validate_every": 1, "batch": 1, "observed_frames": 3, "blank_frames": 3}
+    options["device"] = "cpu"
     how = {"options": options, "general": True, "validation": (f"{folder}@5s-15s",)}
     card = read_card(train("weights", "dilated-convgru", f"{folder}@0s-5s", **how))
     assert card.general
     assert card.settings["resolution_input"]
     assert card.thresholds is not None
+    assert rows
+    assert all(row.options == {"device": "cpu"} for row in rows)
 
 
 def test_a_folder_without_recordings_is_refused(train, tmp_path):

@@ -11,6 +11,7 @@ from gridtrack.common.config import validated
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.trackers.contract import FitTask, stream_of
+from gridtrack.trackers.recurrent.conv_lstm import ConvLSTM, ConvLSTMSettings
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNTracker
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU
@@ -118,6 +119,10 @@ def convgru(size=12, channels=4, **settings):
 
 def rnn(size=12, **settings):
     return randomised(DeepTrackingRNN(size, DeepTrackingRNNSettings(variant="paper", **settings)))
+
+
+def conv_lstm(size=12, channels=4, **settings):
+    return randomised(ConvLSTM(size, ConvLSTMSettings(channels=channels, **settings)))
 
 
 def log_loss_of(tracker, source, steps):

@@ -13,7 +13,7 @@ from gridtrack.trackers.contract import StreamSpec  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNTracker  # noqa: E402
 from gridtrack.trackers.recurrent.network import as_cells, as_tensor  # noqa: E402
-from gridtrack.trackers.recurrent.recurrent_tracker import MOST_MISSED  # noqa: E402
+from gridtrack.trackers.recurrent.network_tracker import MOST_MISSED  # noqa: E402
 from gridtrack.trackers.recurrent.transfer import PastStates  # noqa: E402
 from tests.trackers.recurrent.sources import convgru, frame_of, rnn  # noqa: E402
 

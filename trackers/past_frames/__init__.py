@@ -1,0 +1,1 @@
+"""Trackers with a network that reads the last frames and keeps no state."""
