@@ -131,7 +131,7 @@ class RunningMembers:
     """The members of a pool on one stream, and the time since each cell was seen."""
 
     def __init__(self, trackers: Sequence[Tracker], stream: StreamSpec) -> None:
-        self.trackers, self._stream = trackers, stream
+        self.trackers, self.number, self._stream = trackers, len(trackers), stream
         self._still = [registered_name(type(one)) for one in trackers if not one.moving_sensor]
         self.reset(seed=0)
 
@@ -251,5 +251,6 @@ class PoolFit:
             for source in sources:
                 stream = stream_of(source)
                 members = RunningMembers(started(self._members, stream, PoolTracker), stream)
-                parts.append(sampled_cells(members, source, most, self._draw))
+                with self._task.progress.stage("frame", len(source)) as frames:
+                    parts.append(sampled_cells(members, source, most, self._draw, frames.advance))
                 stage.advance()

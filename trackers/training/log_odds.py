@@ -8,7 +8,7 @@ on forecasts of others (stacked generalisation: Wolpert, *Neural Networks* 5, 19
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -77,7 +77,9 @@ def log_odds(probabilities: NDArray[np.floating]) -> Odds:
 
 
 class CombinedForecasts(Protocol):
-    """Several trackers that follow one stream."""
+    """Several trackers that follow one stream, their `number`."""
+
+    number: int
 
     def reset(self, seed: int) -> None:
         """Reset each of them."""
@@ -107,14 +109,18 @@ def _frames_between(source: FrameSource) -> int:
 
 
 def sampled_cells(
-    combined: CombinedForecasts, source: FrameSource, most: int, draw: np.random.Generator
+    combined: CombinedForecasts,
+    source: FrameSource,
+    most: int,
+    draw: np.random.Generator,
+    advance: Callable[[], None] = lambda: None,
 ) -> SampledCells:
-    """Cells of the forecasts of the `combined` trackers on one source, at most `most` of each kind; maybe none.
+    """Cells of the forecasts of the `combined` trackers on one source, about `most` of each kind; maybe none.
 
-    A horizon that is nearer to the present than to the first step is left out.
+    A horizon that is nearer to the present than to the first step is left out. `advance` is called after each frame.
     """
     steps = [nearest_step(horizon_s, source.period_s) for horizon_s in POOL_HORIZONS_S]
-    parts = [SampledCells.empty(len(combined.odds(0)))]
+    parts = [SampledCells.empty(combined.number)]
     recent: deque[_Made] = deque()
     combined.reset(seed=0)
     for index, frame in enumerate(source):
@@ -130,6 +136,7 @@ def sampled_cells(
             for horizon, step in enumerate(steps):
                 if 0 < step == index - forecast.number:
                     parts.append(_sample(forecast, horizon, visible, occupied, most, draw))
+        advance()
     return SampledCells.together(parts)
 
 
@@ -208,7 +215,7 @@ def log_losses(cells: SampledCells, combined: Odds) -> _Array:
         np.bincount(cells.horizon, weights=values, minlength=len(POOL_HORIZONS_S))
         for values in (losses, cells.stands_for)
     )
-    return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
+    return np.asarray(np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0))
 
 
 def combined_odds(cells: SampledCells, weights: _Array, offsets: _Array) -> Odds:
