@@ -75,6 +75,8 @@ class PoolTracker(Tracker):
         super().__init__(stream, options)
         weights = load_weights(stream, registered_name(type(self)))
         names = tuned_settings(PoolOptions, weights, Settings()).members
+        if not names:
+            raise WeightsError(f"{stream.weights}: it names no members; train again")
         if options.members and options.members != names:
             raise ConfigurationError(
                 f"{stream.weights}: its members are {', '.join(names)}: train again for others, or leave `members` out"

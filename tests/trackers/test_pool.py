@@ -206,6 +206,7 @@ def test_exchanged_arrays_of_a_member_are_refused(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"members": {"../level": None}}, "members"),
+        ({"settings": {}}, "it names no members"),
         ({"settings": {"members": ["no-such"]}}, "there is no tracker 'no-such'"),
         ({"settings": {"members": ["pool"]}}, "pool cannot be a member: it has members itself"),
         ({"members": None}, "member level: .*no weights"),

@@ -29,8 +29,8 @@ from gridtrack.trackers.training.weights import (
     read_card,
 )
 
-PREFIX = "members/"
-"""The name of a member's file of arrays, as an array of bytes: PREFIX and the name of the member."""
+MEMBER_PREFIX = "members/"
+"""The name of a member's file of arrays, as an array of bytes: MEMBER_PREFIX and the name of the member."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +81,15 @@ def with_members(card: Card, members: Iterable[Member]) -> Card:
 
 def arrays_of(members: Iterable[Member]) -> dict[str, NDArray[Any]]:
     """The files of arrays of the members, for the arrays of the tracker that combines them."""
-    return {f"{PREFIX}{member.name}": np.frombuffer(member.arrays, np.uint8) for member in members if member.arrays}
+    return {
+        f"{MEMBER_PREFIX}{member.name}": np.frombuffer(member.arrays, np.uint8) for member in members if member.arrays
+    }
 
 
 def members_in(weights: Weights, names: Sequence[str]) -> list[Member]:
     """The members `names` of the weights of the tracker that combines them."""
     cards = weights.card.members or {}
-    files = {name: weights.arrays.get(f"{PREFIX}{name}") for name in names}
+    files = {name: weights.arrays.get(f"{MEMBER_PREFIX}{name}") for name in names}
     return [Member(name, cards.get(name), b"" if (file := files[name]) is None else file.tobytes()) for name in names]
 
 
