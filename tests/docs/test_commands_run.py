@@ -49,6 +49,7 @@ THEMES = {
     ),
     "training": (
         *("docs/weights.md", "docs/weights.md 3", "docs/scale.md 4", "docs/trackers/floor.md"),
+        "docs/trackers/pool.md",
         *("docs/trackers/model-free.md", "docs/trackers/one-shot.md", "docs/drives.md 2", "docs/onnx.md"),
         "docs/results/moving/drives.md",
     ),
@@ -99,6 +100,7 @@ SMALLER = (
     ("runs/fleet --recordings 'hall-*,street-7'", "runs/hall --recordings 'my*'"),
     ("regress runs/seed-*", "regress runs/now"),
     ("train my-tracker", "train static-map"),
+    ("pool:members=[kalman,my-tracker]", "pool:members=[static-map,blank]"),
     ("suite run worlds-1 ", "suite run hall-1 "),
     ("--suite worlds-1 ", "--suite hall-1 "),
     ("suite page worlds-1 ", "suite page hall-1 "),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from gridtrack.common.config import Settings
+from gridtrack.common.entry_points import VALID_NAME
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import MAX_POSITION_M
@@ -24,6 +25,7 @@ GENERAL = "general"
 """The site on the card of general weights, and the name of its file."""
 
 Coordinate = Annotated[float, Field(ge=-MAX_POSITION_M, le=MAX_POSITION_M)]
+TrackerName = Annotated[str, Field(pattern=f"^{VALID_NAME.pattern}$")]
 Range = tuple[Annotated[float, Field(gt=0.0)], Annotated[float, Field(gt=0.0)]]
 
 
@@ -98,6 +100,9 @@ class Card(Settings):
     """The last step of an interrupted training, such as "update 200 of 1000"; empty if it finished."""
     settings: dict[str, Any] = Field(default_factory=dict)
     results: dict[str, Any] = Field(default_factory=dict)
+    members: dict[TrackerName, Card] | None = None
+    """The cards of other trackers, by their names, whose forecasts this one combines; the data that these were trained
+    on is in `train` and `validation`, and their arrays are among this card's."""
 
     @field_validator("classes")
     @classmethod
@@ -113,6 +118,13 @@ class Card(Settings):
         if not self.general and (not self.grid or self.period_s is None or self.world_T_grid is None):
             raise ValueError("the card of a site has its grid, period_s and world_T_grid")
         return self
+
+    @field_validator("members")
+    @classmethod
+    def _without_members(cls, members: dict[str, Card] | None) -> dict[str, Card] | None:
+        if any(card.members for card in (members or {}).values()):
+            raise ValueError("a member has members of its own")
+        return members
 
     @property
     def general(self) -> bool:

@@ -60,7 +60,7 @@ def save_weights(path: Path, card: Card, arrays: Mapping[str, NDArray[Any]]) -> 
             blob = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
             card = card.model_copy(update={"arrays_sha256": hashlib.sha256(blob).hexdigest()})
             files.enter_context(atomic_write(arrays_path)).write(blob)
-        card_file.write(_card_text(card).encode())
+        card_file.write(card_text(card).encode())
     _previous(arrays_path).unlink(missing_ok=True)
 
 
@@ -123,13 +123,13 @@ def complete_card(
             "started_from": started_from or card.started_from,
         }
     )
-    write_text(path, _card_text(completed))
+    write_text(path, card_text(completed))
     return True
 
 
 def add_thresholds(path: Path, thresholds: CardThresholds) -> None:
     """Write thresholds on the card at `path`. Raises WeightsError, OSError."""
-    write_text(path, _card_text(read_card(path).model_copy(update={"thresholds": thresholds})))
+    write_text(path, card_text(read_card(path).model_copy(update={"thresholds": thresholds})))
 
 
 def _with_all(named: Iterable[TrainingData], received: Sequence[TrainingData]) -> tuple[TrainingData, ...]:
@@ -138,7 +138,8 @@ def _with_all(named: Iterable[TrainingData], received: Sequence[TrainingData]) -
     return tuple(dict.fromkeys([*(full.get((data.recording, data.sha256), data) for data in named), *received]))
 
 
-def _card_text(card: Card) -> str:
+def card_text(card: Card) -> str:
+    """The TOML of a card."""
     return tomli_w.dumps(card.model_dump(mode="json", exclude_none=True))
 
 

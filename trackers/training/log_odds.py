@@ -1,0 +1,225 @@
+"""Logarithmic opinion pool: weights for the log odds of several forecasts, fitted by log loss.
+
+The forecasts p_i of a cell are combined to sigmoid(offset + sum_i weight_i logit p_i) (Genest and Zidek, *Statistical
+Science* 1, 1986). Weights and offset depend on the horizon and on whether the cell was seen recently. They are fitted
+on forecasts of others (stacked generalisation: Wolpert, *Neural Networks* 5, 1992).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import expit, log_expit
+
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, Mask, nearest_step
+from gridtrack.trackers.contract import FrameSource
+from gridtrack.trackers.site_map import marks_in_window
+from gridtrack.trackers.stationary import LEARN_AFTER, LEARN_EVERY_S
+
+POOL_HORIZONS_S = np.array([0.1, 0.25, 0.5, 1.0, 1.5, 2.0, 2.5])
+"""Horizons of the weights; between them they are interpolated, and outside of them they stay."""
+LEAST_ODDS = 1e-4
+"""Probabilities are clipped to [LEAST_ODDS, 1 - LEAST_ODDS]: a forecast of 0 or 1 would decide alone."""
+LIKELY = 0.02
+"""A cell is likely occupied if a forecast is above this."""
+SAMPLED, MOST_SAMPLED = 200, 4_000_000
+"""Cells of each kind, likely occupied and not, that are sampled at each horizon of a forecast, and most in total."""
+PRIOR_WEIGHT = 10.0
+"""Weight, in cells, of the squared distance to the mean of the log odds."""
+
+_Array = NDArray[np.float64]
+Odds = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class SampledCells:
+    """Cells (C,) that were visible at a horizon after a forecast.
+
+    `odds` (C, N): the log odds of N forecasts. `horizon` (C,): index of POOL_HORIZONS_S. `recent` (C,): whether the
+    cell was seen recently at the time of the forecast. `occupied` (C,): at the horizon. `stands_for` (C,): number of
+    visible cells.
+    """
+
+    odds: Odds
+    horizon: NDArray[np.int8]
+    recent: Mask
+    occupied: Mask
+    stands_for: NDArray[np.float32]
+
+    @classmethod
+    def empty(cls, number: int) -> SampledCells:
+        """No cells of `number` forecasts."""
+        none = np.zeros(0, np.bool_)
+        return cls(np.zeros((0, number), np.float32), none.astype(np.int8), none, none, none.astype(np.float32))
+
+    @classmethod
+    def together(cls, parts: Sequence[SampledCells]) -> SampledCells:
+        """The cells of all `parts`, at least one."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__))
+
+    def at(self, horizon: int, *, recent: bool) -> SampledCells:
+        """The cells at one horizon in one group."""
+        chosen = (self.horizon == horizon) & (self.recent == recent)
+        return SampledCells(*(getattr(self, name)[chosen] for name in self.__slots__))
+
+
+def log_odds(probabilities: NDArray[np.floating]) -> Odds:
+    """The log odds, of the same shape, of probabilities that are not closer to 0 or 1 than LEAST_ODDS."""
+    p = np.clip(probabilities, LEAST_ODDS, 1.0 - LEAST_ODDS, dtype=np.float32)
+    return np.asarray(np.log(p) - np.log1p(-p), np.float32)
+
+
+class CombinedForecasts(Protocol):
+    """Several trackers that follow one stream, their `number`."""
+
+    number: int
+
+    def reset(self, seed: int) -> None:
+        """Reset each of them."""
+
+    def update(self, frame: GridFrame) -> None:
+        """Update each of them."""
+
+    def odds(self, steps: int) -> Odds:
+        """The log odds (N, steps+1, M, M) of each of the N trackers."""
+        ...
+
+    @property
+    def recent(self) -> Mask:
+        """Whether each cell (M, M) was seen recently."""
+        ...
+
+
+def most_per_kind(sources: Sequence[FrameSource]) -> int:
+    """How many cells of each kind to sample at each horizon of a forecast, so that MOST_SAMPLED are not exceeded."""
+    forecasts = sum(len(source) // _frames_between(source) for source in sources)
+    return max(1, min(SAMPLED, MOST_SAMPLED // (2 * len(POOL_HORIZONS_S) * max(forecasts, 1))))
+
+
+def _frames_between(source: FrameSource) -> int:
+    """Frames between two forecasts that are sampled."""
+    return max(1, nearest_step(LEARN_EVERY_S, source.period_s))
+
+
+def sampled_cells(
+    combined: CombinedForecasts,
+    source: FrameSource,
+    most: int,
+    draw: np.random.Generator,
+    advance: Callable[[], None] = lambda: None,
+) -> SampledCells:
+    """Cells of the forecasts of the `combined` trackers on one source, about `most` of each kind; maybe none.
+
+    A horizon that is nearer to the present than to the first step is left out. `advance` is called after each frame.
+    """
+    steps = [nearest_step(horizon_s, source.period_s) for horizon_s in POOL_HORIZONS_S]
+    parts = [SampledCells.empty(combined.number)]
+    recent: deque[_Made] = deque()
+    combined.reset(seed=0)
+    for index, frame in enumerate(source):
+        combined.update(frame)
+        if index >= LEARN_AFTER and index % _frames_between(source) == 0:
+            made = combined.odds(max(steps))[:, steps]
+            recent.append(_Made(index, frame.world_T_grid, made, combined.recent.copy()))
+        while recent and recent[0].number + max(steps) < index:
+            recent.popleft()
+        for forecast in recent:
+            marks = np.stack([frame.visible, frame.occupied])
+            visible, occupied = marks_in_window(forecast.window, frame, marks, source.grid.cell_m)
+            for horizon, step in enumerate(steps):
+                if 0 < step == index - forecast.number:
+                    parts.append(_sample(forecast, horizon, visible, occupied, most, draw))
+        advance()
+    return SampledCells.together(parts)
+
+
+class _Made(NamedTuple):
+    """A forecast: the number of its frame, its window, the log odds (N, K, M, M) and the cells seen recently (M, M)."""
+
+    number: int
+    window: SE2
+    odds: Odds
+    recent: Mask
+
+
+def _sample(
+    made: _Made, horizon: int, visible: Mask, occupied: Mask, most: int, draw: np.random.Generator
+) -> SampledCells:
+    """At most about `most` of the visible cells that are likely occupied or occupied, and of the others."""
+    odds = made.odds[:, horizon]
+    likely = visible & (occupied | (odds.max(axis=0) > np.log(LIKELY / (1.0 - LIKELY))))
+    parts = []
+    for kind in (likely, visible & ~likely):
+        cells = np.flatnonzero(kind)
+        share = min(1.0, most / max(len(cells), 1))
+        cells = cells[draw.random(len(cells)) < share]
+        parts.append(
+            SampledCells(
+                odds.reshape(len(odds), -1)[:, cells].T,
+                np.full(len(cells), horizon, np.int8),
+                made.recent.ravel()[cells],
+                occupied.ravel()[cells],
+                np.full(len(cells), 1.0 / share, np.float32),
+            )
+        )
+    return SampledCells.together(parts)
+
+
+def fit_pool(cells: SampledCells) -> tuple[_Array, _Array]:
+    """The weights (K, 2, N) and offsets (K, 2) of least log loss, by horizon and for cells seen recently, and others.
+
+    Weights are not negative; with few cells they are near those of the mean of the log odds. A horizon without cells
+    has the weights of the nearest one with some.
+    """
+    fitted = np.stack([_by_horizon(cells, recent=recent) for recent in (True, False)], axis=1)
+    return fitted[..., :-1], fitted[..., -1]
+
+
+def _by_horizon(cells: SampledCells, *, recent: bool) -> _Array:
+    """The parameters (K, N+1) of one group of cells at each horizon."""
+    fitted = [_maximum_likelihood(cells.at(horizon, recent=recent)) for horizon in range(len(POOL_HORIZONS_S))]
+    known = [n for n in range(len(fitted)) if (cells.horizon[cells.recent == recent] == n).any()]
+    return np.array([fitted[min(known, key=lambda one: abs(one - n), default=n)] for n in range(len(fitted))])
+
+
+def _maximum_likelihood(cells: SampledCells) -> _Array:
+    """The weights and the offset (N+1,) of cells of one horizon and group; those of the mean without cells."""
+    number = cells.odds.shape[1]
+    mean = np.append(np.full(number, 1.0 / number), 0.0)
+    features = np.column_stack([cells.odds, np.ones(len(cells.odds), np.float32)]).astype(np.float64)
+    occupied, weight = cells.occupied.astype(np.float64), cells.stands_for.astype(np.float64)
+    total = weight.sum() + PRIOR_WEIGHT
+
+    def loss(parameters: _Array) -> tuple[float, _Array]:
+        combined, off = features @ parameters, parameters - mean
+        value = -weight @ np.where(occupied, log_expit(combined), log_expit(-combined)) + PRIOR_WEIGHT * off @ off
+        gradient = (weight * (expit(combined) - occupied)) @ features + 2.0 * PRIOR_WEIGHT * off
+        return value / total, gradient / total
+
+    bounds = [(0.0, None)] * number + [(None, None)]
+    best = minimize(loss, mean, jac=True, bounds=bounds, options={"ftol": 1e-12, "gtol": 1e-8})
+    return np.asarray(best.x)
+
+
+def log_losses(cells: SampledCells, combined: Odds) -> _Array:
+    """The mean log loss (K,) of forecasts with the log odds `combined` (C,), nats a cell; NaN without cells."""
+    losses = -cells.stands_for * log_expit(np.where(cells.occupied, combined, -combined))
+    sums, counts = (
+        np.bincount(cells.horizon, weights=values, minlength=len(POOL_HORIZONS_S))
+        for values in (losses, cells.stands_for)
+    )
+    return np.asarray(np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0))
+
+
+def combined_odds(cells: SampledCells, weights: _Array, offsets: _Array) -> Odds:
+    """The log odds (C,) of the pool with `weights` (K, 2, N) and `offsets` (K, 2)."""
+    group = np.where(cells.recent, 0, 1)
+    combined = (weights[cells.horizon, group] * cells.odds).sum(axis=1) + offsets[cells.horizon, group]
+    return np.asarray(combined, np.float32)
