@@ -63,6 +63,7 @@ from gridtrack.trackers.training.weights import fitted_card
 SCORED_CELLS_PER_S, LONG_MINUTES = 2e7, 10
 """Cells of forecasts that one processor scores in a second (`compare --tracker blank` on grids of 100 and 400 cells a
 side), and the time from which an estimate is a notice."""
+UNTRAINED = "left out: no weights of it are installed; train it (`gridtrack trackers list` shows all), or name it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,6 +269,11 @@ def resolve(
         for selection in selections
     }
     found = {key: of_row for key, (of_row, _) in weights.items()}
+    if not settings.trackers:
+        trained = {label for (label, _), of_row in found.items() if of_row is not None}
+        untrained = [one for one in selections if one.label not in trained and _is_own_learner(launches[one.label])]
+        left_out += [Notice(text=UNTRAINED, row=one.label) for one in untrained]
+        selections = tuple(one for one in selections if one not in untrained)
     trials = tuple(_trials(settings, selections, launches, splits, found))
     of_weights = (notice for _, notices in weights.values() for notice in notices)
     notices = [*left_out, *(notice for split in splits for notice in split.notices), *of_weights, *_notices(trials)]
@@ -383,6 +389,11 @@ def _every_tracker(external: Mapping[str, Launch]) -> tuple[str, ...]:
     cannot be selected."""
     others = {*registry.floors(), *registry.recorded()}
     return (*(name for name in registry.entries() if VALID_NAME.fullmatch(name) and name not in others), *external)
+
+
+def _is_own_learner(start: Launch) -> bool:
+    """Whether a tracker is one of gridtrack's own that learn: all of them but the floors."""
+    return not start.external and not is_plugin(start) and start.name not in registry.floors()
 
 
 def _added_floors(settings: CompareSettings) -> tuple[list[str], list[Notice]]:

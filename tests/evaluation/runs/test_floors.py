@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gridtrack.common.errors import PluginError
+from gridtrack.evaluation.runs.learned import find_weights
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.trackers import registry
 
@@ -45,6 +46,7 @@ def test_floors_that_no_row_names_are_added_with_general_weights(rows):
 
 def test_every_tracker_has_the_floors_as_if_they_were_named_and_no_floor_if_refused(rows):
     live = registry.entries().keys() - registry.recorded().keys()
+    live = {name for name in live if name in registry.floors() or find_weights(name, "room", None)}
     assert rows() == dict.fromkeys(live, "any")
     assert rows(no_floors=True).keys() == live - registry.floors().keys()
 
@@ -64,3 +66,13 @@ def test_a_tracker_that_is_registered_as_a_floor_says_so_itself(install):
     install("fast", {"fast": "drift:Fast"}, {"drift.py": SOURCE}, group="gridtrack.floors")
     with pytest.raises(PluginError, match=r"registered in gridtrack\.floors, and its role is 'tracker': set role"):
         registry.load("fast")
+
+
+def test_a_built_in_tracker_without_any_weights_is_a_row_only_if_it_is_named(settings, monkeypatch):
+    monkeypatch.setattr("gridtrack.evaluation.runs.plan.find_weights", lambda name, *_: None)
+    plan = resolve(settings())
+    left_out = {notice.row for notice in plan.notices if "no weights of it are installed" in notice.text}
+    assert {"kalman", "dilated-convgru", "conv-lstm"} <= left_out
+    assert left_out.isdisjoint(trial.selection.label for trial in plan.trials)
+    (trial,) = resolve(settings("conv-lstm")).trials
+    assert trial.selection.name == "conv-lstm"
