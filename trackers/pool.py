@@ -13,11 +13,9 @@ from scipy.special import expit
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, Mask, shift_between
-from gridtrack.trackers.cell_records import HiddenTime
+from gridtrack.common.grid import GridFrame, shift_between
 from gridtrack.trackers.contract import FitTask, Forecast, FrameSource, StreamSpec, Tracker, stream_of
 from gridtrack.trackers.registry import registered_name
-from gridtrack.trackers.training.calibration import RECENT_S
 from gridtrack.trackers.training.card import TrackerName, card_for
 from gridtrack.trackers.training.excerpts import SEARCHED_S, excerpts, excerpts_of_places
 from gridtrack.trackers.training.log_odds import (
@@ -81,7 +79,7 @@ class PoolTracker(Tracker):
             raise ConfigurationError(
                 f"{stream.weights}: its members are {', '.join(names)}: train again for others, or leave `members` out"
             )
-        shape = len(POOL_HORIZONS_S), 2
+        shape = (len(POOL_HORIZONS_S),)
         self._weights, self._offsets = array(weights, "weights", (*shape, len(names))), array(weights, "offsets", shape)
         if (self._weights < 0.0).any():
             raise WeightsError(f"{stream.weights}: a weight is negative; train again")
@@ -106,12 +104,11 @@ class PoolTracker(Tracker):
         self._members.update(frame)
 
     def predict(self, steps: int) -> Forecast:
-        """Combine the forecasts of the members with the weights of each horizon and group of cells."""
+        """Combine the forecasts of the members with the weights of each horizon."""
         horizons_s = np.arange(steps + 1) * self.stream.period_s
-        group = np.where(self._members.recent, 0, 1)
-        combined: NDArray[np.float32] = _at(horizons_s, self._offsets)[:, group]
-        for odds, weights in zip(self._members.odds(steps), np.moveaxis(self._weights, -1, 0), strict=True):
-            combined += _at(horizons_s, weights)[:, group] * odds
+        weights = np.array([np.interp(horizons_s, POOL_HORIZONS_S, one) for one in self._weights.T], np.float32)
+        offsets = np.interp(horizons_s, POOL_HORIZONS_S, self._offsets).astype(np.float32)
+        combined = np.einsum("ns,nsij->sij", weights, self._members.odds(steps)) + offsets[:, None, None]
         return Forecast(expit(combined))
 
     @classmethod
@@ -123,14 +120,8 @@ class PoolTracker(Tracker):
         PoolFit(cls, task).run()
 
 
-def _at(horizons_s: NDArray[Any], values: NDArray[Any]) -> NDArray[np.float32]:
-    """The `values` (K, 2) of the groups at other horizons (S,): (S, 2) float32."""
-    by_group = [np.interp(horizons_s, POOL_HORIZONS_S, column) for column in values.T]
-    return np.stack(by_group, axis=1).astype(np.float32)
-
-
 class RunningMembers:
-    """The members of a pool on one stream, and the time since each cell was seen."""
+    """The members of a pool on one stream."""
 
     def __init__(self, trackers: Sequence[Tracker], stream: StreamSpec) -> None:
         self.trackers, self.number, self._stream = trackers, len(trackers), stream
@@ -138,32 +129,22 @@ class RunningMembers:
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
-        """Reset each member; no cell was seen."""
+        """Reset each member with the same seed."""
         for tracker in self.trackers:
             tracker.reset(seed)
-        self._hidden = HiddenTime(self._stream.grid.shape)
         self._window: SE2 | None = None
-        self._stamp_ns = 0
 
     def update(self, frame: GridFrame) -> None:
         """Update each member. Raises ConfigurationError if the sensor moves and a member does not follow it."""
         shift = shift_between(self._window or frame.world_T_grid, frame.world_T_grid, self._stream.grid.cell_m)
-        if shift:
-            if self._still:
-                raise ConfigurationError(
-                    f"the sensor moves, and the member {self._still[0]} does not follow it: train a pool without"
-                    f" {', '.join(self._still)}"
-                )
-            self._hidden.scroll(shift)
-        self._hidden.observe(frame.visible, (frame.stamp_ns - self._stamp_ns) / 1e9)
-        self._window, self._stamp_ns = frame.world_T_grid, frame.stamp_ns
+        if shift and self._still:
+            raise ConfigurationError(
+                f"the sensor moves, and the member {self._still[0]} does not follow it: train a pool without"
+                f" {', '.join(self._still)}"
+            )
+        self._window = frame.world_T_grid
         for tracker in self.trackers:
             tracker.update(frame)
-
-    @property
-    def recent(self) -> Mask:
-        """Whether each cell (M, M) was seen within RECENT_S."""
-        return np.asarray(self._hidden.seconds < RECENT_S)
 
     def odds(self, steps: int) -> Odds:
         """The log odds (N, steps+1, M, M) of the members' forecasts."""

@@ -1,8 +1,9 @@
 """Logarithmic opinion pool: weights for the log odds of several forecasts, fitted by log loss.
 
 The forecasts p_i of a cell are combined to sigmoid(offset + sum_i weight_i logit p_i) (Genest and Zidek, *Statistical
-Science* 1, 1986). Weights and offset depend on the horizon and on whether the cell was seen recently. They are fitted
-on forecasts of others (stacked generalisation: Wolpert, *Neural Networks* 5, 1992).
+Science* 1, 1986). Weights and offset depend on the horizon (stacked generalisation: Wolpert, *Neural Networks* 5,
+1992). They are the same for cells that are hidden at the time of the forecast: only those that come into view are
+observed, which are more often occupied than those that stay hidden.
 """
 
 from __future__ import annotations
@@ -42,14 +43,12 @@ Odds = NDArray[np.float32]
 class SampledCells:
     """Cells (C,) that were visible at a horizon after a forecast.
 
-    `odds` (C, N): the log odds of N forecasts. `horizon` (C,): index of POOL_HORIZONS_S. `recent` (C,): whether the
-    cell was seen recently at the time of the forecast. `occupied` (C,): at the horizon. `stands_for` (C,): number of
-    visible cells.
+    `odds` (C, N): the log odds of N forecasts. `horizon` (C,): index of POOL_HORIZONS_S. `occupied` (C,): at the
+    horizon. `stands_for` (C,): number of visible cells.
     """
 
     odds: Odds
     horizon: NDArray[np.int8]
-    recent: Mask
     occupied: Mask
     stands_for: NDArray[np.float32]
 
@@ -57,16 +56,16 @@ class SampledCells:
     def empty(cls, number: int) -> SampledCells:
         """No cells of `number` forecasts."""
         none = np.zeros(0, np.bool_)
-        return cls(np.zeros((0, number), np.float32), none.astype(np.int8), none, none, none.astype(np.float32))
+        return cls(np.zeros((0, number), np.float32), none.astype(np.int8), none, none.astype(np.float32))
 
     @classmethod
     def together(cls, parts: Sequence[SampledCells]) -> SampledCells:
         """The cells of all `parts`, at least one."""
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__))
 
-    def at(self, horizon: int, *, recent: bool) -> SampledCells:
-        """The cells at one horizon in one group."""
-        chosen = (self.horizon == horizon) & (self.recent == recent)
+    def at(self, horizon: int) -> SampledCells:
+        """The cells at one horizon."""
+        chosen = self.horizon == horizon
         return SampledCells(*(getattr(self, name)[chosen] for name in self.__slots__))
 
 
@@ -89,11 +88,6 @@ class CombinedForecasts(Protocol):
 
     def odds(self, steps: int) -> Odds:
         """The log odds (N, steps+1, M, M) of each of the N trackers."""
-        ...
-
-    @property
-    def recent(self) -> Mask:
-        """Whether each cell (M, M) was seen recently."""
         ...
 
 
@@ -121,16 +115,16 @@ def sampled_cells(
     """
     steps = [nearest_step(horizon_s, source.period_s) for horizon_s in POOL_HORIZONS_S]
     parts = [SampledCells.empty(combined.number)]
-    recent: deque[_Made] = deque()
+    pending: deque[_Made] = deque()
     combined.reset(seed=0)
     for index, frame in enumerate(source):
         combined.update(frame)
         if index >= LEARN_AFTER and index % _frames_between(source) == 0:
             made = combined.odds(max(steps))[:, steps]
-            recent.append(_Made(index, frame.world_T_grid, made, combined.recent.copy()))
-        while recent and recent[0].number + max(steps) < index:
-            recent.popleft()
-        for forecast in recent:
+            pending.append(_Made(index, frame.world_T_grid, made))
+        while pending and pending[0].number + max(steps) < index:
+            pending.popleft()
+        for forecast in pending:
             marks = np.stack([frame.visible, frame.occupied])
             visible, occupied = marks_in_window(forecast.window, frame, marks, source.grid.cell_m)
             for horizon, step in enumerate(steps):
@@ -141,12 +135,11 @@ def sampled_cells(
 
 
 class _Made(NamedTuple):
-    """A forecast: the number of its frame, its window, the log odds (N, K, M, M) and the cells seen recently (M, M)."""
+    """A forecast: the number of its frame, its window, and the log odds (N, K, M, M)."""
 
     number: int
     window: SE2
     odds: Odds
-    recent: Mask
 
 
 def _sample(
@@ -164,7 +157,6 @@ def _sample(
             SampledCells(
                 odds.reshape(len(odds), -1)[:, cells].T,
                 np.full(len(cells), horizon, np.int8),
-                made.recent.ravel()[cells],
                 occupied.ravel()[cells],
                 np.full(len(cells), 1.0 / share, np.float32),
             )
@@ -173,24 +165,20 @@ def _sample(
 
 
 def fit_pool(cells: SampledCells) -> tuple[_Array, _Array]:
-    """The weights (K, 2, N) and offsets (K, 2) of least log loss, by horizon and for cells seen recently, and others.
+    """The weights (K, N) and offsets (K,) of least log loss at each horizon.
 
     Weights are not negative; with few cells they are near those of the mean of the log odds. A horizon without cells
     has the weights of the nearest one with some.
     """
-    fitted = np.stack([_by_horizon(cells, recent=recent) for recent in (True, False)], axis=1)
-    return fitted[..., :-1], fitted[..., -1]
-
-
-def _by_horizon(cells: SampledCells, *, recent: bool) -> _Array:
-    """The parameters (K, N+1) of one group of cells at each horizon."""
-    fitted = [_maximum_likelihood(cells.at(horizon, recent=recent)) for horizon in range(len(POOL_HORIZONS_S))]
-    known = [n for n in range(len(fitted)) if (cells.horizon[cells.recent == recent] == n).any()]
-    return np.array([fitted[min(known, key=lambda one: abs(one - n), default=n)] for n in range(len(fitted))])
+    by_horizon = [cells.at(horizon) for horizon in range(len(POOL_HORIZONS_S))]
+    known = [n for n, part in enumerate(by_horizon) if part.occupied.size] or [0]
+    fitted = {n: _maximum_likelihood(by_horizon[n]) for n in known}
+    nearest = np.array([fitted[min(known, key=lambda one: abs(one - n))] for n in range(len(by_horizon))])
+    return nearest[:, :-1], nearest[:, -1]
 
 
 def _maximum_likelihood(cells: SampledCells) -> _Array:
-    """The weights and the offset (N+1,) of cells of one horizon and group; those of the mean without cells."""
+    """The weights and the offset (N+1,) of cells of one horizon; those of the mean without cells."""
     number = cells.odds.shape[1]
     mean = np.append(np.full(number, 1.0 / number), 0.0)
     features = np.column_stack([cells.odds, np.ones(len(cells.odds), np.float32)]).astype(np.float64)
@@ -219,7 +207,6 @@ def log_losses(cells: SampledCells, combined: Odds) -> _Array:
 
 
 def combined_odds(cells: SampledCells, weights: _Array, offsets: _Array) -> Odds:
-    """The log odds (C,) of the pool with `weights` (K, 2, N) and `offsets` (K, 2)."""
-    group = np.where(cells.recent, 0, 1)
-    combined = (weights[cells.horizon, group] * cells.odds).sum(axis=1) + offsets[cells.horizon, group]
+    """The log odds (C,) of the pool with `weights` (K, N) and `offsets` (K,)."""
+    combined = (weights[cells.horizon] * cells.odds).sum(axis=1) + offsets[cells.horizon]
     return np.asarray(combined, np.float32)
