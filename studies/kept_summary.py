@@ -6,7 +6,7 @@ training of each tracker; the spread between trainings is in `trainings`. Pairs 
 
 A number has an address, a row and a column. The row is a tracker, `TRACKER less REFERENCE` (a paired difference) or
 `TRACKER over OTHER` (a ratio). The column is a score, a stratum and a horizon, such as `f1 dynamic 1 s`. Scores: `f1`,
-`f1_at_visible` (at the threshold of all visible cells), `pr_auc`, `log_loss`, `class_log_loss` (nats per scan),
+`f1_at_visible` (at the threshold of all visible cells), `foreseen` (contacts, at 5 % false alarms), `pr_auc`, `log_loss`, `class_log_loss` (nats per scan),
 `share_of_oracle` (of the way from the best floor to the oracle), `lead` (F1 above the best floor) and `p` (of a
 difference, corrected by Holm's method). `visible cyclist as car` is a share of the class's cells now, from
 confusion.json, which is kept beside the summary.
@@ -32,7 +32,7 @@ from studies.support.results_file import ResultTable, chance_marked, score_text,
 
 RESULTS = Path("docs/results")
 COLUMN = re.compile(
-    r"(?P<score>f1|f1_at_visible|pr_auc|log_loss|share_of_oracle|lead|p|class_log_loss) "
+    r"(?P<score>f1|f1_at_visible|foreseen|pr_auc|log_loss|share_of_oracle|lead|p|class_log_loss) "
     r"(?P<stratum>.+?) (?P<horizon>now|[\d.]+ s)"
 )
 CONFUSION_FILE = "confusion.json"
@@ -40,6 +40,7 @@ CONFUSION = re.compile(r"(?P<visibility>visible|occluded) (?P<true>\w+) as (?P<f
 TITLES = {
     "f1": "",
     "f1_at_visible": "threshold of visible, ",
+    "foreseen": "contacts foreseen, ",
     "pr_auc": "PR-AUC, ",
     "log_loss": "log loss, ",
     "class_log_loss": "class log loss, ",
@@ -57,6 +58,7 @@ SHOWN = (
 OUTPUTS = {
     "f1": ("f1", "f1"),
     "f1_at_visible": ("f1", "at_visible"),
+    "foreseen": ("contact_foresight", "foreseen"),
     "pr_auc": ("pr_auc", "area"),
     "log_loss": ("log_loss", "mean"),
     "share_of_oracle": ("f1", "oracle_share"),
