@@ -159,7 +159,8 @@ def trained(tracker, card, source, **options):
 def task_for(tracker, out, train, validation=None, *, objective=constant, general=False, start=None, **options):
     """The task of a short training, and the lines that it reports."""
     lines = []
-    settings = validated(tracker.Options, SHORT | SMALL.get(tracker, {}) | options, "test")
+    short = {name: value for name, value in SHORT.items() if name in tracker.Options.model_fields}
+    settings = validated(tracker.Options, short | SMALL.get(tracker, {}) | options, "test")
     task = FitTask(
         train, validation or train, objective, out, settings, out.parent / "log", 7, "gridtrack train ...",
         general=general, start=start, report=lines.append,
