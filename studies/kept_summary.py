@@ -5,12 +5,11 @@ after `make results`) keeps from RUN/summary.json the pooled scores, or the only
 training of each tracker; the spread between trainings is in `trainings`. Pairs are left out.
 
 A number has an address, a row and a column. The row is a tracker, `TRACKER less REFERENCE` (a paired difference) or
-`TRACKER over OTHER`
-(a ratio). The column is a score, a stratum and a horizon, such as `f1 dynamic 1 s`. Scores: `f1`, `f1_at_visible` (at
-the threshold of all visible cells), `foreseen` (contacts, at 5 % false alarms), `pr_auc`, `log_loss`, `class_log_loss`
-(nats per scan), `share_of_oracle` (of the way from the best floor to the oracle), `lead` (F1 above the best floor) and
-`p` (of a difference, corrected by Holm's method). `visible cyclist as car` is a share of the class's cells now, from
-confusion.json, which is kept beside the summary.
+`TRACKER over OTHER` (a ratio). The column is a score, a stratum and a horizon, such as `f1 dynamic 1 s`. Scores: `f1`,
+`f1_at_visible` (at the threshold of all visible cells), `foreseen` (contacts, at 5 % false alarms), `pr_auc`,
+`log_loss`, `class_log_loss` (nats per scan), `share_of_oracle` (of the way from the best floor to the oracle), `lead`
+(F1 above the best floor) and `p` (of a difference, corrected by Holm's method). `visible cyclist as car` is a share of
+the class's cells now, from confusion.json, which is kept beside the summary.
 """
 
 from __future__ import annotations
