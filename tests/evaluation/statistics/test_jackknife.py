@@ -365,9 +365,9 @@ def test_a_measure_that_is_zero_without_some_unit_has_no_interval_on_a_logarithm
     assert np.isnan([*low[1:], *high[1:]]).all()
 
 
-def test_measures_whose_units_count_events_have_sizes_of_floating_point(rng):
+def test_measures_whose_units_count_events_have_sizes_of_floating_point():
     """Trainings divide by them: contact foresight led a run with three trainings, and its summary ended in an error."""
-    drawn = rng.integers(1, 9, (5, 2, 3)).astype(float)
+    drawn = np.random.default_rng(1).integers(1, 9, (5, 2, 3)).astype(float)
 
     def value(sums):
         events = sums.values.sum(axis=-1)
