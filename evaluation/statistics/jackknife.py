@@ -96,8 +96,7 @@ def replicates(value: Value, groups: Callable[[], Iterable[Sums]], total: Sums) 
         each = [value(Sums(total.values - own, total.parts)) for sums in groups() for own in sums.values]
         for name in measures:
             without = np.stack([value_of(one[name]) for one in each])
-            sizes = [output.size for output in by_unit[name] if isinstance(output, Measure)]
-            size = np.concatenate(sizes).astype(np.float64)  # some are numbers of events
+            size = np.concatenate([output.size for output in by_unit[name] if isinstance(output, Measure)])
             found[name] = Replicates(value_of(pooled[name]), without, size)
     return found
 

@@ -71,7 +71,7 @@ def spread_between(trainings: Sequence[Replicates]) -> Spread:
 def contributions(found: Replicates) -> Floats:
     """Linearised contribution (U, R) of each unit to the value; contributions to a ratio of sums add up to 0."""
     total = found.size.sum(axis=0)
-    share = np.divide(found.size, total, out=np.zeros_like(found.size), where=total > 0)
+    share = np.divide(found.size, total, out=np.zeros(found.size.shape), where=total > 0)  # sizes may be integers
     shares: Floats = np.nan_to_num(found.value - found.without) * (1.0 - share)
     return shares
 

@@ -8,7 +8,7 @@ from scipy import stats
 from sklearn.metrics import average_precision_score
 
 from gridtrack.evaluation.scores.cells import PROBABILITY_BINS, PROBABILITY_EDGES
-from gridtrack.evaluation.scores.definition import Measure, Ratio, Sums, block
+from gridtrack.evaluation.scores.definition import Ratio, Sums, block
 from gridtrack.evaluation.scores.pr_auc import PR_AUC
 from gridtrack.evaluation.statistics import jackknife
 from gridtrack.evaluation.statistics.jackknife import (
@@ -19,7 +19,6 @@ from gridtrack.evaluation.statistics.jackknife import (
     ratio_replicates,
     replicates,
 )
-from gridtrack.evaluation.statistics.trainings import spread_between
 
 COUNTS = ("tp", "fp", "fn", "tn", "squared_error", "log_loss")
 SCALES = {"f1": "odds", "precision": "odds", "recall": "odds", "brier": "odds", "log_loss": "log"}
@@ -363,16 +362,3 @@ def test_a_measure_that_is_zero_without_some_unit_has_no_interval_on_a_logarithm
         low, high = ends_of(found, "log")
     assert (low[0], high[0]) == (0.5, 0.5)
     assert np.isnan([*low[1:], *high[1:]]).all()
-
-
-def test_measures_whose_units_count_events_have_sizes_of_floating_point():
-    """Trainings divide by them: contact foresight led a run with three trainings, and its summary ended in an error."""
-    drawn = np.random.default_rng(1).integers(1, 9, (5, 2, 3)).astype(float)
-
-    def value(sums):
-        events = sums.values.sum(axis=-1)
-        return {"mean": Measure(events / 7.0, events.astype(np.int64))}
-
-    found = replicates(value, lambda: [Sums(drawn, ())], Sums(drawn.sum(axis=0), ()))["mean"]
-    assert found.size.dtype == np.float64
-    assert np.isfinite(spread_between([found, found]).deviation).all()

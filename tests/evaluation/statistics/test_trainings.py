@@ -95,3 +95,13 @@ def test_an_unknown_spread_gives_no_interval():
     assert np.isfinite(found.value).all()
     assert np.isnan(found.low).all()
     assert np.isnan(found.p).all()
+
+
+def test_trainings_of_a_ratio_of_whole_numbers_are_compared():
+    """Contacts are counted in integers: with three trainings the summary of a run that they led ended in an error."""
+    hits = np.random.default_rng(4).integers(20, 60, (2, 3, 20, 1))
+    met = np.full((20, 1), 100)
+    mine, theirs = (Trainings(tuple(ratio_replicates(Ratio(own, met)) for own in each), True) for each in hits)
+    found = training_differences(mine, theirs)
+    assert found.value[0] == pytest.approx((hits[0].mean() - hits[1].mean()) / 100)
+    assert found.low[0] < found.value[0] < found.high[0]
