@@ -88,7 +88,7 @@ def _difference(found: Any, described: Mapping[str, Any]) -> str:
     if not isinstance(found, dict):
         return f"{TRAINING_FILE} is damaged"
     names = [name for name in sorted(found.keys() | described.keys()) if found.get(name) != described.get(name)]
-    plain = [name for name in names if isinstance(described.get(name), str | int | float) and name != CODE]
+    plain = [name for name in names if isinstance(described.get(name), int | float)]
     texts = [f"{name} is {described[name]}, there {one_line(str(found.get(name)), 40)}" for name in plain]
     return ", ".join([*texts, *(f"another {name}" for name in names if name not in plain)][:MAX_DIFFERENCES])
 

@@ -247,5 +247,5 @@ def test_where_the_sensor_moves_there_is_no_static_memory(general, tmp_path):
 def test_checkpoints_of_a_start_from_other_weights_are_refused(general, tmp_path):
     tracker, start, _ = general
     card, _ = fit_at_site(tracker, start, tmp_path, Scores(0.5))
-    with pytest.raises(ConfigurationError, match="checkpoints of a training with other settings, data or seed"):
+    with pytest.raises(ConfigurationError, match="checkpoints of another training: another start;"):
         fit_at_site(tracker, None, tmp_path, Scores(0.5), **read_card(card).settings)
