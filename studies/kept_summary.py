@@ -8,7 +8,7 @@ A number has an address, a row and a column. The row is a tracker, `TRACKER less
 `TRACKER over OTHER` (a ratio). The column is a score, a stratum and a horizon, such as `f1 dynamic 1 s`. Scores: `f1`,
 `f1_at_visible` (at the threshold of all visible cells), `foreseen` (contacts, at 5 % false alarms), `pr_auc`,
 `log_loss`, `class_log_loss` (nats per scan), `share_of_oracle` (of the way from the best floor to the oracle), `lead`
-(F1 above the best floor) and `p` (of a difference, corrected by Holm's method). `visible cyclist as car` is a share of
+(F1 above the best floor) and `p` (of a difference of the headline score, corrected by Holm's method). `visible cyclist as car` is a share of
 the class's cells now, from confusion.json, which is kept beside the summary.
 """
 
@@ -65,6 +65,8 @@ OUTPUTS = {
     "class_log_loss": ("class_log_loss", "per_scan"),
 }
 """Score and output of each score of an address."""
+TRAININGS = {"f1": "F1", "contact_foresight": "contacts foreseen"}
+"""The headline scores, as the first column of a table of trainings."""
 LOSSES = ("log_loss", "class_log_loss")
 """Scores that are better if lower."""
 
@@ -80,6 +82,10 @@ class RunScores:
     def _horizons_s(self) -> list[float]:
         recording = next(iter(self._summary["recordings"].values()))
         return [float(horizon) for horizon in recording["horizons_s"]]
+
+    @property
+    def _headline(self) -> str:
+        return str(self._summary["headline"]).partition(".")[0]
 
     def value(self, row: str, column: str, *, interval: bool = False) -> str:
         """One number as text, with its 95 % interval if wanted. Raises KeyError for an unknown address."""
@@ -107,7 +113,7 @@ class RunScores:
         """Rows and columns as a table.
 
         Options: `intervals`; `best` marks the best number of each column, without the oracle's; `p` marks differences
-        of F1 by their corrected p-value.
+        of the headline score by their corrected p-value.
         """
         cells = [[self._cell(row, column, options) for column in columns] for row in rows]
         if "best" in options:
@@ -119,12 +125,12 @@ class RunScores:
         )
 
     def trainings(self, columns: Sequence[str]) -> ResultTable:
-        """F1 of the trackers over their trainings: mean, spread, and the difference from the reference.
+        """The headline score of the trackers over their trainings: mean, spread, and the difference from the reference.
 
         `columns` are strata and horizons, such as `dynamic 1 s`.
         """
         return ResultTable(
-            columns=("F1", "trainings", *(title for one in columns for title in (one, "difference"))),
+            columns=(TRAININGS[self._headline], "trainings", *(title for one in columns for title in (one, "difference"))),
             alignment=("---", "--:", *["---"] * (2 * len(columns))),
             rows=tuple(
                 (
@@ -151,7 +157,7 @@ class RunScores:
     def _cell(self, row: str, column: str, options: Sequence[str]) -> str:
         text = self.value(row, column, interval="intervals" in options)
         found = COLUMN.fullmatch(column)
-        if "p" not in options or found is None or found["score"] != "f1":
+        if "p" not in options or found is None or OUTPUTS[found["score"]][0] != self._headline:
             return text
         tracker, _, reference = row.partition(" less ")
         return _marked(text, self._p_value(tracker, reference, found["stratum"], self._step(found["horizon"])))
@@ -179,7 +185,7 @@ class RunScores:
         return float(self._test(tracker, reference, stratum, step)["p_holm"])
 
     def _test(self, tracker: str, reference: str, stratum: str, step: int) -> dict[str, Any]:
-        tests = self._difference(tracker, reference, "f1")["tests"]
+        tests = self._difference(tracker, reference, self._headline)["tests"]
         return next(dict(one) for one in tests if (one["stratum"], one["step"]) == (stratum, step))
 
     def _difference(self, tracker: str, reference: str, score: str) -> dict[str, Any]:

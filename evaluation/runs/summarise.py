@@ -45,7 +45,7 @@ from gridtrack.evaluation.runs.summary import (
     TrialSummary,
 )
 from gridtrack.evaluation.runs.trial_record import TrialRecord
-from gridtrack.evaluation.scores.definition import CurvesByStratum, Output, ScoreDefinition
+from gridtrack.evaluation.scores.definition import CurvesByStratum, Floats, Output, ScoreDefinition
 from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.scores.registry import built_in, find_output
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
@@ -255,11 +255,13 @@ def _relations(
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """The fields of each scope that depend on other rows; without one of the floors none is known to be the best."""
     comparable = {label: scope for label, scope in scopes.items() if _may_bound(scope)}
-    floors = [label for label in scopes if rows[label].floor]
+    floors = {label: scope for label, scope in comparable.items() if rows[label].floor}
+    complete = bool(floors) and all(label in floors for label in scopes if rows[label].floor)
     better, best, values = headline[1].direction, "", {}
-    if floors and all(label in comparable for label in floors):
+    if complete:
         values = _headline_values(comparable, headline, detail_step(horizons_s))
         best = max((label for label in floors if label in values), key=lambda one: better * values[one], default="")
+    lowest = {score.name: _best_of(floors.values(), score) for score in scores} if complete else {}
     for label, scope in scopes.items():
         row = rows[label]
         oracle = None if row.ceiling else scopes.get(ORACLE)
@@ -267,7 +269,7 @@ def _relations(
         yield (
             label,
             {
-                "strata": _with_relations(scope, scores, oracle, scopes.get(best)),
+                "strata": _with_relations(scope, scores, oracle, lowest),
                 "best_floor": best,
                 "below_floor": worse and not row.floor and not row.ceiling,
             },
@@ -287,9 +289,12 @@ def _headline_values(
 
 
 def _with_relations(
-    own: ScopeSummary, scores: Sequence[ScoreDefinition], oracle: ScopeSummary | None, floor: ScopeSummary | None
+    own: ScopeSummary,
+    scores: Sequence[ScoreDefinition],
+    oracle: ScopeSummary | None,
+    floors: Mapping[str, CurvesByStratum],
 ) -> dict[str, Estimates]:
-    """The strata of a scope with the outputs of `ScoreDefinition.relate`.
+    """The strata of a scope with the outputs of `ScoreDefinition.relate`; `floors`: the best floor of each score.
 
     A row that was scored in part was scored on other frames than the oracle.
     """
@@ -297,7 +302,7 @@ def _with_relations(
     for score in scores:
         if score.relate is None:
             continue
-        start, bound = (_lead_of(one, score) if own.outcome == "ok" else None for one in (floor, oracle))
+        start, bound = (floors.get(score.name), _lead_of(oracle, score)) if own.outcome == "ok" else (None, None)
         for output, by_stratum in score.relate(_curves(own, score), start, bound).items():
             for stratum, values in by_stratum.items():
                 added = {output: Estimate(value=rounded_curve(values))}
@@ -305,8 +310,18 @@ def _with_relations(
     return strata
 
 
+def _best_of(floors: Iterable[ScopeSummary], score: ScoreDefinition) -> CurvesByStratum:
+    """The best value (S,) of any floor by stratum, at each step."""
+    better = np.fmax if score.lead.direction > 0 else np.fmin
+    found: dict[str, Floats] = {}
+    for floor in floors:
+        for stratum, values in _curves(floor, score).items():
+            found[stratum] = better(found[stratum], values) if stratum in found else values
+    return found
+
+
 def _lead_of(scope: ScopeSummary | None, score: ScoreDefinition) -> CurvesByStratum | None:
-    """The leading output of a scope that may be the floor or the ceiling of others; None if it is none."""
+    """The leading output of a scope that may be the ceiling of others; None if it is none."""
     return _curves(scope, score) if scope is not None and _may_bound(scope) else None
 
 

@@ -159,7 +159,7 @@ class ScopeSummary(ResultModel):
     interval: Line = ""
     """Why there are no intervals; empty if there are."""
     best_floor: Line = ""
-    """Label of the floor with the best headline score, from which shares of the oracle are; empty if not known."""
+    """Label of the floor with the best headline score; empty if not known."""
     below_floor: bool = False
     """Whether the headline score of a tracker is worse than the best floor's."""
     memory: Line = ""

@@ -159,7 +159,7 @@ class ScoreDefinition:
     forecasts. `value(sums)` gives every output that follows from sums (..., P), pooled, of units, or without one of
     them: intervals, differences and tests are made from it. The first output leads. `strata`, `parts` and `steps` (by
     default 0 to the last) of a trial follow from its facts; a score without strata does not apply to the trial.
-    `relate` gives outputs (S,) by stratum that need other rows: the floor with the best headline score, and the oracle.
+    `relate` gives outputs (S,) by stratum that need other rows: the best floor at each step, and the oracle.
     `figure` gives the points (N,) of its figure from sums (U, P) of units; those that are ratios get an interval.
     `needed` names files of the recording or parts of the forecast that not every trial has. `compared_with`: the row
     that others are compared with is the reference for occupancy, or for classes. `thresholded`: its values depend on

@@ -267,7 +267,7 @@ def shares(trackers, label, score="f1"):
     return related_rows(trackers)[label].recordings["room"].estimate("dynamic", score, "oracle_share").value
 
 
-def test_shares_start_at_the_floor_with_the_best_headline_score_one_second_ahead_and_end_at_the_oracle():
+def test_shares_start_at_the_best_floor_of_each_step_and_end_at_the_oracle():
     trackers = {
         "good": row("kalman", [0.9, 0.5], [0.3, 0.3]),
         "oracle": row("oracle", [1.0, 0.8], [0.1, 0.1]),
@@ -277,11 +277,11 @@ def test_shares_start_at_the_floor_with_the_best_headline_score_one_second_ahead
     assert {label: one.recordings["room"].best_floor for label, one in related_rows(trackers).items()} == dict.fromkeys(
         trackers, "static-map"
     )
-    assert shares(trackers, "good") == (0.888889, 0.25)
+    assert shares(trackers, "good") == (0.5, 0.25), "of persistence now, and of static-map one step ahead"
     assert shares(trackers, "oracle") == (None, None)
-    assert shares(trackers, "static-map") == (0.0, 0.0)
-    assert shares(trackers, "persistence")[1] == -0.5, "below the floor it is negative"
-    assert shares(trackers, "good", "log_loss") == (0.5, 0.333333), "of the same floor, though persistence loses less"
+    assert shares(trackers, "static-map") == (-3.5, 0.0), "below the best floor it is negative"
+    assert shares(trackers, "persistence") == (0.0, -0.5)
+    assert shares(trackers, "good", "log_loss") == (-1.0, -1.0), "of persistence, which loses less"
 
 
 def test_there_is_no_share_where_the_oracle_is_hardly_better_than_the_floor():

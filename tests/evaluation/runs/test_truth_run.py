@@ -119,12 +119,10 @@ def test_the_share_of_the_way_to_the_oracle_is_0_at_the_floor_and_below_it_negat
     assert at("blank", "f1.oracle_share") == pytest.approx(-floor / (1 - floor), abs=1e-5)
     assert at("oracle", "f1.oracle_share") is None
     losses = {label: at(label, "log_loss.mean") for label in ("blank", "persistence", "oracle")}
-    assert losses["blank"] < losses["persistence"], "the floor is that of F1 for every score"
-    share = (losses["persistence"] - losses["blank"]) / (losses["persistence"] - losses["oracle"])
-    assert at("persistence", "log_loss.oracle_share") == 0.0
-    assert at("blank", "log_loss.oracle_share") == pytest.approx(share, abs=1e-4)
-    visible, occluded = (at("persistence", "f1.f1", name, 3) for name in ("visible", "occluded"))
-    assert at("persistence", "f1.truth_gap", "occluded", 3) == pytest.approx(visible - occluded, abs=2e-6)
+    assert losses["blank"] < losses["persistence"], "each score has its own best floor"
+    share = (losses["blank"] - losses["persistence"]) / (losses["blank"] - losses["oracle"])
+    assert at("blank", "log_loss.oracle_share") == 0.0
+    assert at("persistence", "log_loss.oracle_share") == pytest.approx(share, abs=1e-4)
 
 
 def confusion_at(folder, label, kind, step):
