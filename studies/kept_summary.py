@@ -8,8 +8,8 @@ A number has an address, a row and a column. The row is a tracker, `TRACKER less
 `TRACKER over OTHER` (a ratio). The column is a score, a stratum and a horizon, such as `f1 dynamic 1 s`. Scores: `f1`,
 `f1_at_visible` (at the threshold of all visible cells), `foreseen` (contacts, at 5 % false alarms), `pr_auc`,
 `log_loss`, `class_log_loss` (nats per scan), `share_of_oracle` (of the way from the best floor to the oracle), `lead`
-(F1 above the best floor) and `p` (of a difference of the headline score, corrected by Holm's method). `visible cyclist as car` is a share of
-the class's cells now, from confusion.json, which is kept beside the summary.
+(F1 above the best floor) and `p` (of a difference of the headline score, corrected by Holm's method). `visible cyclist
+as car` is a share of the class's cells now, from confusion.json, which is kept beside the summary.
 """
 
 from __future__ import annotations
@@ -130,7 +130,11 @@ class RunScores:
         `columns` are strata and horizons, such as `dynamic 1 s`.
         """
         return ResultTable(
-            columns=(TRAININGS[self._headline], "trainings", *(title for one in columns for title in (one, "difference"))),
+            columns=(
+                TRAININGS[self._headline],
+                "trainings",
+                *(title for one in columns for title in (one, "difference")),
+            ),
             alignment=("---", "--:", *["---"] * (2 * len(columns))),
             rows=tuple(
                 (
