@@ -81,10 +81,13 @@ def _nested(given: Mapping[tuple[str, ...], Any]) -> dict[str, Any]:
 
 def _parameter(name: str, option: OptionField) -> inspect.Parameter:
     """The parameter of a command from which typer makes the option."""
+    from gridtrack.common.field_docs import field_docs
+
     field, kind, annotation = option.field, *_types(option.field)
+    about = field_docs(option.model).get(option.path[-1], "")
     literals = get_args(kind) if get_origin(kind) is Literal else ()
     shown: dict[str, Any] = {
-        "help": " ".join((field.description or "").split()).replace("[", r"\[") + _default_text(option),
+        "help": " ".join(about.split()).replace("[", r"\[") + _default_text(option),
         "metavar": option.metavar or "|".join(literals) or None,
         "autocompletion": COMPLETIONS.get(name) or complete_values(kind, literals),
     }

@@ -22,7 +22,7 @@ PLACE = "{}"
 class Notice(BaseModel):
     """A fact about a row, a recording, a row on a recording, or about the run if it names neither."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
     text: Line
     """Without its row and its recording."""

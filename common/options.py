@@ -34,6 +34,8 @@ class OptionField(NamedTuple):
     path: tuple[str, ...]
     """Names of the fields from the outer model to this one."""
     field: FieldInfo
+    model: type[BaseModel]
+    """The model that has the field."""
     name: str
     """Without dashes."""
     metavar: str
@@ -73,7 +75,7 @@ def option_fields(model: type[BaseModel], above: tuple[str, ...] = ()) -> Iterat
         own = next((one for one in field.metadata if isinstance(one, Option)), Option())
         unit = next((unit for unit in UNITS if name.endswith(unit)), "")
         option_name = own.name or name.removesuffix(unit).replace("_", "-")
-        yield OptionField((*above, name), field, option_name, own.metavar or UNITS.get(unit, ""), own.argument)
+        yield OptionField((*above, name), field, model, option_name, own.metavar or UNITS.get(unit, ""), own.argument)
 
 
 def option_words(model: type[BaseModel], values: Mapping[str, Any]) -> list[str]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from gridtrack.common.field_docs import documented_schema
 from gridtrack.common.files import write_text
 from gridtrack.evaluation.regression.measurement import Baseline
 from gridtrack.evaluation.runs.run_record import RunRecord
@@ -32,7 +33,7 @@ def schema_texts() -> dict[str, str]:
 
 def schema_of(name: str) -> dict[str, Any]:
     """The JSON Schema (draft 2020-12) of the file as it is written. Raises KeyError for a name not in MODELS."""
-    schema = MODELS[name].model_json_schema(by_alias=True, mode="serialization")
+    schema = documented_schema(MODELS[name], by_alias=True, mode="serialization")
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 

@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 from gridtrack.cli import ENDS, app
 from gridtrack.cli.options import settings_options
 from gridtrack.common.config import validated
+from gridtrack.common.field_docs import field_docs
 from gridtrack.common.options import option_fields, option_words
 from gridtrack.evaluation.hosting.contract_clauses import CLAUSES
 from gridtrack.evaluation.hosting.contract_suite import ClauseResult
@@ -229,7 +230,7 @@ def test_the_words_of_settings_give_the_same_settings_again(values):
 
 
 def test_the_help_of_degraded_input_names_every_kind():
-    described = CompareSettings.model_fields["degrade"].description or ""
+    described = field_docs(CompareSettings)["degrade"]
     assert [field.alias for field in Degradation.model_fields.values() if field.alias not in described] == []
 
 

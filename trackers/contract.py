@@ -116,10 +116,14 @@ def stream_of(source: FrameSource, weights: Path | None = None) -> StreamSpec:
 
 @dataclass(frozen=True, slots=True)
 class StretchScore:
-    """The scores of one tracker on one stretch, each (steps+1,) by stratum: F1 at the best threshold of each step."""
+    """The scores of one tracker on one stretch, each (steps+1,): NaN where undefined."""
 
     f1: dict[str, NDArray[np.float64]]
+    """By stratum, at the best threshold of each step."""
     log_loss: dict[str, NDArray[np.float64]]
+    """By stratum, nats."""
+    contacts_foreseen: NDArray[np.float64]
+    """Share of a robot's contacts within so many steps, at 5 % false alarms; NaN except at 0.5, 1 and 2 s."""
 
 
 class Objective(Protocol):

@@ -14,6 +14,7 @@ from typing import Any
 
 from gridtrack.common.config import Settings, validated
 from gridtrack.common.errors import ConfigurationError, GridtrackError, PluginError, WeightsError, one_line
+from gridtrack.common.field_docs import documented_schema
 from gridtrack.trackers import messages, registry
 from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
 from gridtrack.trackers.wire import MAX_HEADER, Message, WireError, encode, fill_from, receive, widen, write_to
@@ -163,7 +164,7 @@ def _timed(method: Callable[[Any], Any], argument: Any) -> tuple[Any, dict[str, 
 def _description(kind: type[Tracker], classes: Any, options: Settings) -> dict[str, Any]:
     if not isinstance(classes, tuple) or not all(isinstance(name, str) for name in classes):
         raise WireError(f"classes is {classes!r:.80}; expected a tuple of names")
-    schema = kind.Options.model_json_schema()
+    schema = documented_schema(kind.Options)
     return {
         "api": kind.api,
         "about": (kind.__doc__ or "").strip(),

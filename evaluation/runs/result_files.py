@@ -24,7 +24,7 @@ P_VALUE_DIGITS = 3
 class ResultModel(BaseModel):
     """Base of every model of a result file: frozen. A key that this version does not know is ignored."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
 def _defined(value: Any) -> Any:

@@ -52,7 +52,7 @@ def task(tracker: type[Tracker], tmp_path: Path) -> Callable[..., FitTask]:
 
     def score(tracker: Tracker, source: Any, steps: int) -> StretchScore:
         loss = np.full(steps + 1, 1.0 / (1 + next(scored)))
-        return StretchScore({"visible": loss}, {"visible": loss})
+        return StretchScore({"visible": loss}, {"visible": loss}, loss)
 
     def task(folder: str, **options: Any) -> FitTask:
         train, validation = (open_stream(f"{room}@{use}") for use in ("train", "validation"))

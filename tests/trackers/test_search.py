@@ -10,26 +10,29 @@ import pytest
 
 pytest.importorskip("optuna")
 from gridtrack.trackers.contract import StretchScore
-from gridtrack.trackers.training.excerpts import SELECTION_STRATA
-from gridtrack.trackers.training.searched_fit import FEWEST_EXCERPTS, _scored, _study, selection_f1
+from gridtrack.trackers.training.excerpts import SELECTION_STRATA, mean_of_defined, selection_scores
+from gridtrack.trackers.training.searched_fit import FEWEST_EXCERPTS, _scored, _study
 
 SOURCE = SimpleNamespace(period_s=0.1)
 EXCERPTS = 24
+NOTHING = np.full(30, np.nan)
 RANDOM = np.random.default_rng(5)
 DIFFICULTY = RANDOM.uniform(0.1, 0.9, EXCERPTS)
 
 
-def score(**f1):
-    return StretchScore({name: f1.get(name.replace("-", "_"), np.full(30, np.nan)) for name in SELECTION_STRATA}, {})
+def selected_by(contacts=NOTHING, **f1):
+    """The score by which settings are selected, from curves of contacts foreseen and of F1."""
+    of_strata = {name: f1.get(name.replace("-", "_"), NOTHING) for name in SELECTION_STRATA}
+    return mean_of_defined(selection_scores(StretchScore(of_strata, {}, contacts), SOURCE).values())
 
 
 def test_an_excerpt_is_compared_by_the_mean_of_the_scores_that_are_defined():
     visible = np.linspace(0.9, 0.5, 30)
-    assert selection_f1(score(visible=visible), SOURCE) == pytest.approx(visible[[5, 10, 20]].mean())
-    assert np.isnan(selection_f1(score(), SOURCE))
-    values = {"visible": 0.8, "dynamic": 0.5, "in_motion": 0.2}
-    found = score(**{name: np.full(30, value) for name, value in values.items()})
-    assert selection_f1(found, SOURCE) == pytest.approx(0.5)
+    assert selected_by(visible=visible) == pytest.approx(visible[[5, 10, 20]].mean())
+    assert np.isnan(selected_by())
+    values = {"visible": 0.8, "dynamic": 0.5, "in_motion": 0.2, "contacts": 0.9}
+    curves = {name: np.full(30, value) for name, value in values.items()}
+    assert selected_by(**curves) == pytest.approx(0.6), "F1 of three strata and contacts foreseen count alike"
 
 
 def scores_of(offset):

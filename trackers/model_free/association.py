@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse.csgraph import connected_components
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from gridtrack.trackers.model_free.arrays import Array, bounds_of, split
 from gridtrack.trackers.model_free.segmentation import Cluster, joined
@@ -41,7 +41,7 @@ def assign(
 @cache
 def gate_limits(probability: float, pairs: int) -> Array:
     """The gate of the joint squared distance of `pairs` pairs, for 0, 1, 2, ... degrees of freedom."""
-    return np.concatenate([[0.0], chi2.ppf(probability, np.arange(1, MOST_FREEDOM * pairs + 1))])
+    return np.concatenate([[0.0], chdtri(np.arange(1, MOST_FREEDOM * pairs + 1), 1.0 - probability)])
 
 
 def hungarian(costs: Array) -> dict[int, int]:

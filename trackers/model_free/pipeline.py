@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask, Shift, rolled, shift_between
@@ -291,7 +291,7 @@ MOVING_MPS = 1.0
 """Slower bodies are not continued: in a queue, neighbours are different objects."""
 PART_VELOCITY_MPS = 0.5
 """Standard deviation of the velocity of such a cluster relative to the body."""
-SIGNIFICANT = float(chi2.ppf(0.95, 2))
+SIGNIFICANT = float(chdtri(2, 1.0 - 0.95))
 """Beyond this squared Mahalanobis distance two velocities differ significantly."""
 KNOWN_MPS = 0.5
 """Limit of the root mean square error of a velocity that counts as zero."""

@@ -26,7 +26,6 @@ from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import WeightsError
-from gridtrack.common.grid import nearest_step
 from gridtrack.trackers.contract import FitTask, FrameSource, StretchScore, stream_of
 from gridtrack.trackers.recurrent.devices import Devices, training_precision
 from gridtrack.trackers.recurrent.network import Network
@@ -43,6 +42,8 @@ from gridtrack.trackers.training.excerpts import (
     VALIDATED_S,
     excerpts_of_places,
     mean_of_defined,
+    selection_scores,
+    step_of,
 )
 from gridtrack.trackers.training.weights import Weights, load_start, save_interrupted, save_weights
 
@@ -79,11 +80,11 @@ def fit_network(kind: type[NetworkTracker], task: FitTask) -> None:
 
     def validate(trained: Network) -> dict[str, float]:
         def score_on(source: FrameSource) -> StretchScore:
-            stream, steps = stream_of(source), nearest_step(max(SELECTION_HORIZONS_S), source.period_s)
+            stream, steps = stream_of(source), step_of(source, max(SELECTION_HORIZONS_S))
             inference = kind.inference_for(deepcopy(trained).cpu(), stream, options)
             return task.objective(kind(stream, options, inference, dataset.first_window), source, steps)
 
-        return validation_scores(score_on, held_out, SELECTION_HORIZONS_S)
+        return validation_scores(score_on, held_out)
 
     module = TrainingModule(network, in_training, dataset, options, devices, validate)
     others = {*TransferSettings.model_fields, *kind.running.model_fields}
@@ -157,10 +158,8 @@ def begin_from(network: Network, weights: Weights) -> None:
         value.copy_(torch.from_numpy(found))
 
 
-def validation_scores(
-    score: Callable[[FrameSource], StretchScore], sources: Sequence[FrameSource], horizons_s: Sequence[float]
-) -> dict[str, float]:
-    """F1 of SELECTION_STRATA at the horizons, mean over the stretches; `score` is the mean of the defined ones.
+def validation_scores(score: Callable[[FrameSource], StretchScore], sources: Sequence[FrameSource]) -> dict[str, float]:
+    """The selection scores, each the mean over the stretches; `score` is the mean of the defined ones.
 
     `log_loss` is the mean over the same cells, nats. A stretch without motion has no F1 of dynamic cells, and does not
     count there.
@@ -169,10 +168,10 @@ def validation_scores(
     losses: list[float] = []
     for source in sources:
         scores = score(source)
-        for stratum, horizon in product(SELECTION_STRATA, horizons_s):
-            at = nearest_step(horizon, source.period_s)
-            found.setdefault(f"{stratum}_f1_{horizon:g}s", []).append(float(scores.f1[stratum][at]))
-            losses.append(float(scores.log_loss[stratum][at]))
+        for name, value in selection_scores(scores, source).items():
+            found.setdefault(name, []).append(value)
+        for stratum, horizon_s in product(SELECTION_STRATA, SELECTION_HORIZONS_S):
+            losses.append(float(scores.log_loss[stratum][step_of(source, horizon_s)]))
     results = {name: mean_of_defined(values) for name, values in found.items()}
     return {"score": mean_of_defined(list(results.values())), "log_loss": mean_of_defined(losses), **results}
 
@@ -182,7 +181,7 @@ BEST, LAST = "best", "last"
 CHECKPOINT_EVERY_S = 60.0
 """Time between two checkpoints; there is one after every validation too."""
 NEAR_TIE = 0.002
-"""Smaller differences of validation F1 count as zero: trainings with other seeds differ by as much."""
+"""Smaller differences of the selection score count as zero: trainings with other seeds differ by as much."""
 IGNORED_WARNINGS = (
     "You're resuming from a checkpoint that ended before the epoch ended",  # the next window is an unused one
     ".*does not have many workers",  # see Devices.loading_processes
@@ -266,7 +265,7 @@ def _without_warnings() -> Iterator[None]:
 
 
 def _improves(scores: dict[str, float], before: dict[str, float]) -> bool:
-    """Whether the `scores` are better than those `before`: by F1, and by log loss if the F1 is nearly the same."""
+    """Whether the `scores` are better: by the selection score, or by log loss where that is nearly the same."""
     gain = scores["score"] - before["score"]
     return gain > 0 if abs(gain) > NEAR_TIE else scores["log_loss"] < before["log_loss"]
 

@@ -1,24 +1,24 @@
-"""Excerpts of recordings, cached in memory, because a search or a validation streams them many times.
+"""Excerpts of recordings, and the scores by which a search and a validation select on them: the same for all trackers.
 
-Also the scores by which both select, the same for all trackers.
+Excerpts are cached in memory, because they are streamed many times.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
 
-from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
-from gridtrack.trackers.contract import FrameSource
+from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, nearest_step
+from gridtrack.trackers.contract import FrameSource, StretchScore
 
 SELECTION_STRATA, SELECTION_HORIZONS_S = ("dynamic", "in-motion", "visible"), (0.5, 1.0, 2.0)
-"""Settings and weights are selected by their mean F1 over these strata and horizons, as in the headline. Standing
-objects would decide among the dynamic cells alone; and vehicles that wait at a red light count as static in a stretch
-of one or two minutes, so that only the visible cells contain them."""
+"""Settings and weights are selected by the mean of F1 in these strata and of the contacts foreseen, at these horizons.
+Standing objects would decide among the dynamic cells alone; and vehicles that wait at a red light count as static in a
+stretch of one or two minutes, so that only the visible cells contain them. Contacts lead the reports."""
 EXCERPTS, EXCERPT_S = 4, 100.0
 """Number and duration of the excerpts of a long recording for the search; each is longer than a signal cycle."""
 PLACES, SEARCHED_S, VALIDATED_S = 24, 20.0, 60.0
@@ -85,7 +85,23 @@ def excerpts_of_places(sources: Sequence[FrameSource], duration_s: float) -> lis
     return [_middle(source, round(duration_s / source.period_s)) for source in chosen]
 
 
-def mean_of_defined(scores: Sequence[float]) -> float:
+def step_of(source: FrameSource, horizon_s: float) -> int:
+    """The step nearest to a horizon, at least 1."""
+    return max(1, nearest_step(horizon_s, source.period_s))
+
+
+def selection_scores(score: StretchScore, source: FrameSource) -> dict[str, float]:
+    """F1 in SELECTION_STRATA and the contacts foreseen, at SELECTION_HORIZONS_S; NaN where undefined."""
+    curves = {f"{stratum}_f1": score.f1[stratum] for stratum in SELECTION_STRATA}
+    curves["contacts_foreseen"] = score.contacts_foreseen
+    return {
+        f"{name}_{horizon_s:g}s": float(curve[step_of(source, horizon_s)])
+        for name, curve in curves.items()
+        for horizon_s in SELECTION_HORIZONS_S
+    }
+
+
+def mean_of_defined(scores: Iterable[float]) -> float:
     """The mean of the scores that are defined, NaN without any. Without motion the F1 of dynamic cells is undefined."""
     defined = [score for score in scores if math.isfinite(score)]
     return float(np.mean(defined)) if defined else math.nan

@@ -1,12 +1,12 @@
 """Training of a tracker by a search of its settings: the same search and calibration for every such tracker.
 
-The caller counts the arrays of the site. Then the settings with the best mean F1 on excerpts of the training recordings
-are searched, the validation recordings decide between the best of them, and the forecast is calibrated on the same
-excerpts. A training that starts from general weights searches near their settings, because a stretch of a minute has
-too little motion to find better ones from scratch. It searches the settings that weigh the map of the place against the
-stream in their whole range, because general weights have no map. The search runs on the frames that the map was made
-of, on which it is always right, so the validation recordings decide whether it does harm: on the map of a short
-training everything that stood all the time, such as a queue of cars, is a wall.
+The caller counts the arrays of the site. Then the settings with the best selection score (excerpts.py) on excerpts of
+the training recordings are searched, the validation recordings decide between the best of them, and the forecast is
+calibrated on the same excerpts. A training that starts from general weights searches near their settings, because a
+stretch of a minute has too little motion to find better ones from scratch. It searches the settings that weigh the map
+of the place against the stream in their whole range, because general weights have no map. The search runs on the frames
+that the map was made of, on which it is always right, so the validation recordings decide whether it does harm: on the
+map of a short training everything that stood all the time, such as a queue of cars, is a wall.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.files import read_bounded, write_text
-from gridtrack.common.grid import nearest_step
 from gridtrack.common.untrusted import parse_json
 from gridtrack.trackers.contract import FitTask, FrameSource, StretchScore, stream_of
 from gridtrack.trackers.registry import registered_name
@@ -41,6 +40,8 @@ from gridtrack.trackers.training.excerpts import (
     excerpts,
     excerpts_of_places,
     mean_of_defined,
+    selection_scores,
+    step_of,
 )
 from gridtrack.trackers.training.weights import SEARCH_FILE, load_start, save_interrupted, save_weights, tuned_settings
 
@@ -48,9 +49,11 @@ if TYPE_CHECKING:
     import optuna
 
 SEARCH_ITERATIONS = 60
+SELECTION_SCORE = "selection score"
+"""Its name in reports: the mean of `selection_scores`."""
 MAP_WORTH = 0.01
-"""The map of the place is not used if mean F1 is better by this much without it; F1 does not count hidden cells, which
-only the map knows."""
+"""The map of the place is not used if the selection score is better by this much without it; that score does not count
+hidden cells, which only the map knows."""
 NEAR = 2.0
 """Greatest factor between a setting of general weights and the same one of a search that starts from them."""
 
@@ -81,7 +84,7 @@ def fit_searched(
     given: Mapping[str, Any],
     notes: Mapping[str, Any],
 ) -> None:
-    """Write the `arrays`, the settings with the best F1 on excerpts of `task.train`, and their calibration.
+    """Write the `arrays`, the settings with the best score on excerpts of `task.train`, and their calibration.
 
     The settings in `given` are not searched. The search begins with the defaults, or with the settings of the general
     weights `task.start`; `task.validation` decides between the best settings. `notes` are added to the results on the
@@ -95,7 +98,9 @@ def fit_searched(
     with TemporaryDirectory() as folder:
         draft: _Draft[_Searched] = _Draft(search.tracker, Path(folder) / f"{name}.toml", task)
         save_weights(draft.path, card, arrays)
-        target = SearchTarget[_Searched]("mean F1", lambda tried: draft.f1_of_each(search.during(tried), searched))
+        target = SearchTarget[_Searched](
+            SELECTION_SCORE, lambda tried: draft.score_of_each(search.during(tried), searched)
+        )
         try:
             finalists = search_settings(ranges, target, start, SEARCH_ITERATIONS, task)
         except SearchInterrupted as stopped:
@@ -139,7 +144,7 @@ def _decided(
     start: _Searched,
     given: Mapping[str, Any],
 ) -> _Searched:
-    """The finalist with the best F1 on `task.validation`; the first one without validation.
+    """The finalist with the best selection score on `task.validation`; the first one without validation.
 
     From general weights on, their settings `start` are a finalist too. At a site each finalist is also tried without
     the map of the place, which is not used if the best of these is better by MAP_WORTH.
@@ -149,12 +154,15 @@ def _decided(
         finalists = [*finalists, start]
     if len(finalists) == 1 or not task.validation:
         return finalists[0]
-    settings, f1 = draft.best_of(finalists)
+    settings, value = draft.best_of(finalists)
     if task.start is not None and not task.general and not search.without_map.keys() <= given.keys():
         bare = [search.kind(**{**one.model_dump(), **search.without_map}) for one in finalists]
-        best_bare, bare_f1 = draft.best_of(bare)
-        if bare_f1 >= f1 + MAP_WORTH:
-            task.report(f"without the map of the place mean F1 on validation is {bare_f1:.5f}: the map is not used")
+        best_bare, bare_value = draft.best_of(bare)
+        if bare_value >= value + MAP_WORTH:
+            task.report(
+                f"without the map of the place the {SELECTION_SCORE} on validation is {bare_value:.5f}: the map is not"
+                " used"
+            )
             return best_bare
     return settings
 
@@ -174,20 +182,22 @@ class _Draft(Generic[_Searched]):
         steps = step_of(source, max(SELECTION_HORIZONS_S))
         return self.task.objective(self.running(settings, source), source, steps)
 
-    def f1_of_each(self, settings: _Searched, sources: Sequence[FrameSource]) -> Iterator[float]:
-        """The mean F1 on each source in turn; NaN if it is undefined."""
-        return (selection_f1(self.scored(settings, source), source) for source in sources)
+    def score_of_each(self, settings: _Searched, sources: Sequence[FrameSource]) -> Iterator[float]:
+        """The selection score on each source in turn; NaN if it is undefined."""
+        scores = (selection_scores(self.scored(settings, source), source) for source in sources)
+        return (mean_of_defined(of_one.values()) for of_one in scores)
 
     def best_of(self, finalists: list[_Searched]) -> tuple[_Searched, float]:
-        """The settings with the best mean F1 on `task.validation`, and that F1."""
+        """The settings with the best selection score on `task.validation`, and that score."""
         values = []
         with self.task.progress.stage("finalist", len(finalists)) as stage:
             for settings in finalists:
-                values.append(mean_of_defined(list(self.f1_of_each(settings, self.task.validation))))
-                stage.advance(f"mean F1 on validation {values[-1]:.5f}")
-        found = int(np.argmax(values))  # 0 if F1 is undefined: nothing moves in the validation recordings
+                values.append(mean_of_defined(self.score_of_each(settings, self.task.validation)))
+                stage.advance(f"{SELECTION_SCORE} on validation {values[-1]:.5f}")
+        found = int(np.argmax(values))  # 0 if none is defined: nothing moves in the validation recordings
         self.task.report(
-            f"number {found + 1} of the {len(finalists)} best is chosen: mean F1 on validation {values[found]:.5f}"
+            f"number {found + 1} of the {len(finalists)} best is chosen: {SELECTION_SCORE} on validation"
+            f" {values[found]:.5f}"
         )
         return finalists[found], values[found]
 
@@ -204,29 +214,18 @@ class _Draft(Generic[_Searched]):
         return parameters
 
 
-def selection_f1(score: StretchScore, source: FrameSource) -> float:
-    """Mean F1 over SELECTION_STRATA and SELECTION_HORIZONS_S, of the values that are defined."""
-    steps = [step_of(source, horizon) for horizon in SELECTION_HORIZONS_S]
-    return mean_of_defined([float(score.f1[stratum][step]) for stratum in SELECTION_STRATA for step in steps])
-
-
 def stretch_summary(score: StretchScore, source: FrameSource) -> dict[str, Any]:
     """The scores of one stretch for a card, without undefined ones."""
     columns = {
         "dynamic_log_loss": score.log_loss["dynamic"],
-        "visible_f1": score.f1["visible"],
-        "dynamic_f1": score.f1["dynamic"],
+        **{f"{stratum}_f1": score.f1[stratum] for stratum in SELECTION_STRATA},
+        "contacts_foreseen": score.contacts_foreseen,
     }
     at = {f"{horizon:g}s": step_of(source, horizon) for horizon in SELECTION_HORIZONS_S}
     return {"stretch": source.name} | {
         name: {horizon: round(float(values[step]), 4) for horizon, step in at.items() if math.isfinite(values[step])}
         for name, values in columns.items()
     }
-
-
-def step_of(source: FrameSource, horizon_s: float) -> int:
-    """The step nearest to a horizon, at least 1."""
-    return max(1, nearest_step(horizon_s, source.period_s))
 
 
 MAX_LOG_BYTES = 1 << 24

@@ -57,6 +57,7 @@ def test_the_score_of_a_fit_equals_the_referees_on_the_same_stretch(with_truth, 
     for name in STRATA:
         assert np.array_equal(found.f1[name], expected.f1[name], equal_nan=True)
         assert np.array_equal(found.log_loss[name], expected.log_loss[name], equal_nan=True)
+    assert 0.0 < found.contacts_foreseen[STEPS] < 1.0, "by what was seen: `fit` has no truth of hidden cells"
 
 
 def test_an_object_that_stands_for_most_of_an_excerpt_is_not_static_there(with_truth, tmp_path, monkeypatch):
@@ -109,6 +110,8 @@ def test_the_score_of_a_fit_equals_the_referees_if_the_sensor_moves(tmp_path, wi
     for name in ("visible", "static", "dynamic"):
         assert found.f1[name] == pytest.approx(expected.f1[name], abs=2e-3), "equal but for rounding"
     assert found.f1["in-motion"] == pytest.approx(expected.f1["in-motion"], abs=0.1)
+    if not with_truth:
+        assert found.contacts_foreseen[STEPS] == pytest.approx(expected.contacts_foreseen[STEPS], abs=0.02)
 
 
 def test_a_fit_of_a_tracker_that_cannot_follow_the_sensor_is_refused(tmp_path):

@@ -92,12 +92,12 @@ def test_a_validation_recording_in_which_nothing_moves_has_no_part_in_the_score(
     def score(source):
         dynamic, visible = (0.5, 0.5) if source is moves else (np.nan, 0.7)
         of = {"dynamic": np.full(3, dynamic), "in-motion": np.full(3, dynamic), "visible": np.full(3, visible)}
-        return StretchScore(of, {name: 1.0 - values for name, values in of.items()})
+        return StretchScore(of, {name: 1.0 - values for name, values in of.items()}, np.full(3, np.nan))
 
-    found = validation_scores(score, [moves, stands], (1.0,))
+    found = validation_scores(score, [moves, stands])
     assert (found["dynamic_f1_1s"], found["visible_f1_1s"]) == (0.5, pytest.approx(0.6))
     assert found["log_loss"] == pytest.approx(0.45), "the mean of 0.5, 0.5, 0.5 and 0.3"
-    alone = validation_scores(score, [stands], (1.0,))
+    alone = validation_scores(score, [stands])
     assert alone["score"] == pytest.approx(0.7), "the defined scores choose between updates"
 
 
