@@ -76,10 +76,10 @@ def fit(tracker, folder, things, seed=3, train=None, **options):
     return out
 
 
-def accuracy(tracker, weights, things, from_frame=4):
+def accuracy(tracker, weights, things, from_frame=4, **options):
     """Accuracy of the classes of occupied cells in a new scene, `from_frame` frames after each new pair of objects."""
     source = Scene(things, 96, seed=2)
-    made = tracker(stream_of(source, weights), tracker.Options())
+    made = tracker(stream_of(source, weights), tracker.Options(**options))
     made.reset(0)
     right = []
     for t, (frame, cells, labels) in enumerate(source.labelled()):

@@ -48,18 +48,23 @@ class DilatedConvGRUTracker(RecurrentTracker):
         return forecast
 
     def manifest_entries(self) -> dict[str, Any]:
-        """The power of the class probabilities of cells that are occupied now."""
-        if self.options.evidence == "scan":
+        """The power of the class probabilities of cells that are occupied now, for `evidence=state`."""
+        if self._scan_is_given:
             raise ConfigurationError("evidence=scan has a classifier of scans, which is not exported: leave it out")
         if self._seen is None:
             return {}
         return {"class_power_in_occupied_cells": round(float(self._seen.state_alone[0]), 6)}
 
+    @property
+    def _scan_is_given(self) -> bool:
+        """Whether the user, and not the default, asks for the classifier of scans."""
+        return self.options.evidence == "scan" and "evidence" in self.options.model_fields_set
+
     def _restored(self, weights: Weights) -> Any:
         of_network = {name: value for name, value in weights.arrays.items() if not name.startswith(PREFIX)}
         network = super()._restored(replace(weights, arrays=of_network))
         self._seen = seen_cells_of(weights, self.stream.grid)
-        if self._seen is None and self.options.evidence == "scan":
+        if self._seen is None and self._scan_is_given:
             raise WeightsError(
                 f"{self.stream.weights}: no classifier of scans for evidence=scan: train again with stage=classes"
             )

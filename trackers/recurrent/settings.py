@@ -118,9 +118,9 @@ class InferenceSettings(DeviceSettings):
     inference: Literal["float32", "bfloat16"] = "float32"
     """Precision of the convolutions. bfloat16 is faster on a processor with instructions for it, else slower;
     it is for the processor only."""
-    evidence: EvidenceOption = "state"
-    """Evidence for the classes of the cells that are occupied now: the latent state, as in the paper, or `scan`: the
-    product of its probabilities and those of a classifier of the scan."""
+    evidence: EvidenceOption = "scan"
+    """Evidence for the classes of the cells that are occupied now: `state`, the latent state, as in the paper; `scan`,
+    the product of its probabilities and those of a classifier of the scan, if the weights have one."""
 
 
 DECODER_SETTINGS = {

@@ -52,7 +52,7 @@ def latent(tmp_path_factory):
 
 
 def test_classes_that_differ_in_motion_are_separated_by_a_latent_state_and_not_by_one_scan(latent, tmp_path):
-    assert accuracy(DilatedConvGRUTracker, latent, (stands, walks)) > 0.95
+    assert accuracy(DilatedConvGRUTracker, latent, (stands, walks), evidence="state") > 0.95
     one_shot = fit(OneShotTracker, tmp_path, (stands, walks), channels=16, updates=100)
     assert accuracy(OneShotTracker, one_shot, (stands, walks)) < 0.75
 
@@ -80,7 +80,7 @@ def test_all_layers_of_the_state_can_be_decoded(tmp_path):
     path = fit(DilatedConvGRUTracker, tmp_path, (stands, walks), decoded_layers="all", **NETWORK, **DECODER)
     weights = load_weights(stream_of(Scene(()), path), "dilated-convgru")
     assert weights.arrays["decode_semantics.layers.0.weight"].shape[1] == NETWORK["layers"] * NETWORK["channels"]
-    assert accuracy(DilatedConvGRUTracker, path, (stands, walks)) > 0.95
+    assert accuracy(DilatedConvGRUTracker, path, (stands, walks), evidence="state") > 0.95
     other = DilatedConvGRUTracker.Options(decoded_layers="last")
     with pytest.raises(WeightsError, match="trained with decoded_layers=all, not last"):
         DilatedConvGRUTracker(stream_of(Scene(()), path), other)
@@ -236,6 +236,18 @@ def test_without_the_scan_seen_cells_are_calibrated_by_a_power(seen):
     assert semantics[:, 3, 4] == pytest.approx(state[:, 3, 4] ** 2 / (state[:, 3, 4] ** 2).sum(), abs=1e-5)
     seen.apply_to(semantics, frame_with(), "state")
     assert (semantics[:, 5, 5] == state[:, 5, 5]).all()
+
+
+@pytest.mark.parametrize(("given", "evidence"), [({}, "scan"), ({"evidence": "state"}, "state")])
+def test_the_scan_decides_too_unless_the_state_alone_is_asked_for(latent, monkeypatch, given, evidence):
+    used = []
+    monkeypatch.setattr(SeenCells, "apply_to", lambda self, semantics, frame, evidence: used.append(evidence))
+    source = Scene((stands, walks))
+    tracker = DilatedConvGRUTracker(stream_of(source, latent), DilatedConvGRUTracker.Options(**given))
+    tracker.reset(0)
+    tracker.update(next(iter(source)))
+    tracker.predict(1)
+    assert used == [evidence]
 
 
 def labelled(seen, number=400):
