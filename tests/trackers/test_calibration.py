@@ -20,7 +20,14 @@ from gridtrack.trackers.training.calibration import IDENTITY, Calibration, fit_c
 
 GRID, STEPS, PERIOD_S = GridSpec(40, 0.2), 3, 0.125
 PARAMETERS = np.array([[0.7, 3.0, -2.0], [0.9, 1.2, -0.5]], np.float32)
-TRUE = Calibration(PARAMETERS)
+
+
+def calibration(parameters):
+    """The calibration with these parameters (2, 3) or (H, 2, 3)."""
+    return Calibration(np.broadcast_to(parameters, IDENTITY.shape), PERIOD_S)
+
+
+TRUE = calibration(PARAMETERS)
 
 
 class Crystal:
@@ -48,10 +55,10 @@ def frame_of(occupied, visible=None):
     return GridFrame(0, seen, occupied, SE2(), np.zeros((1, 2), np.float32), points, np.zeros(len(points), np.uint8))
 
 
-def mapped(calibration, p, hidden_s=0.0):
-    """Calibrated probabilities (N,), of cells that were seen `hidden_s` ago."""
+def mapped(by, p, hidden_s=0.0):
+    """Probabilities (N,) calibrated `by` a calibration, of cells that were seen `hidden_s` ago."""
     forecast = np.array(p, np.float32).reshape(-1, 1, 1)
-    calibration.apply(forecast, np.full((1, 1), hidden_s))
+    by.apply(forecast, np.full((1, 1), hidden_s))
     return forecast.ravel()
 
 
@@ -64,7 +71,7 @@ def scene(count=120, seed=0):
 
 
 def test_the_fit_recovers_the_true_calibration():
-    learned = Calibration(fit_calibration([(*scene(), STEPS)]))
+    learned = calibration(fit_calibration([(*scene(), STEPS)]))
     at = np.array([0.003, 0.02, 0.1, 0.3, 0.6, 0.9], np.float32)
     assert mapped(learned, at) == pytest.approx(mapped(TRUE, at), rel=0.1)
 
@@ -75,7 +82,7 @@ def test_cells_hidden_at_the_forecast_step_are_not_counted():
     hidden[:, :20] = True
     blinded = [frame_of(frame.occupied & ~hidden, ~hidden) for frame in frames]
     at = np.array([0.02, 0.3, 0.9], np.float32)
-    learned = Calibration(fit_calibration([(tracker, blinded, STEPS)]))
+    learned = calibration(fit_calibration([(tracker, blinded, STEPS)]))
     assert mapped(learned, at) == pytest.approx(mapped(TRUE, at), rel=0.15)
 
 
@@ -94,7 +101,7 @@ def test_the_maps_are_monotonic():
 
 def test_the_identity_changes_nothing():
     p = np.geomspace(3e-4, 1.0, 500).astype(np.float32)
-    assert mapped(Calibration(IDENTITY), p) == pytest.approx(p, rel=2e-2)
+    assert mapped(calibration(IDENTITY), p) == pytest.approx(p, rel=2e-2)
 
 
 def test_cells_hidden_for_long_have_their_own_map():
@@ -116,11 +123,40 @@ def test_both_maps_are_fitted_to_cells_that_come_into_view():
         often = np.where(hidden_s < 1.0, *(mapped(TRUE, said, s).reshape(GRID.shape) for s in (0.0, 2.0)))
         frames.append(frame_of((draw.random(GRID.shape) < often) & visible, visible))
         hidden_s = np.where(visible, 0.0, hidden_s + PERIOD_S)
-    learned = Calibration(fit_calibration([(Crystal([said] * 600), frames, 1)]))
+    learned = calibration(fit_calibration([(Crystal([said] * 600), frames, 1)]))
     at = np.array([0.02, 0.3, 0.9], np.float32)
     for age in (0.0, 2.0):
         assert mapped(learned, at, age) == pytest.approx(mapped(TRUE, at, age), rel=0.25)
     assert mapped(learned, at, 2.0)[0] > 1.5 * mapped(learned, at, 0.0)[0]
+
+
+def test_a_step_has_the_parameters_of_its_time_and_between_two_times_their_mean():
+    shifts = [-1.0, 0.0, 1.0, 3.0]  # at 0.25, 0.5, 1 and 2 s
+    parameters = np.array([[[1.0, 1.0, shift]] * 2 for shift in shifts])
+    forecast = np.full((20, 1, 1), 0.5, np.float32)
+    calibration(parameters).apply(forecast, np.zeros((1, 1)))
+    log_odds = np.log(forecast / (1.0 - forecast)).ravel()
+    assert log_odds[[2, 4, 8, 16, 12, 1, 19]] == pytest.approx([*shifts, 2.0, -1.0, 3.0], abs=1e-2)
+
+
+def test_a_forecast_that_is_soon_out_of_date_has_a_map_for_each_time():
+    """Every second all cells are drawn again, a fifth of them occupied; the forecast is that nothing changes."""
+    draw, steps, held = np.random.default_rng(3), round(2.0 / PERIOD_S), round(1.0 / PERIOD_S)
+    drawn = [draw.random(GRID.shape) < 0.2 for _ in range(60)]
+    frames = [frame_of(occupied) for occupied in drawn for _ in range(held)]
+    said = [np.where(frame.occupied, 0.8, 0.05).astype(np.float32) for frame in frames]
+    learned = mapped(calibration(fit_calibration([(Crystal(said), frames, steps)])), np.full(steps + 1, 0.8))
+    assert learned[2] > 0.7
+    assert learned[-1] == pytest.approx(0.2, abs=0.03)
+
+
+def test_weights_of_version_0_2_have_one_map_for_all_steps():
+    card = SimpleNamespace(tracker="kalman")
+    old = Calibration.of(SimpleNamespace(arrays={"calibration": PARAMETERS}, card=card), PERIOD_S)
+    p = np.full(20, 0.5, np.float32)
+    assert (mapped(old, p) == mapped(TRUE, p)[0]).all()
+    with pytest.raises(WeightsError, match=r"'calibration' is \(3,\), expected \(4, 2, 3\); train again"):
+        Calibration.of(SimpleNamespace(arrays={"calibration": PARAMETERS[0]}, card=card), PERIOD_S)
 
 
 def test_values_that_are_not_probabilities_are_mapped_to_probabilities():
@@ -131,14 +167,14 @@ def test_values_that_are_not_probabilities_are_mapped_to_probabilities():
 @pytest.mark.parametrize("parameters", [(np.nan, 1.0, 0.0), (-1.0, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, np.inf)])
 def test_hostile_parameters_give_one_clear_line(parameters):
     with pytest.raises(WeightsError, match=r"calibration .*train again"):
-        Calibration(np.array([(1.0, 1.0, 0.0), parameters], np.float32))
+        calibration(np.array([(1.0, 1.0, 0.0), parameters], np.float32))
 
 
 def test_a_fit_without_occupied_cells_gives_no_certain_forecast():
     """Without an occupied cell in training the probabilities are reduced and remain positive."""
     tracker, frames = scene(count=20)
     empty = [frame_of(np.zeros(GRID.shape, bool))] * len(frames)
-    learned = Calibration(fit_calibration([(tracker, empty, STEPS)]))
+    learned = calibration(fit_calibration([(tracker, empty, STEPS)]))
     low, high = mapped(learned, [0.01, 0.9]).tolist()
     assert 0.0 < low < high < 0.2
 

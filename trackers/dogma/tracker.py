@@ -24,7 +24,7 @@ from gridtrack.trackers.site_map import NO_MAP, SiteMap, count_anywhere, count_f
 from gridtrack.trackers.training.calibration import CalibratedTracker, Calibration
 from gridtrack.trackers.training.exported import export_settings
 from gridtrack.trackers.training.searched_fit import SettingsSearch, fit_searched
-from gridtrack.trackers.training.weights import array, cell_probabilities, load_weights, tuned_settings
+from gridtrack.trackers.training.weights import cell_probabilities, load_weights, tuned_settings
 
 PARTICLE_DIVISOR = 4
 """Divisor of the number of particles during the search, for speed; the calibration and the result use all."""
@@ -60,7 +60,7 @@ class DogmaTracker(CalibratedTracker):
         self._settings = tuned_settings(DogmaSettings, weights, options)
         self._occupancy_rate = cell_probabilities(weights, "occupancy_rate", stream.grid)
         self._world_T_map = weights.card.map_pose
-        self._calibration = Calibration(array(weights, "calibration", (2, 3)))
+        self._calibration = Calibration.of(weights, stream.period_s)
         compile_filter(stream.period_s)
         self.reset(seed=0)
 

@@ -26,7 +26,7 @@ from gridtrack.trackers.model_free.tracks import Track, Window
 from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.training.calibration import CalibratedTracker, Calibration
 from gridtrack.trackers.training.exported import export_settings
-from gridtrack.trackers.training.weights import array, cell_probabilities, load_weights, tuned_settings
+from gridtrack.trackers.training.weights import cell_probabilities, load_weights, tuned_settings
 
 
 class ModelFreeTracker(CalibratedTracker):
@@ -56,7 +56,7 @@ class ModelFreeTracker(CalibratedTracker):
         )
         self._world_T_map = weights.card.map_pose
         self._residence = residence_of(weights, stream.period_s)
-        self._calibration = Calibration(array(weights, "calibration", (2, 3)))
+        self._calibration = Calibration.of(weights, stream.period_s)
         self.classes = weights.card.classes
         self._model = ClassModel.of(weights, stream.grid) if self.classes else None
         if self._settings.background == "none":

@@ -31,7 +31,7 @@ from gridtrack.common.files import read_bounded, write_text
 from gridtrack.common.untrusted import parse_json
 from gridtrack.trackers.contract import FitTask, FrameSource, StretchScore, stream_of
 from gridtrack.trackers.registry import registered_name
-from gridtrack.trackers.training.calibration import IDENTITY, CalibratedTracker, fit_calibration
+from gridtrack.trackers.training.calibration import FITTED_S, IDENTITY, CalibratedTracker, fit_calibration
 from gridtrack.trackers.training.card import card_for
 from gridtrack.trackers.training.excerpts import (
     SEARCHED_S,
@@ -209,8 +209,10 @@ class _Draft(Generic[_Searched]):
         parameters = fit_calibration(
             (self.running(settings, source), list(source), step_of(source, last)) for source in sources
         )
-        for group, (a, b, c) in zip(("cells seen recently", "other cells"), parameters.tolist(), strict=True):
-            self.task.report(f"calibration, {group}: logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)")
+        for ahead_s, of_groups in zip(FITTED_S, parameters.tolist(), strict=True):
+            for group, (a, b, c) in zip(("cells seen recently", "other cells"), of_groups, strict=True):
+                formula = f"logit = {c:.3f} + {a:.3f} ln p - {b:.3f} ln(1 - p)"
+                self.task.report(f"calibration {ahead_s:g} s ahead, {group}: {formula}")
         return parameters
 
 

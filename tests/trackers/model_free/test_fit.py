@@ -128,7 +128,7 @@ def test_a_stretch_without_scores_is_refused_in_one_line(tmp_path):
     def score(tracker, source, steps):
         return of_every_stratum(np.nan, np.nan, steps)
 
-    with pytest.raises(RecordingError, match=r"F1 is not defined on the training recordings: .*use a longer stretch"):
+    with pytest.raises(RecordingError, match=r"selection score is not defined on .*; use a longer stretch"):
         fit_hall(tmp_path, score, [])
     assert not (tmp_path / "hall.toml").exists()
 
