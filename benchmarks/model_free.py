@@ -127,7 +127,7 @@ def measure(
     place = BackgroundMap(np.full(GRID.shape, 1e-3, np.float32), np.zeros(GRID.shape, np.float32))
     residence = np.full(table_shape(PERIOD_S), 0.3, np.float32)
     pipeline = TimedPipeline(GRID, PERIOD_S, place, residence, STREET, tracker.estimator)
-    calibration = Calibration(IDENTITY)
+    calibration = Calibration(IDENTITY, PERIOD_S)
     seconds, classes, seen = [], some_classes(), np.zeros(GRID.shape, np.float32)
     for step in range(frames):
         frame = frame_of(count, step)
