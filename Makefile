@@ -14,9 +14,11 @@ HALL_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tra
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
 INSTALL := $(BIN)/pip install --constraint constraints.txt $(if $(TORCH_CPU),--extra-index-url https://download.pytorch.org/whl/cpu )--editable
-# one worker more than processors, because many tests wait for processes that they start; with bytecode, whatever the
-# environment says, because hundreds of processes import the package
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
+# one worker more than processors, because many tests wait for processes that they start; a file in one worker, so that
+# its fixtures are made once; with bytecode, whatever the environment says, because hundreds of processes import the package
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 1) --dist loadfile --durations=10
+# of lint beside the tests: it takes what they leave
+NICE :=
 # with general weights: they have seen no recording of a site
 GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
@@ -41,7 +43,7 @@ demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minut
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS)) --out runs/junction
 
 test: $(VENV)/.installed-dev ## run lint, types and all tests
-	$(MAKE) --jobs 2 lint pytest
+	$(MAKE) --jobs 2 NICE='nice -n 19' lint pytest
 
 # else each of the workers of pytest compiles all kernels for itself in its first minute
 compiled: $(VENV)/.installed-dev
@@ -59,14 +61,14 @@ coverage: $(VENV)/.installed-dev ## run all tests; print the coverage and the te
 	$(BIN)/coverage report | sed -n '1,12p;$$p'
 
 lint: $(VENV)/.installed-dev | .link/gridtrack ## check style, spelling, types and the import rule
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/codespell
-	MYPYPATH=.link $(BIN)/mypy -p gridtrack
-	MYPYPATH=.link:. $(BIN)/mypy -p benchmarks -p studies
+	$(NICE) $(BIN)/ruff check .
+	$(NICE) $(BIN)/ruff format --check .
+	$(NICE) $(BIN)/codespell
+	$(NICE) env MYPYPATH=.link $(BIN)/mypy -p gridtrack
+	$(NICE) env MYPYPATH=.link:. $(BIN)/mypy -p benchmarks -p studies
 	for name in example_tracker learned_tracker; do \
-	    MYPYPATH=.link:examples/$$name:examples/$$name/tests $(BIN)/mypy -m $$name -m test_$$name || exit 1; done
-	PYTHONPATH=.link $(BIN)/lint-imports
+	    $(NICE) env MYPYPATH=.link:examples/$$name:examples/$$name/tests $(BIN)/mypy -m $$name -m test_$$name || exit 1; done
+	$(NICE) env PYTHONPATH=.link $(BIN)/lint-imports
 
 fuzz: $(VENV)/.installed-dev ## fuzz every reader of untrusted input for ten minutes (FUZZ="--minutes 60 --only tracks")
 	PYTHONPATH=tests $(BIN)/python -m fuzz $(FUZZ)

@@ -30,7 +30,8 @@ PLUGINS = Path(__file__).parent / "plugins"
 Install = Callable[..., Path]
 LONGEST = (
     *("test_contract.py", "test_commands_run.py", "test_own_trackers.py", "test_examples.py", "test_package.py"),
-    *("test_modules.py", "test_sandbox.py", "test_ray.py", "test_compare_drive.py"),
+    *("test_remote.py", "test_slurm.py", "test_ray.py", "test_run_processes.py", "test_sandbox.py", "test_modules.py"),
+    "test_compare_drive.py",
 )
 """They start first, so that no processor waits for them at the end; kernels that others use are compiled in them."""
 
