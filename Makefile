@@ -127,7 +127,7 @@ weights: $(VENV)/.installed-dev runs/worlds ## train everything in data/weights 
 
 baseline: $(VENV)/.installed-dev ## update the baseline of tests/test_own_trackers.py, after an intended change of a tracker
 	rm -rf runs/baseline
-	$(COMPARE) $(HALL)@114s-124s $(call chosen,$(HALL_TRACKERS)) --validation $(HALL)@75s-81s \
+	$(COMPARE) $(HALL)@114s-120s $(call chosen,$(HALL_TRACKERS)) --validation $(HALL)@75s-79s \
 	    --weights data/weights --horizon 1s --every 0.5s --out runs/baseline
 	$(BIN)/gridtrack regress runs/baseline --baseline tests/baselines/own_trackers.json --update
 	$(BIN)/pip install --quiet --no-deps --no-build-isolation --target runs/baseline/example $(EXAMPLE)
