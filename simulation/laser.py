@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
+from typing import Literal
 
 import numba
 import numpy as np
@@ -58,6 +59,9 @@ class LaserErrors(Settings):
     """Probability of a return from glass, except at nearly normal incidence."""
     dark_reach: float = Field(default=0.7, ge=0.0, le=1.0)
     """Share of the maximum range up to which dark surfaces give returns."""
+    no_return: Literal["inf", "nan"] = Field(default="inf", exclude_if=lambda value: value == "inf")
+    """What the driver reports for a beam without a return: +inf, which means free to the maximum range, or NaN, from
+    which nothing is known. Files with "inf" do not state it, as before it existed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +106,7 @@ def measured(
         noisy = ranges + (errors.std_m + errors.std_per_m * ranges) * np.where(dark, 2.0, 1.0) * noise
         rounded = np.round(noisy / errors.resolution_m) * errors.resolution_m
     found = np.clip(rounded, 0.0, math.floor(range_max / errors.resolution_m) * errors.resolution_m)
-    found = np.where(np.isfinite(ranges) & ~lost, found, np.inf)
+    found = np.where(np.isfinite(ranges) & ~lost, found, float(errors.no_return))
     found = np.where(draws[5] < errors.invalid, np.nan, found)
     return found.astype(np.float32), np.where(np.isfinite(found) & ~mixed, outline, -1).astype(np.int32)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,11 @@ TRY_BEAMS = 240
 SLOWEST_HZ, FASTEST_HZ = 5.0, 20.0
 THINNED_SHARE = 0.4
 """Share of recordings with every second scan or fewer, if the rate allows it."""
+UNKNOWN_SHARE = 0.35
+"""Share of the drivers that report NaN for a beam without a return, as those of many cheap lasers do."""
+SHORT_SHARE, SHORT_REACH = 0.5, (0.7, 1.5)
+"""Share of these lasers that lose their returns beyond a short reach, and the reach by half of the window's side: in
+recordings of such lasers 40 to 80 % of the ranges are NaN."""
 
 
 class LaserProduct(NamedTuple):
@@ -79,7 +84,25 @@ class WorldSensor:
 
 
 def draw_sensor(random: np.random.Generator, outdoors: bool) -> WorldSensor:
-    """A random laser near one of PRODUCTS."""
+    """A random laser near one of PRODUCTS, with a random driver."""
+    # a generator of its own: the worlds of the other drivers stay as they were before drivers were drawn
+    (driver,) = random.spawn(1)
+    return _with_driver(driver, _draw_laser(random, outdoors))
+
+
+def _with_driver(random: np.random.Generator, sensor: WorldSensor) -> WorldSensor:
+    """The sensor with a driver that reports NaN or +inf for a beam without a return."""
+    laser = sensor.laser
+    if laser.errors is None or random.random() >= UNKNOWN_SHARE:
+        return sensor
+    changes: dict[str, object] = {"errors": laser.errors.model_copy(update={"no_return": "nan"})}
+    if random.random() < SHORT_SHARE:
+        reach_m = random.uniform(*SHORT_REACH) * GRID_CELLS * sensor.cell_m / 2.0
+        changes["range_max"] = round(min(laser.range_max, float(reach_m)), 2)
+    return replace(sensor, laser=laser.model_copy(update=changes))
+
+
+def _draw_laser(random: np.random.Generator, outdoors: bool) -> WorldSensor:
     suited = [one for one in PRODUCTS if not outdoors or one.range_m >= OUTDOOR_RANGE_M]
     one = suited[random.integers(len(suited))]
     beams = int(np.clip(round(one.beams * random.choice([0.5, 1.0, 1.0, 1.3])), 180, 1440))

@@ -163,6 +163,17 @@ def test_lost_returns_are_infinite_and_invalid_ones_are_nan() -> None:
     assert np.isposinf(found).mean() == pytest.approx(0.9 * 0.2, abs=0.06)
 
 
+def test_a_driver_may_report_nan_for_a_beam_without_a_return() -> None:
+    usual, unknown = (scan_with(LaserErrors(lost=0.2, no_return=code), (NEAR_WALL,)).ranges for code in ("inf", "nan"))
+    assert np.isposinf(usual).any()
+    assert np.array_equal(np.where(np.isposinf(usual), np.nan, usual), unknown, equal_nan=True)
+
+
+def test_errors_state_a_driver_only_if_it_reports_nan() -> None:
+    assert "no_return" not in LaserErrors().model_dump()
+    assert LaserErrors.model_validate(LaserErrors(no_return="nan").model_dump()).no_return == "nan"
+
+
 def test_glass_gives_returns_from_the_front_and_else_the_surface_behind_it() -> None:
     glass = SceneSurfaces(glass={0})
     found = scan_with(only(glass_seen=0.0), (PANE, NEAR_WALL, FAR_WALL), glass)
