@@ -73,7 +73,7 @@ class Calibration:
     @classmethod
     def of(cls, weights: Weights, period_s: float) -> Calibration:
         """The calibration in `weights`; those of version 0.2 have one for all steps. Raises WeightsError."""
-        is_one = weights.arrays["calibration"].ndim == 2 if "calibration" in weights.arrays else False
+        is_one = "calibration" in weights.arrays and weights.arrays["calibration"].ndim == 2
         found = array(weights, "calibration", IDENTITY.shape[1:] if is_one else IDENTITY.shape)
         return cls(np.broadcast_to(found, IDENTITY.shape), period_s)
 
@@ -85,8 +85,9 @@ class Calibration:
 
     def _maps_at(self, step: int) -> NDArray[np.float32]:
         """The maps (2, LEVELS+1) of a step: of cells seen recently, and of others."""
-        after = np.interp(step * self._period_s, FITTED_S, range(len(FITTED_S)))
-        before, share = min(int(after), len(FITTED_S) - 2), after - min(int(after), len(FITTED_S) - 2)
+        place = float(np.interp(step * self._period_s, FITTED_S, range(len(FITTED_S))))
+        before = min(int(place), len(FITTED_S) - 2)
+        share = place - before
         parameters = (1.0 - share) * self._parameters[before] + share * self._parameters[before + 1]
         maps = np.zeros((2, LEVELS + 1), np.float32)
         maps[:, 1:-1] = expit(_features(_levels()[1:-1]) @ parameters.T).T
