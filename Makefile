@@ -14,9 +14,9 @@ HALL_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tra
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
 INSTALL := $(BIN)/pip install --constraint constraints.txt $(if $(TORCH_CPU),--extra-index-url https://download.pytorch.org/whl/cpu )--editable
-# one worker more than processors, because many tests wait for processes that they start; a file in one worker, so that
-# its fixtures are made once; with bytecode, whatever the environment says, because hundreds of processes import the package
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell expr $$(nproc) + 1) --dist loadfile --durations=10
+# a worker more makes its fixtures and imports once more, which costs as much as it gains; with bytecode, whatever the
+# environment says, because hundreds of processes import the package
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell nproc) --dist worksteal --durations=10
 # of lint beside the tests: it takes what they leave
 NICE :=
 # with general weights: they have seen no recording of a site
