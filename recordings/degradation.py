@@ -1,4 +1,4 @@
-"""Degraded scans: lost beams, range noise, lost scans and pose noise, the same for every tracker."""
+"""Degraded scans: lost beams and sectors, range noise, lost scans and pose noise, the same for every tracker."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from gridtrack.common.config import Settings, parse_pairs, validated
@@ -18,6 +19,8 @@ from gridtrack.common.scan import Scan
 DEGRADE_OPTION = "--degrade"
 JITTER_LEVER_M = 5.0
 """Standard deviation of the position over the heading's: at this distance both move a point equally."""
+SECTORS, SECTOR_NS = 36, 2_000_000_000
+"""Sectors of a turn about the sensor, and the time for which one is lost."""
 
 
 class Degradation(Settings):
@@ -27,6 +30,9 @@ class Degradation(Settings):
 
     beam_dropout: float = Field(0.0, ge=0.0, le=1.0)
     """Probability that a beam becomes invalid (NaN), independent for each beam of each scan."""
+    sector_dropout: float = Field(0.0, ge=0.0, le=1.0)
+    """Probability that a sector of ten degrees becomes invalid (NaN) for two seconds, as where a driver writes NaN for
+    no return."""
     range_noise: float = Field(0.0, ge=0.0, le=100.0)
     """Standard deviation of the noise on the range of each return, metres; clipped to the laser's range limits."""
     frame_drop: float = Field(0.0, ge=0.0, le=1.0)
@@ -78,6 +84,7 @@ def degrader(degradation: Degradation, seed: int) -> Callable[[Scan], Scan]:
         noisy = ranges + degradation.range_noise * noise
         ranges[returned] = noisy[returned].clip(scan.range_min, scan.range_max)
         ranges[dropped < degradation.beam_dropout] = math.nan
+        ranges[_of_sectors(scan, seed) < degradation.sector_dropout] = math.nan
         if lost < degradation.frame_drop:
             ranges[:] = math.nan
         pose, sigma = scan.world_T_sensor, degradation.pose_jitter
@@ -85,3 +92,11 @@ def degrader(degradation: Degradation, seed: int) -> Callable[[Scan], Scan]:
         return replace(scan, ranges=ranges, world_T_sensor=jittered if sigma else pose)
 
     return degrade
+
+
+def _of_sectors(scan: Scan, seed: int) -> NDArray[np.float64]:
+    """A random number (B,) for each beam, in [0, 1): equal in a sector, and for SECTOR_NS."""
+    rng = np.random.default_rng([seed, scan.stamp_ns // SECTOR_NS, zlib.crc32(scan.sensor.encode()), SECTORS])
+    angles = scan.angle_min + scan.angle_increment * np.arange(scan.ranges.size)
+    drawn: NDArray[np.float64] = rng.random(SECTORS)[np.floor(angles * SECTORS / math.tau).astype(np.int64) % SECTORS]
+    return drawn

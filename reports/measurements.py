@@ -15,6 +15,7 @@ RATE = "rate"
 """The condition in which frames arrive at a multiple of the stream's rate, on a simulated clock."""
 DEGRADATION_TEXTS = {
     "beam_dropout": ("beams without a return", ""),
+    "sector_dropout": ("sectors without a return", ""),
     "range_noise": ("range noise", " m"),
     "frame_drop": ("frames dropped", ""),
     "pose_jitter": ("pose jitter", " m"),

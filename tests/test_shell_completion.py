@@ -17,7 +17,7 @@ from gridtrack.reports.formats import FORMATS, PAGE
 from scenes.command_line import gridtrack
 
 Complete = Callable[..., list[str]]
-OTHER_KINDS = ("beam-dropout", "range-noise", "frame-drop")
+OTHER_KINDS = ("beam-dropout", "sector-dropout", "range-noise", "frame-drop")
 """Kinds of degraded input beside the jitter of poses."""
 PROGRAM = [sys.executable, "-c", "import sys; sys.argv = ['gridtrack']; from gridtrack.cli import main; main()"]
 

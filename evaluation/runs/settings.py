@@ -86,8 +86,9 @@ class CompareSettings(Settings):
     deadline: bool = False
     """After the scores, measure the time of each tracker alone, and score under a deadline"""
     degrade: Annotated[Degradation | None, Option(metavar="KIND=VALUE,..."), from_text(parse_degradation)] = None
-    """After the scores, score on degraded frames: beam-dropout and frame-drop (probabilities), range-noise and
-    pose-jitter (standard deviations, metres); one kind at a time, at a quarter, half and all of its value"""
+    """After the scores, score on degraded frames: beam-dropout, sector-dropout and frame-drop (probabilities),
+    range-noise and pose-jitter (standard deviations, metres); one kind at a time, at a quarter, half and all of its
+    value"""
     follow: bool = False
     """The recording, an MCAP file, is still being written: process it to its end"""
     idle_timeout_s: Seconds = Field(60.0, gt=0.0, le=86_400.0)

@@ -29,6 +29,17 @@ def test_a_dropped_beam_is_invalid() -> None:
     assert lost.mean() == pytest.approx(0.2, abs=4 * math.sqrt(0.2 * 0.8 / BEAMS))
 
 
+def test_a_dropped_sector_has_ten_degrees_and_is_dropped_for_two_seconds() -> None:
+    ranges = np.full(3600, 3.0, np.float32)
+    turn = [replace(scan, ranges=ranges, angle_increment=math.tau / 3600) for scan in scans(200)]
+    lost = [np.isnan(degrader(Degradation(sector_dropout=0.5), seed=1)(scan).ranges) for scan in turn]
+    sectors = np.array([np.unique(one.reshape(36, -1)[:, 1:-1], axis=1).ravel() for one in lost])
+    assert sectors.shape == (200, 36), "all beams of a sector share its fate"
+    assert sectors.mean() == pytest.approx(0.5, abs=0.1)
+    changes = np.flatnonzero((np.diff(sectors, axis=0)).any(axis=1))
+    assert (np.diff(changes) % 20 == 0).all(), "scans are a tenth of a second apart"
+
+
 def test_range_noise_is_in_metres_and_changes_returns_only() -> None:
     scan = replace(SCAN, ranges=SCAN.ranges.copy())
     scan.ranges[:4] = math.inf, math.nan, 9.0, 0.01
@@ -69,7 +80,7 @@ def test_the_degradation_depends_on_the_seed_and_the_scan_only() -> None:
 
 def test_a_weaker_degradation_is_part_of_a_stronger_one() -> None:
     """The same beams and frames are lost first: a curve over the strength has no random jumps."""
-    strong = Degradation(beam_dropout=0.4, range_noise=0.1)
+    strong = Degradation(beam_dropout=0.4, range_noise=0.1, sector_dropout=0.4)
     at = {share: degrader(strong.scaled(share), seed=1)(SCAN).ranges for share in (0.25, 0.5, 1.0)}
     assert np.isnan(at[0.5])[np.isnan(at[0.25])].all()
     assert np.isnan(at[1.0])[np.isnan(at[0.5])].all()
@@ -92,7 +103,9 @@ def test_a_degradation_is_read_from_text_and_unknown_kinds_are_refused() -> None
     assert given.only("range_noise") == Degradation(range_noise=0.05)
     with pytest.raises(ConfigurationError, match=r"--degrade: .*beam-dropuot.*did you mean 'beam-dropout'"):
         parse_degradation("beam-dropuot=0.2")
-    with pytest.raises(ConfigurationError, match="'foo'; known: beam-dropout, frame-drop, pose-jitter, range-noise"):
+    with pytest.raises(
+        ConfigurationError, match="'foo'; known: beam-dropout, frame-drop, pose-jitter, range-noise, sector-dropout"
+    ):
         parse_degradation("foo=1")
     with pytest.raises(ConfigurationError, match=r"'beam-dropout' = 20: .*less than or equal to 1"):
         parse_degradation("beam-dropout=20")
