@@ -17,8 +17,6 @@ INSTALL := $(BIN)/pip install --constraint constraints.txt $(if $(TORCH_CPU),--e
 # a worker more makes its fixtures and imports once more, which costs as much as it gains; with bytecode, whatever the
 # environment says, because hundreds of processes import the package
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell nproc) --dist worksteal --durations=10
-# of lint beside the tests: it takes what they leave
-NICE :=
 # with general weights: they have seen no recording of a site
 GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
@@ -28,7 +26,7 @@ folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
 trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))
 
-.PHONY: help demo demo-junction test compiled pytest check coverage lint bench results worlds-results real-results schemas lock docs figures size screenshots ablations returns junction weights baseline clean
+.PHONY: help demo demo-junction test lint-beside compiled pytest check coverage lint bench results worlds-results real-results schemas lock docs figures size screenshots ablations returns junction weights baseline clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
@@ -43,7 +41,11 @@ demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minut
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS)) --out runs/junction
 
 test: $(VENV)/.installed-dev ## run lint, types and all tests
-	$(MAKE) --jobs 2 NICE='nice -n 19' lint pytest
+	$(MAKE) --jobs 2 lint-beside pytest
+
+# lint takes what the tests leave of the processors
+lint-beside:
+	nice -n 19 $(MAKE) lint
 
 # else each of the workers of pytest compiles all kernels for itself in its first minute
 compiled: $(VENV)/.installed-dev
@@ -61,14 +63,14 @@ coverage: $(VENV)/.installed-dev ## run all tests; print the coverage and the te
 	$(BIN)/coverage report | sed -n '1,12p;$$p'
 
 lint: $(VENV)/.installed-dev | .link/gridtrack ## check style, spelling, types and the import rule
-	$(NICE) $(BIN)/ruff check .
-	$(NICE) $(BIN)/ruff format --check .
-	$(NICE) $(BIN)/codespell
-	$(NICE) env MYPYPATH=.link $(BIN)/mypy -p gridtrack
-	$(NICE) env MYPYPATH=.link:. $(BIN)/mypy -p benchmarks -p studies
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/codespell
+	MYPYPATH=.link $(BIN)/mypy -p gridtrack
+	MYPYPATH=.link:. $(BIN)/mypy -p benchmarks -p studies
 	for name in example_tracker learned_tracker; do \
-	    $(NICE) env MYPYPATH=.link:examples/$$name:examples/$$name/tests $(BIN)/mypy -m $$name -m test_$$name || exit 1; done
-	$(NICE) env PYTHONPATH=.link $(BIN)/lint-imports
+	    MYPYPATH=.link:examples/$$name:examples/$$name/tests $(BIN)/mypy -m $$name -m test_$$name || exit 1; done
+	PYTHONPATH=.link $(BIN)/lint-imports
 
 fuzz: $(VENV)/.installed-dev ## fuzz every reader of untrusted input for ten minutes (FUZZ="--minutes 60 --only tracks")
 	PYTHONPATH=tests $(BIN)/python -m fuzz $(FUZZ)

@@ -61,7 +61,7 @@ class LaserErrors(Settings):
     """Share of the maximum range up to which dark surfaces give returns."""
     no_return: Literal["inf", "nan"] = Field(default="inf", exclude_if=lambda value: value == "inf")
     """What the driver reports for a beam without a return: +inf, which means free to the maximum range, or NaN, from
-    which nothing is known. Files with "inf" do not state it, as before it existed."""
+    which nothing is known. A file has this key only for NaN: other worlds keep their bytes."""
 
 
 @dataclass(frozen=True, slots=True)

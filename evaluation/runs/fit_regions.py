@@ -30,11 +30,11 @@ from gridtrack.evaluation.referee.kinds import (
     observed_kinds,
 )
 from gridtrack.evaluation.referee.motion import MotionFinder, ObservedMotion
-from gridtrack.evaluation.referee.referee import Delivery, Schedule, ScoredForecast, scored_forecasts
+from gridtrack.evaluation.referee.referee import Delivery, Schedule, scored_forecasts
 from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.scores.cells import Tally, count_cells
 from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT
-from gridtrack.evaluation.scores.definition import Sums, TrialFacts, divided, value_of
+from gridtrack.evaluation.scores.definition import TrialFacts, divided
 from gridtrack.evaluation.scores.f1 import f1_of
 from gridtrack.evaluation.scores.thresholds import best_thresholds, half
 from gridtrack.recordings.observation import Observation, cells_in_window, reference_pose
@@ -335,35 +335,16 @@ def score_in_process(
     schedule = Schedule(len(source), steps, FIT_FORECAST_EVERY)
     if not schedule.expected:
         raise RecordingError(f"{source.name}: {len(source)} frames are too few to score forecasts of {steps} steps")
-    tally, contacts = Tally.empty(steps), _Contacts(source, steps)
+    facts = TrialFacts(source.grid.cell_m, steps, STRATA, half(steps), period_s=source.period_s)
+    tally, memory = Tally.empty(steps), CONTACT_FORESIGHT.new_memory(facts)
+    contacts: Any = 0.0
     for scored in scored_forecasts(tracker, Delivery(source, lambda: None, regions, motion), schedule, seed=0):
         tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps))
-        contacts.add(scored)
+        contacts += CONTACT_FORESIGHT.count(scored, facts, memory)
     confusion = tally.confusion(best_thresholds(tally, source.name).bins)
     f1, log_loss = f1_of(confusion), divided(tally.log_loss, tally.cells.sum(axis=-1))
     return StretchScore(
         f1={name: f1[:, k] for k, name in enumerate(STRATA)},
         log_loss={name: log_loss[:, k] for k, name in enumerate(STRATA)},
-        contacts_foreseen=contacts.foreseen(),
+        contacts_foreseen=CONTACT_FORESIGHT.leading(contacts, facts)[:, 0],
     )
-
-
-class _Contacts:
-    """The contacts of a robot in the forecasts of one stretch, without truth."""
-
-    def __init__(self, source: FrameSource, steps: int) -> None:
-        self._facts = TrialFacts(source.grid.cell_m, steps, STRATA, half(steps), period_s=source.period_s)
-        self._memory = CONTACT_FORESIGHT.new_memory(self._facts)
-        self._sums: list[Any] = []
-
-    def add(self, scored: ScoredForecast) -> None:
-        """Count the next forecast."""
-        self._sums.append(CONTACT_FORESIGHT.count(scored, self._facts, self._memory))
-
-    def foreseen(self) -> NDArray[np.float64]:
-        """The share (steps+1,) of the contacts within so many steps that were foreseen; NaN without any."""
-        total = Sums(np.sum(self._sums, axis=0), CONTACT_FORESIGHT.parts(self._facts))
-        share = np.full(self._facts.steps + 1, np.nan)
-        values = value_of(CONTACT_FORESIGHT.value(total)[CONTACT_FORESIGHT.lead.name])
-        share[list(CONTACT_FORESIGHT.steps(self._facts))] = values[:, 0]
-        return share

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-
 from gridtrack.evaluation.referee.referee import Moment, TrackerLike, scored_forecasts
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.result_files import Curves, rounded_curve
 from gridtrack.evaluation.runs.scorekeeper import Counter, facts_of
 from gridtrack.evaluation.runs.trial_record import ThresholdsUsed
-from gridtrack.evaluation.scores.definition import Floats, Sums, value_of
+from gridtrack.evaluation.scores.definition import Floats
 from gridtrack.evaluation.scores.registry import scores
 
 
@@ -31,8 +29,6 @@ def replayed(
     found = {}
     for score in leading:
         if score.name in sums:
-            layout = counter.layouts[score.name]
-            values = np.full((facts.steps + 1, len(layout.strata)), np.nan)
-            values[list(layout.steps)] = value_of(score.value(Sums(sums[score.name], layout.parts))[score.lead.name])
-            found[score.name] = {name: rounded_curve(values[:, k]) for k, name in enumerate(layout.strata)}
+            values = score.leading(sums[score.name], facts)
+            found[score.name] = {name: rounded_curve(values[:, k]) for k, name in enumerate(score.strata(facts))}
     return found

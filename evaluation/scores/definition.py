@@ -198,6 +198,13 @@ class ScoreDefinition:
         """Whether it is counted at each step, and not only at some horizons."""
         return self.steps is ScoreDefinition.steps
 
+    def leading(self, sums: Floats, facts: TrialFacts) -> Floats:
+        """The leading values (steps+1, K) of a trial from its sums (H, K, P); NaN at steps without this score."""
+        values = np.full((facts.steps + 1, len(self.strata(facts))), np.nan)
+        found = self.value(Sums(sums, self.parts(facts)))[self.lead.name]
+        values[list(self.steps(facts))] = value_of(found)
+        return values
+
     def output(self, name: str) -> Output:
         """An output by its name. Raises KeyError."""
         return {output.name: output for output in self.outputs}[name]

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.spatial import cKDTree
 
 from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings.ego_motion.returns import OBJECT_M, PlaneArray, ScanReturns
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree as KDTree
 
 
 class MatchingSettings(Settings):
@@ -148,7 +146,7 @@ def walls_of(returns: ScanReturns) -> Walls:
     )
 
 
-def fit_at(world_T_sensor: SE2, walls: Walls, map_points: KDTree, kernel_m: float) -> Fit:
+def fit_at(world_T_sensor: SE2, walls: Walls, map_points: cKDTree, kernel_m: float) -> Fit:
     """The fit of `walls` at a pose to the nearest of `map_points`, (M, 2), world frame."""
     there = world_T_sensor.apply(walls.points)
     distance, nearest = map_points.query(there, distance_upper_bound=KERNEL_REACH * kernel_m)
@@ -168,7 +166,7 @@ def fit_at(world_T_sensor: SE2, walls: Walls, map_points: KDTree, kernel_m: floa
     )
 
 
-def share_on_map(world_T_sensor: SE2, returns: ScanReturns, map_points: KDTree, kernel_m: float, count: int) -> float:
+def share_on_map(world_T_sensor: SE2, returns: ScanReturns, map_points: cKDTree, kernel_m: float, count: int) -> float:
     """The number of returns within `kernel_m` of the map at a pose, over `count`."""
     distance, _ = map_points.query(world_T_sensor.apply(returns.points), distance_upper_bound=kernel_m)
     return float(np.count_nonzero(np.isfinite(distance)) / count)
@@ -206,7 +204,7 @@ def weighed_step(fit: Fit, fit_T_prior: SE2, prior: PlaneArray, settings: Matchi
 def stepped(
     pose: SE2,
     walls: Walls,
-    map_points: KDTree,
+    map_points: cKDTree,
     prior: tuple[SE2, PlaneArray],
     kernel_m: float,
     settings: MatchingSettings,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import scipy  # loads scipy.spatial at its first use
+from scipy.spatial import cKDTree
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
@@ -32,9 +32,6 @@ from gridtrack.recordings.ego_motion.returns import (
     planar,
     returns_of,
 )
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree as KDTree
 
 MAX_ITERATIONS, CONVERGED_M = 100, 1e-4
 POINTS_PER_VOXEL = 20
@@ -139,7 +136,7 @@ class ScanMatcher:
         are more likely than mostly moving surroundings.
         """
         # the tree is used once: an unbalanced one gives the same answer and is built faster
-        map_points = scipy.spatial.cKDTree(self._map.point_cloud()[:, :2], balanced_tree=False)
+        map_points = cKDTree(self._map.point_cloud()[:, :2], balanced_tree=False)
         pose = self._aligned(returns, map_points, prior)
         moving = self._earlier.moving(scan, returns, pose)
         if not moving.any():
@@ -152,7 +149,7 @@ class ScanMatcher:
                 return of_all, returns
         return found, still
 
-    def _aligned(self, returns: ScanReturns, map_points: KDTree, prior: Prior) -> SE2:
+    def _aligned(self, returns: ScanReturns, map_points: cKDTree, prior: Prior) -> SE2:
         """The pose at which the returns lie on the map: kiss-icp's registration, then steps on the walls."""
         return self._stepped(self._registered(returns, prior), returns, map_points, prior)
 
@@ -164,12 +161,12 @@ class ScanMatcher:
         found = planar(pose)
         return found if all(map(math.isfinite, (found.x, found.y, found.theta))) else prior.world_T_sensor
 
-    def _stepped(self, pose: SE2, returns: ScanReturns, map_points: KDTree, prior: Prior) -> SE2:
+    def _stepped(self, pose: SE2, returns: ScanReturns, map_points: cKDTree, prior: Prior) -> SE2:
         """The pose by steps on the walls; the prior decides weak directions."""
         weak = (prior.world_T_sensor, PRIOR_SHARE * prior.information)
         return stepped(pose, walls_of(returns), map_points, weak, self.settings.kernel_m, self.settings)
 
-    def _judged(self, returns: ScanReturns, pose: SE2, map_points: KDTree, prior: Prior, count: int) -> ScanMatch:
+    def _judged(self, returns: ScanReturns, pose: SE2, map_points: cKDTree, prior: Prior, count: int) -> ScanMatch:
         """The pose from match and prior, or the prior's if the match is rejected; `count` includes moving returns."""
         settings, walls = self.settings, walls_of(returns)
         fit = fit_at(pose, walls, map_points, settings.kernel_m)

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # loads scipy.spatial at its first use: a recording whose survey is cached needs none
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.scan import Scan
@@ -198,9 +198,8 @@ class EarlierScans:
             left = _in_free_space(then, scan, free)
             candidates = (returns.extent < OBJECT_M) & ~departed
             if left.any() and not left.all() and candidates.any():
-                tree, points = scipy.spatial.cKDTree, returns.points[candidates]
-                from_left, _ = tree(then[left]).query(points, distance_upper_bound=REACH_M)
-                from_stayed, _ = tree(then[~left]).query(points, distance_upper_bound=STAYED_M)
+                from_left, _ = cKDTree(then[left]).query(returns.points[candidates], distance_upper_bound=REACH_M)
+                from_stayed, _ = cKDTree(then[~left]).query(returns.points[candidates], distance_upper_bound=STAYED_M)
                 cluster = returns.cluster[candidates]
                 away = np.bincount(cluster, np.isfinite(from_left) & np.isinf(from_stayed))
                 departed[candidates] = (away > MOVING_SHARE * np.maximum(np.bincount(cluster), 1))[cluster]

@@ -120,7 +120,7 @@ class InferenceSettings(DeviceSettings):
     it is for the processor only."""
     evidence: EvidenceOption = "scan"
     """Evidence for the classes of the cells that are occupied now: `state`, the latent state, as in the paper; `scan`,
-    the product of its probabilities and those of a classifier of the scan, if the weights have one."""
+    its product with a classifier of the scan, if the weights have this classifier."""
 
 
 DECODER_SETTINGS = {

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, nearest_step
 from gridtrack.trackers.contract import FrameSource, StretchScore
@@ -91,14 +92,18 @@ def step_of(source: FrameSource, horizon_s: float) -> int:
 
 
 def selection_scores(score: StretchScore, source: FrameSource) -> dict[str, float]:
-    """F1 in SELECTION_STRATA and the contacts foreseen, at SELECTION_HORIZONS_S; NaN where undefined."""
-    curves = {f"{stratum}_f1": score.f1[stratum] for stratum in SELECTION_STRATA}
-    curves["contacts_foreseen"] = score.contacts_foreseen
+    """The `selection_curves` at SELECTION_HORIZONS_S; NaN where undefined."""
     return {
         f"{name}_{horizon_s:g}s": float(curve[step_of(source, horizon_s)])
-        for name, curve in curves.items()
+        for name, curve in selection_curves(score).items()
         for horizon_s in SELECTION_HORIZONS_S
     }
+
+
+def selection_curves(score: StretchScore) -> dict[str, NDArray[np.float64]]:
+    """F1 in SELECTION_STRATA and the contacts foreseen, each (steps+1,), by name."""
+    f1 = {f"{stratum}_f1": score.f1[stratum] for stratum in SELECTION_STRATA}
+    return f1 | {"contacts_foreseen": score.contacts_foreseen}
 
 
 def mean_of_defined(scores: Iterable[float]) -> float:

@@ -36,10 +36,10 @@ from gridtrack.trackers.training.card import card_for
 from gridtrack.trackers.training.excerpts import (
     SEARCHED_S,
     SELECTION_HORIZONS_S,
-    SELECTION_STRATA,
     excerpts,
     excerpts_of_places,
     mean_of_defined,
+    selection_curves,
     selection_scores,
     step_of,
 )
@@ -218,11 +218,7 @@ class _Draft(Generic[_Searched]):
 
 def stretch_summary(score: StretchScore, source: FrameSource) -> dict[str, Any]:
     """The scores of one stretch for a card, without undefined ones."""
-    columns = {
-        "dynamic_log_loss": score.log_loss["dynamic"],
-        **{f"{stratum}_f1": score.f1[stratum] for stratum in SELECTION_STRATA},
-        "contacts_foreseen": score.contacts_foreseen,
-    }
+    columns = {"dynamic_log_loss": score.log_loss["dynamic"], **selection_curves(score)}
     at = {f"{horizon:g}s": step_of(source, horizon) for horizon in SELECTION_HORIZONS_S}
     return {"stretch": source.name} | {
         name: {horizon: round(float(values[step]), 4) for horizon, step in at.items() if math.isfinite(values[step])}

@@ -57,7 +57,7 @@ def test_the_score_of_a_fit_equals_the_referees_on_the_same_stretch(with_truth, 
     for name in STRATA:
         assert np.array_equal(found.f1[name], expected.f1[name], equal_nan=True)
         assert np.array_equal(found.log_loss[name], expected.log_loss[name], equal_nan=True)
-    assert 0.0 < found.contacts_foreseen[STEPS] < 1.0, "by what was seen: `fit` has no truth of hidden cells"
+    assert 0.0 < found.contacts_foreseen[STEPS] < 1.0, "without truth: `fit` counts contacts in visible cells"
 
 
 def test_an_object_that_stands_for_most_of_an_excerpt_is_not_static_there(with_truth, tmp_path, monkeypatch):
