@@ -18,6 +18,9 @@ from gridtrack.recordings import open_recording
 from studies.support.comparison import gridtrack
 from studies.support.results_file import NONE, ResultSection, ResultTable, measured_table
 from studies.support.unseen_places import (
+    CONTACTS,
+    CONTACTS_FORESEEN,
+    FAMILIES,
     REFERENCE,
     SKILL,
     STRATA,
@@ -40,9 +43,15 @@ STANDS, DRIVES, ODOMETRY = "stands", "drives", "drives, odometry"
 AIM_TRACKERS, AIM_HORIZONS_S, AIM_F1 = ("dilated-convgru", "kalman"), (0.5, 1.0), 0.10
 """The aim: on dynamic cells at these horizons these trackers exceed the reference by AIM_F1, significantly."""
 
-CONTENDERS = ("kalman", "factor-graph", "dogma", "dilated-convgru")
+CONTENDERS = ("kalman", "factor-graph", "dogma", "dilated-convgru", "pool")
 """The trackers that forecast motion and have similar scores, for comparisons in pairs."""
-CONTENDER_SCORES = {"F1": ("f1", 3), "PR-AUC": ("pr_auc", 3), "log loss": ("log_loss", 4), "soft IoU": ("soft_iou", 3)}
+CONTENDER_SCORES = {
+    "contacts": (CONTACTS, 3),
+    "F1": ("f1", 3),
+    "PR-AUC": ("pr_auc", 3),
+    "log loss": ("log_loss", 4),
+    "soft IoU": ("soft_iou", 3),
+}
 """The scores in which they are compared, and the decimals of a difference: log losses are small."""
 
 
@@ -87,6 +96,14 @@ def pair_tables(scores: PlaceScores) -> dict[str, ResultTable]:
     }
 
 
+def floor_table(scores: PlaceScores, corner: str, score: str) -> ResultTable:
+    """The contenders less each floor, on dynamic cells."""
+    floors = (REFERENCE, *FAMILIES["floors"])
+    pairs = scores.pair_table(corner, "dynamic", score, (*floors, *CONTENDERS))
+    names = [f"{tracker} less {floor}" for tracker in CONTENDERS for floor in floors]
+    return pairs.model_copy(update={"rows": tuple(row for row in pairs.rows if row[0] in names)})
+
+
 def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
     """The sections of the results file."""
     names = {part: [name for name in scores.described if name.startswith(part)] for part in PARTS}
@@ -99,10 +116,14 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
         for h in (0.5, 1.0)
         for name, stratum, score in (("soft IoU", "dynamic", "soft_iou"), ("beam error, m", "in-motion", "beam_error"))
     ]
+    contacts = [(f"{h:g} s", "dynamic", CONTACTS, h) for h in AIM_HORIZONS_S]
     return {
         "scores": ResultSection(
             command=COMMAND,
             tables={
+                "contacts": scores.table(
+                    CONTACTS_FORESEEN, [*contacts, ("in motion, 1 s", "in-motion", CONTACTS, 1.0)]
+                ),
                 **{name: scores.over_horizons(f"F1, {name}", stratum, "f1") for stratum, name in STRATA.items()},
                 "PR-AUC": scores.over_horizons("PR-AUC, dynamic", "dynamic", "pr_auc"),
                 "indoors and outdoors": part_table(parts, scores.labels),
@@ -122,7 +143,14 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
                 "aim": aim_table(scores),
             },
         ),
-        "pairs": ResultSection(command=COMMAND, tables=pair_tables(scores)),
+        "pairs": ResultSection(
+            command=COMMAND,
+            tables={
+                **pair_tables(scores),
+                "contacts and floors": floor_table(scores, CONTACTS_FORESEEN, CONTACTS),
+                "F1 and floors": floor_table(scores, "F1, dynamic", "f1"),
+            },
+        ),
     }
 
 
@@ -150,14 +178,14 @@ def drift_text(path: Path) -> str:
     return NONE if sensor.pose_drift_m is None else f"{sensor.pose_drift_m:.3f}"
 
 
-def by_laser(groups: Mapping[str, PlaceScores]) -> ResultTable:
-    """F1 of dynamic cells by the motion of the laser; too few worlds each for intervals."""
+def by_laser(groups: Mapping[str, PlaceScores], corner: str, score: str) -> ResultTable:
+    """A score of dynamic cells by the motion of the laser; too few worlds each for intervals."""
     rows = [
-        [label, *(scores.text(label, "dynamic", "f1", h) for scores in groups.values() for h in AIM_HORIZONS_S)]
+        [label, *(scores.text(label, "dynamic", score, h) for scores in groups.values() for h in AIM_HORIZONS_S)]
         for label in next(iter(groups.values())).labels
     ]
     columns = (f"{name}, {h:g} s" for name in groups for h in AIM_HORIZONS_S)
-    return measured_table(("F1, dynamic", *columns), rows)
+    return measured_table((corner, *columns), rows)
 
 
 def both_poses(recorded: PlaceScores, refined: PlaceScores) -> ResultTable:
@@ -184,7 +212,8 @@ def poses_section(
     groups = {kind: recorded.of(found) for kind, found in names.items() if len(found) >= FEWEST_POOLED}
     counted = {f"{kind} ({len(names[kind])})": scores for kind, scores in groups.items()}
     tables = {
-        "by laser": by_laser({**counted, "drives, refined": refined}),
+        "contacts by laser": by_laser({**counted, "drives, refined": refined}, CONTACTS_FORESEEN, CONTACTS),
+        "by laser": by_laser({**counted, "drives, refined": refined}, "F1, dynamic", "f1"),
         "F1": both_poses(groups[ODOMETRY], refined),
         "aim": aim_table(recorded.with_places(refined)),
         "drift": drift,

@@ -53,13 +53,17 @@ FAMILIES = {
     "floors": ("static-map", "blank", "stationary", "advection"),
     "model-free pipeline": ("kalman", "factor-graph"),
     "particle grid": ("dogma",),
-    "networks": ("dilated-convgru", "deep-tracking-rnn"),
+    "networks of 2016": ("dilated-convgru", "deep-tracking-rnn"),
+    "learned peers": ("conv-lstm", "simvp", "sogmp"),
+    "combined": ("pool",),
     "one scan": ("one-shot",),
 }
 """The trackers beside the reference, by kind."""
 WITHOUT_WEIGHTS = (REFERENCE, "blank", "advection")
 STRATA = {"in-motion": "in motion", "dynamic": "dynamic", "visible": "visible", "occluded": "hidden"}
 HORIZONS_S = (0.5, 1.0, 2.5)
+CONTACTS, CONTACTS_FORESEEN = "contact_foresight", "contacts foreseen"
+"""The score that leads, and its heading."""
 
 
 def trackers() -> list[str]:
