@@ -123,8 +123,8 @@ def test_the_aim_is_judged_if_it_was_measured_and_named_if_it_was_not(
     }
     assert (
         sections["scores"].values["not measured"]
-        == "`static-map`, `blank`, `stationary`, `advection`, `factor-graph`, `deep-tracking-rnn`, `conv-lstm`, `simvp`,"
-        " `sogmp`, `pool`, `one-shot`"
+        == "`static-map`, `blank`, `stationary`, `advection`, `factor-graph`, `deep-tracking-rnn`, `conv-lstm`,"
+        " `simvp`, `sogmp`, `pool`, `one-shot`"
     )
     floor = scores_of(tmp_path, ["indoors-1", "indoors-2"], {"persistence": 0.5})
     assert {row[-1] for row in aim_table(floor).rows} == {"not measured"}
