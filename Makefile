@@ -5,6 +5,7 @@ VENV ?= .venv
 TORCH_CPU ?=
 BIN := $(VENV)/bin
 EXAMPLE := examples/example_tracker
+TEMPLATES := $(EXAMPLE):$(EXAMPLE)/tests:examples/learned_tracker:examples/learned_tracker/tests
 HALL := data/leg_tracker/leg_tracker.mcap
 # the first twenty seconds after the warm-up of each place that no tracker has seen
 WORLDS := $(addsuffix @0s-24.5s,$(wildcard data/worlds/test/*.tracks))
@@ -67,9 +68,7 @@ lint: $(VENV)/.installed-dev | .link/gridtrack ## check style, spelling, types a
 	$(BIN)/ruff format --check .
 	$(BIN)/codespell
 	MYPYPATH=.link $(BIN)/mypy -p gridtrack
-	MYPYPATH=.link:. $(BIN)/mypy -p benchmarks -p studies
-	for name in example_tracker learned_tracker; do \
-	    MYPYPATH=.link:examples/$$name:examples/$$name/tests $(BIN)/mypy -m $$name -m test_$$name || exit 1; done
+	MYPYPATH=.link:.:$(TEMPLATES) $(BIN)/mypy -p benchmarks -p studies $(foreach name,example_tracker learned_tracker,-m $(name) -m test_$(name))
 	PYTHONPATH=.link $(BIN)/lint-imports
 
 fuzz: $(VENV)/.installed-dev ## fuzz every reader of untrusted input for ten minutes (FUZZ="--minutes 60 --only tracks")

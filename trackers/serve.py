@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
+import gc
 import json
 import os
 import sys
@@ -90,7 +91,11 @@ class Server:
         options = self._options(kind, request.value("options", dict))
         self.stream = messages.stream_from(request)
         self.max_body = messages.update_limit(self.stream.grid)
-        self.tracker = kind(self.stream, options)
+        gc.disable()  # compiled kernels make millions of objects: to look through them takes a tenth of the time
+        try:
+            self.tracker = kind(self.stream, options)
+        finally:
+            gc.enable()
         started = {"code_sha256": registry.code_sha256(kind), "device": self.tracker.device}
         fields = _description(kind, self.tracker.classes, options) | started
         return Message("started", request.number, fields)

@@ -26,7 +26,7 @@ from gridtrack.trackers.selection import Launch, launch
 GRID = GridSpec(20, 0.2)
 STREAM = StreamSpec(GRID, 0.125, "here")
 LIMITS = Limits(memory_mb=400)
-SHORT = Limits(start_s=10.0, update_s=0.5, predict_s=0.5)
+SHORT = Limits(start_s=5.0, update_s=0.5, predict_s=0.5)
 """Four trackers start at the same time, on a machine that may be busy."""
 STEPS = 3
 STAGES = ("start", "reset", "update", "predict")
@@ -85,7 +85,7 @@ def test_a_good_tracker_is_timed_and_measured(log: Path) -> None:
 
 
 def test_a_tracker_that_hangs_and_ignores_signals_is_a_timeout(tmp_path: Path) -> None:
-    limits = {"start": 10, "reset": 10, "update": 0.5, "predict": 0.5}
+    limits = {"start": 5, "reset": 5, "update": 0.5, "predict": 0.5}
     expected = [("timeout", f"{at(stage)}: no answer within {limits[stage]} s") for stage in STAGES]
     assert at_every_stage("hangs", tmp_path, SHORT) == expected
 
