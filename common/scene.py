@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +46,25 @@ class Person:
     speed_mps: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+class PlacedOutlines(NamedTuple):
+    """K outlines in one frame: all `corners` (N, 2) float64, and the first corner of each, `starts` (K + 1,) int64."""
+
+    corners: NDArray[np.float64]
+    starts: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, outlines: tuple[Outline, ...], poses: list[SE2]) -> PlacedOutlines:
+        """Each of the `outlines` is given in its own frame, at one of the `poses`."""
+        sizes = np.array([len(outline) for outline in outlines], np.int64)
+        x, y = np.concatenate([np.zeros((0, 2)), *outlines]).T
+        placed = [(pose.x, pose.y, math.cos(pose.theta), math.sin(pose.theta)) for pose in poses]
+        dx, dy, cos, sin = np.repeat(np.array(placed).reshape(-1, 4), sizes, axis=0).T
+        with np.errstate(invalid="ignore"):  # recordings/truth.py refuses corners that are not finite
+            corners = np.stack([dx + cos * x - sin * y, dy + sin * x + cos * y], axis=1)
+        return cls(corners, np.concatenate([np.zeros(1, np.int64), sizes.cumsum()]))
+
+
+@dataclass(frozen=True)
 class Scene:
     """All objects at one instant.
 
@@ -53,3 +74,22 @@ class Scene:
     static: tuple[Outline, ...]
     static_label: int
     objects: tuple[SceneObject, ...]
+
+    @cached_property
+    def outlines(self) -> PlacedOutlines:
+        """All outlines in the world frame, static ones first; a window that moves draws each scene many times."""
+        outlines = *self.static, *(body.outline for body in self.objects)
+        return PlacedOutlines.of(outlines, [SE2()] * len(self.static) + [body.world_T_object for body in self.objects])
+
+    @cached_property
+    def object_outlines(self) -> PlacedOutlines:
+        """The outlines of the objects in the world frame."""
+        corners, starts = self.outlines
+        first = starts[len(self.static)]
+        return PlacedOutlines(corners[first:], starts[len(self.static) :] - first)
+
+    @property
+    def static_outlines(self) -> PlacedOutlines:
+        """The static outlines."""
+        corners, starts = self.outlines
+        return PlacedOutlines(corners[: starts[len(self.static)]], starts[: len(self.static) + 1])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -14,7 +13,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Mask, snapped
 from gridtrack.common.raycast import MAX_COORDINATE_CELLS, cross
-from gridtrack.common.scene import UNLABELLED, Outline, Scene
+from gridtrack.common.scene import UNLABELLED, PlacedOutlines, Scene
 
 FREE, OUTLINE, INTERIOR = 0, 1, 2
 """True state of a cell: free, on a surface that a laser could hit, or inside an object."""
@@ -40,10 +39,8 @@ def truth_grid(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> TruthGrid:
     outline. Of several outlines in a cell the last object of the scene counts, and objects before static outlines.
     INTERIOR cells are wholly inside an outline, and on none.
     """
-    outlines = [*scene.static, *(body.outline for body in scene.objects)]
-    poses = [SE2()] * len(scene.static) + [body.world_T_object for body in scene.objects]
+    cover, outline = _drawn(grid, world_T_grid, scene.outlines)
     labels = [scene.static_label] * len(scene.static) + [body.label for body in scene.objects]
-    cover, outline = _drawn(grid, world_T_grid, outlines, poses)
     return TruthGrid(
         cover,
         np.array([*labels, UNLABELLED], np.uint8)[outline],  # -1 is UNLABELLED
@@ -53,53 +50,29 @@ def truth_grid(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> TruthGrid:
 
 def static_cells(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> Mask:
     """Cells (M, M) on a static outline. Raises RecordingError."""
-    cover, _ = _drawn(grid, world_T_grid, scene.static, [SE2()] * len(scene.static))
+    cover, _ = _drawn(grid, world_T_grid, scene.static_outlines)
     cells: Mask = cover == OUTLINE
     return cells
 
 
-def _drawn(
-    grid: GridSpec, world_T_grid: SE2, outlines: Sequence[Outline], poses: Sequence[SE2]
-) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
-    """The cover (M, M) of `outlines`, and the index (M, M) of the outline on each cell, -1 for none.
-
-    Each outline is given in its own frame; `poses` are world_T_outline.
-    """
+def _drawn(grid: GridSpec, world_T_grid: SE2, outlines: PlacedOutlines) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """The cover (M, M) of `outlines`, and the index (M, M) of the outline on each cell, -1 for none."""
     cover, outline = np.full(grid.shape, FREE, np.uint8), np.full(grid.shape, -1, np.int32)
-    if outlines:
-        corners, starts = placed_outlines(outlines, poses, grid, world_T_grid)
-        _fill(corners, starts, cover)
-        _trace(corners, starts, cover, outline, np.zeros(grid.size**2, np.bool_))
+    corners = corners_in_cells(outlines, grid, world_T_grid)
+    _fill(corners, outlines.starts, cover)
+    _trace(corners, outlines.starts, cover, outline, np.zeros(grid.size**2, np.bool_))
     return cover, outline
 
 
-def placed_outlines(
-    outlines: Sequence[Outline], poses: Sequence[SE2], grid: GridSpec, world_T_grid: SE2
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The corners (N, 2) of all outlines, (x, y) in cells of the grid, and the first corner of each outline (K + 1,).
-
-    Each outline is given in its own frame; `poses` are world_T_outline. Raises RecordingError.
-    """
-    sizes = np.array([len(outline) for outline in outlines])
+def corners_in_cells(outlines: PlacedOutlines, grid: GridSpec, world_T_grid: SE2) -> NDArray[np.float64]:
+    """The corners (N, 2) of all outlines, (x, y) in cells of the grid. Raises RecordingError."""
     with np.errstate(invalid="ignore"):  # non-finite corners raise an error below
-        corners = _transformed(
-            np.concatenate(outlines).astype(np.float64), np.repeat(_coefficients(poses), sizes, axis=0)
+        corners: NDArray[np.float64] = snapped(
+            (world_T_grid.inverse().apply(outlines.corners) - grid.origin) / grid.cell_m
         )
-        corners = snapped((world_T_grid.inverse().apply(corners) - grid.origin) / grid.cell_m)
     if not (np.abs(corners) < MAX_COORDINATE_CELLS).all():
         raise RecordingError("an outline of the true scene has corners that are not finite: the recording is damaged")
-    return corners, np.concatenate([[0], sizes.cumsum()])
-
-
-def _coefficients(poses: Sequence[SE2]) -> NDArray[np.float64]:
-    """x, y, cos and sin (N, 4) of poses."""
-    return np.array([(pose.x, pose.y, math.cos(pose.theta), math.sin(pose.theta)) for pose in poses])
-
-
-def _transformed(points: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (N, 2), each transformed by its own pose: x, y, cos and sin (N, 4)."""
-    (x, y), (dx, dy, cos, sin) = points.T, pose.T
-    return np.stack([dx + cos * x - sin * y, dy + sin * x + cos * y], axis=1)
+    return corners
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

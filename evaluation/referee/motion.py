@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -17,11 +16,11 @@ from numpy.typing import NDArray
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Mask, with_neighbours
-from gridtrack.common.scene import Scene, SceneObject
+from gridtrack.common.scene import Scene
 from gridtrack.evaluation.referee.strata import PARTS
 from gridtrack.recordings.observation import Observation
 from gridtrack.recordings.stream import GridStream
-from gridtrack.recordings.truth import placed_outlines
+from gridtrack.recordings.truth import corners_in_cells
 from gridtrack.trackers.contract import FrameSource
 
 NEAR_M = 0.5
@@ -166,18 +165,13 @@ def body_of_returns(scene: Scene, observation: Observation, grid: GridSpec) -> N
     """
     body = np.full(grid.shape, -1, np.int32)
     if scene.objects:
-        corners, starts = _placed(scene.objects, observation.reference_T_grid, grid)
+        corners = corners_in_cells(scene.object_outlines, grid, observation.reference_T_grid)
         rows, columns = np.nonzero(observation.frame.occupied)
         reach = RANGE_NOISE_M / grid.cell_m + np.sqrt(0.5)
-        body[rows, columns] = _nearest_outline(np.stack([columns, rows], axis=1) + 0.5, corners, starts, reach)
+        body[rows, columns] = _nearest_outline(
+            np.stack([columns, rows], axis=1) + 0.5, corners, scene.object_outlines.starts, reach
+        )
     return body
-
-
-def _placed(
-    objects: Iterable[SceneObject], reference_T_grid: SE2, grid: GridSpec
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    outlines, poses = zip(*((body.outline, body.world_T_object) for body in objects), strict=True)
-    return placed_outlines(outlines, poses, grid, reference_T_grid)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
