@@ -81,6 +81,12 @@ class Scene:
         outlines = *self.static, *(body.outline for body in self.objects)
         return PlacedOutlines.of(outlines, [SE2()] * len(self.static) + [body.world_T_object for body in self.objects])
 
+    @property
+    def labels(self) -> NDArray[np.uint8]:
+        """The class (K + 1,) of each of the `outlines`, and UNLABELLED at the end for the index -1."""
+        of_objects = [body.label for body in self.objects]
+        return np.array([*[self.static_label] * len(self.static), *of_objects, UNLABELLED], np.uint8)
+
     @cached_property
     def object_outlines(self) -> PlacedOutlines:
         """The outlines of the objects in the world frame."""

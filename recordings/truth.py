@@ -13,7 +13,7 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec, Mask, snapped
 from gridtrack.common.raycast import MAX_COORDINATE_CELLS, cross
-from gridtrack.common.scene import UNLABELLED, PlacedOutlines, Scene
+from gridtrack.common.scene import PlacedOutlines, Scene
 
 FREE, OUTLINE, INTERIOR = 0, 1, 2
 """True state of a cell: free, on a surface that a laser could hit, or inside an object."""
@@ -40,12 +40,7 @@ def truth_grid(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> TruthGrid:
     INTERIOR cells are wholly inside an outline, and on none.
     """
     cover, outline = _drawn(grid, world_T_grid, scene.outlines)
-    labels = [scene.static_label] * len(scene.static) + [body.label for body in scene.objects]
-    return TruthGrid(
-        cover,
-        np.array([*labels, UNLABELLED], np.uint8)[outline],  # -1 is UNLABELLED
-        np.maximum(outline - len(scene.static), -1),
-    )
+    return TruthGrid(cover, scene.labels[outline], np.maximum(outline - len(scene.static), -1))
 
 
 def static_cells(scene: Scene, grid: GridSpec, world_T_grid: SE2) -> Mask:

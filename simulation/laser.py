@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import MAX_ANGLE_RAD, MAX_BEAMS, Scan
-from gridtrack.common.scene import UNLABELLED, Outline, Scene
+from gridtrack.common.scene import Outline, Scene
 
 MAX_SCENE_M = 1e6
 """Limit of the coordinates of a laser and of a static outline."""
@@ -186,7 +186,7 @@ class Laser(Settings):
         else:
             hits = self._hits(scene, world_T_sensor, surfaces)
             ranges, outline = measured(hits, self.errors, self.angle_increment, self.range_max, random)
-            labels = _labels(scene)[outline]
+            labels = scene.labels[outline]
         return Scan(
             stamp_ns=stamp_ns,
             ranges=ranges,
@@ -230,7 +230,7 @@ def sweep(
     ranges, outline = first_hits(
         _outlines(scene), _poses(scene, world_T_sensor.inverse()), angle_min, angle_increment, beams, range_max
     )
-    return ranges.astype(np.float32), _labels(scene)[outline]
+    return ranges.astype(np.float32), scene.labels[outline]
 
 
 def first_hits(
@@ -261,12 +261,6 @@ def first_hits(
 
 def _outlines(scene: Scene) -> list[Outline]:
     return [*scene.static, *(road_user.outline for road_user in scene.objects)]
-
-
-def _labels(scene: Scene) -> NDArray[np.uint8]:
-    """The label of each outline, and UNLABELLED at the end for the index -1: (O + 1,)."""
-    of_objects = [road_user.label for road_user in scene.objects]
-    return np.array([*[scene.static_label] * len(scene.static), *of_objects, UNLABELLED], np.uint8)
 
 
 def with_noise(ranges: NDArray[np.float32], range_max: float, random: np.random.Generator) -> NDArray[np.float32]:

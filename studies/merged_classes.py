@@ -57,27 +57,27 @@ class Classes(NamedTuple):
         return cls(names, np.array([names.index(name) for name in merged]))
 
     def summed(self, semantics: NDArray[np.float32]) -> NDArray[np.float32]:
-        """P(class) (S, K, M, M) of all classes, summed to those of the merged ones."""
+        """P(class) of the merged classes (S, C, M, M) from `semantics` (S, K, M, M): sums of the probabilities."""
         total = np.zeros((len(semantics), len(self.names), *semantics.shape[2:]), np.float32)
         for plane, own in enumerate(self.number):
             total[:, own] += semantics[:, plane]
         return total
 
 
-def losses(scored: ScoredForecast, trackers: Sequence[str], recordings: Sequence[str]) -> dict[str, Floats]:
+def losses_of(forecast: ScoredForecast, trackers: Sequence[str], recordings: Sequence[str]) -> dict[str, Floats]:
     """The mean log loss (S, visibility) of one forecast's labelled cells by ALL and MERGED classes; NaN without any."""
-    semantics = scored.forecast.semantics
+    semantics = forecast.forecast.semantics
     assert semantics is not None
     own, known = Classes.of(trackers), Classes.of(recordings)
-    targets = [replace(target, labels=known.number[target.labels].astype(np.uint8)) for target in scored.targets]
+    targets = [replace(target, labels=known.number[target.labels].astype(np.uint8)) for target in forecast.targets]
     counted = {
-        ALL: count_classes(semantics, scored.targets, match_classes(trackers, recordings)),
+        ALL: count_classes(semantics, forecast.targets, match_classes(trackers, recordings)),
         MERGED: count_classes(own.summed(semantics), targets, match_classes(own.names, known.names)),
     }
     return {name: divided(loss.sum(axis=(2, 3)), cells.sum(axis=(2, 3))) for name, (cells, loss) in counted.items()}
 
 
-def scored(row: str, stream: GridStream) -> Iterator[dict[str, Floats]]:
+def each_scored(row: str, stream: GridStream) -> Iterator[dict[str, Floats]]:
     """The losses (S, visibility) of each scored forecast of `stream`, a second apart, at AHEAD_S."""
     name, steps = row.partition(",")[0], [nearest_step(ahead_s, stream.period_s) for ahead_s in AHEAD_S]
     kind = registry.load(name)
@@ -85,13 +85,13 @@ def scored(row: str, stream: GridStream) -> Iterator[dict[str, Floats]]:
     schedule = Schedule(len(stream), max(steps), nearest_step(1.0, stream.period_s))
     delivery = Delivery(stream, lambda: None, Regions(stream.grid, cell_kinds_for(stream, [stream])))
     for forecast in scored_forecasts(tracker, delivery, schedule, seed=0):
-        found = losses(forecast, tracker.classes, stream.classes)
+        found = losses_of(forecast, tracker.classes, stream.classes)
         yield {classes: values[steps] for classes, values in found.items()}
 
 
 def row_of(row: str, streams: Sequence[GridStream]) -> list[str]:
     """Loss per scan with its interval over recordings, by ALL and MERGED and by SHOWN."""
-    by_recording = [list(scored(row, stream)) for stream in streams]
+    by_recording = [list(each_scored(row, stream)) for stream in streams]
     cells = [row]
     for classes in (ALL, MERGED):
         of_scans = [np.stack([found[classes] for found in scans]) for scans in by_recording]

@@ -97,11 +97,11 @@ def pair_tables(scores: PlaceScores) -> dict[str, ResultTable]:
 
 
 def floor_table(scores: PlaceScores, corner: str, score: str) -> ResultTable:
-    """The contenders less each floor, on dynamic cells."""
+    """The differences of a contender and a floor on dynamic cells, in the order of the rows of the run."""
     floors = (REFERENCE, *FAMILIES["floors"])
     pairs = scores.pair_table(corner, "dynamic", score, (*floors, *CONTENDERS))
-    names = [f"{tracker} less {floor}" for tracker in CONTENDERS for floor in floors]
-    return pairs.model_copy(update={"rows": tuple(row for row in pairs.rows if row[0] in names)})
+    rows = tuple(row for row in pairs.rows if len({*row[0].split(" less ")} & {*floors}) == 1)
+    return pairs.model_copy(update={"rows": rows})
 
 
 def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:

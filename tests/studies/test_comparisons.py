@@ -26,6 +26,7 @@ from studies.real_results import sections_of as sections_of_real
 from studies.support.results_file import NONE, ResultSection, ResultTable, measured_table, read_sections
 from studies.support.unseen_places import STRATA, PlaceScores, draw_skill, general_rows, not_measured, skill_curves
 from studies.worlds_results import (
+    CONTENDERS,
     DRIVES,
     ODOMETRY,
     STANDS,
@@ -109,6 +110,13 @@ def test_twenty_worlds_have_intervals_and_ten_of_them_none(sections: dict[str, R
     apart = tables["indoors and outdoors"]
     assert apart.columns[1:3] == ("indoors, in motion", "indoors, dynamic")
     assert not any("[" in text for row in apart.rows for text in row)
+
+
+def test_each_contender_is_paired_with_each_floor_whatever_the_order_of_the_rows(
+    sections: dict[str, ResultSection],
+) -> None:
+    pairs = sections["pairs"].tables["F1 and floors"].rows
+    assert [row[0] for row in pairs] == [f"persistence less {name}" for name in SKILLS if name in CONTENDERS]
 
 
 def test_the_aim_is_judged_if_it_was_measured_and_named_if_it_was_not(
