@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -163,9 +164,21 @@ NO_REGION = REGIONS
 
 def cell_regions(target: Target, region_maps: RegionMaps, ages: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The region (M, M) of each cell of a target; NO_REGION where it is not scored."""
-    seen = region_maps.visible + RANGES * target.motion
-    region = np.where(target.state < HIDDEN_FREE, seen, region_maps.hidden + ages)
-    return np.where(target.state == NOT_SCORED, NO_REGION, region).astype(np.uint8)
+    region: NDArray[np.uint8] = _regions(target.state, target.motion, region_maps.visible, region_maps.hidden, ages)
+    return region
+
+
+@numba.njit(cache=True, nogil=True)
+def _regions(state, motion, visible, hidden, ages):  # type: ignore[no-untyped-def]
+    region = np.full(state.shape, NO_REGION, np.uint8)
+    for row in range(state.shape[0]):
+        for column in range(state.shape[1]):
+            at = row, column
+            if state[at] < HIDDEN_FREE:
+                region[at] = visible[at] + RANGES * motion[at]
+            elif state[at] != NOT_SCORED:
+                region[at] = hidden[at] + ages[at]
+    return region
 
 
 def members(strata: Sequence[str]) -> NDArray[np.bool_]:

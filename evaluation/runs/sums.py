@@ -79,10 +79,16 @@ class SumsWriter:
         }
         fields = [(name, kind) for name, (kind, _) in COLUMNS.items()]
         self._schema = pa.schema(fields, metadata={_METADATA: json.dumps(described)})
-        self._waiting: dict[str, list[tuple[int, str, Floats]]] = {name: [] for name in layouts}
+        self._waiting: dict[str, list[_Counted]] = {name: [] for name in layouts}
         self._file = ExitStack()
         file = self._file.enter_context(atomic_write(folder / SUMS_FILE))
-        self._writer = parquet.ParquetWriter(file, self._schema, compression="zstd")
+        self._writer = parquet.ParquetWriter(
+            file,
+            self._schema,
+            compression="zstd",
+            use_dictionary=[name for name in COLUMNS if name not in ("part", "value")],
+            use_byte_stream_split=["value.list.element"],
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -96,7 +102,7 @@ class SumsWriter:
     def add(self, stamp_ns: int, delivered: str, score: str, sums: Floats) -> None:
         """Add the sums (S, K, P) of a score for the forecast made at `stamp_ns`. Stamps must increase."""
         waiting = self._waiting[score]
-        waiting.append((stamp_ns, delivered, sums))
+        waiting.append(_Counted(stamp_ns, delivered, *_entries(sums.reshape(-1, sums.shape[-1]))))
         if len(waiting) == ROW_GROUP:
             self._flush(score)
 
@@ -105,22 +111,50 @@ class SumsWriter:
         frames, layout = self._waiting[score], self._layouts[score]
         if not frames:
             return
-        sums = np.stack([own for _, _, own in frames]).reshape(-1, len(layout.parts))
-        row, part = np.nonzero(sums)
-        ends = np.searchsorted(row, np.arange(len(sums) + 1)).astype(np.int32)
+        rows = len(frames) * layout.rows
+        ends = np.concatenate([[0], *(frame.entries for frame in frames)]).cumsum(dtype=np.int32)
         step = np.repeat(np.array(layout.steps, np.int16), len(layout.strata))
         stratum = np.tile(np.arange(len(layout.strata), dtype=np.int16), len(layout.steps))
         columns = [
-            np.repeat([stamp for stamp, _, _ in frames], step.size),
-            np.repeat([digest for _, digest, _ in frames], step.size),
+            np.repeat([frame.stamp_ns for frame in frames], step.size),
+            np.repeat([frame.delivered for frame in frames], step.size),
             np.tile(step, len(frames)),
             pa.DictionaryArray.from_arrays(np.tile(stratum, len(frames)), list(layout.strata)),
-            pa.DictionaryArray.from_arrays(np.zeros(len(sums), np.int16), [score]),
-            pa.ListArray.from_arrays(ends, pa.array(part, pa.uint16())),
-            pa.ListArray.from_arrays(ends, pa.array(sums[row, part])),
+            pa.DictionaryArray.from_arrays(np.zeros(rows, np.int16), [score]),
+            pa.ListArray.from_arrays(ends, np.concatenate([frame.parts for frame in frames])),
+            pa.ListArray.from_arrays(ends, np.concatenate([frame.values for frame in frames])),
         ]
-        self._writer.write_table(pa.table(columns, schema=self._schema), row_group_size=len(sums))
+        self._writer.write_table(pa.table(columns, schema=self._schema), row_group_size=rows)
         frames.clear()
+
+
+@dataclass(frozen=True, slots=True)
+class _Counted:
+    """The sums of a frame until they are written: of each row its number of `entries`, and their `parts` and `values`;
+    most of the sums of a histogram are 0."""
+
+    stamp_ns: int
+    delivered: str
+    entries: NDArray[np.int32]
+    parts: NDArray[np.uint16]
+    values: Floats
+
+
+@numba.njit(cache=True, nogil=True)
+def _entries(sums):  # type: ignore[no-untyped-def]
+    """Of each row of `sums` (N, P) the number (N,) of sums that are not 0, and their parts and values, in order."""
+    numbers = np.zeros(sums.shape[0], np.int32)
+    for row in range(sums.shape[0]):
+        for part in range(sums.shape[1]):
+            numbers[row] += sums[row, part] != 0.0
+    parts, values = np.empty(numbers.sum(), np.uint16), np.empty(numbers.sum())
+    entry = 0
+    for row in range(sums.shape[0]):
+        for part in range(sums.shape[1]):
+            if sums[row, part] != 0.0:
+                parts[entry], values[entry] = part, sums[row, part]
+                entry += 1
+    return numbers, parts, values
 
 
 @dataclass(frozen=True, slots=True)

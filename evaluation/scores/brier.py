@@ -14,7 +14,7 @@ from gridtrack.evaluation.scores.definition import Floats, Output, Ratio, ScoreD
 
 def _count(forecast: ScoredForecast, facts: TrialFacts, memory: None) -> Floats:
     squared_error = forecast.once(cells_of).squared_error
-    return np.concatenate([squared_error[..., None], calibration_sums(forecast)], axis=-1)
+    return np.concatenate([squared_error[..., None], forecast.once(calibration_sums)], axis=-1)
 
 
 def _value(sums: Sums) -> Mapping[str, Ratio | Floats]:

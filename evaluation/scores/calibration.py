@@ -21,7 +21,7 @@ def calibration_sums(forecast: ScoredForecast) -> Floats:
     """Cells, occupied cells and the sum of the probability (S, K, 3 C) in the bins for calibration."""
     tally = forecast.once(cells_of)
     counts = (for_calibration(tally.cells), for_calibration(tally.positives), tally.p_sum)
-    return np.concatenate(counts, axis=-1).astype(np.float64)
+    return np.concatenate(counts, axis=-1, dtype=np.float64)
 
 
 def calibration_parts() -> tuple[str, ...]:
@@ -30,7 +30,7 @@ def calibration_parts() -> tuple[str, ...]:
 
 
 def _count(forecast: ScoredForecast, facts: TrialFacts, memory: None) -> Floats:
-    return calibration_sums(forecast)
+    return forecast.once(calibration_sums)
 
 
 def _value(sums: Sums) -> Mapping[str, Floats]:

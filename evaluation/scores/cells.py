@@ -120,9 +120,10 @@ class Tally:
         )
 
     def confusion(self, threshold_bins: NDArray[np.int64]) -> NDArray[np.int64]:
-        """TP, FP, FN, TN (S, K, 4) when cells of bin `threshold_bins` (S, K) and above are called occupied."""
-        found: NDArray[np.int64] = _confusion(self.cells, self.positives, np.ascontiguousarray(threshold_bins))
-        return found
+        """TP, FP, FN, TN (..., S, K, 4) when the bins `threshold_bins` (..., S, K) and above are called occupied."""
+        bins = threshold_bins.reshape(-1, *threshold_bins.shape[-2:])
+        found: NDArray[np.int64] = _confusion(self.cells, self.positives, bins)
+        return found.reshape(*threshold_bins.shape, 4)
 
 
 def for_calibration(counts: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -212,20 +213,20 @@ def _add_regions(sums, cells, positives, cells_of_stratum, positives_of_stratum)
 
 @numba.njit(cache=True, nogil=True)
 def _confusion(cells, positives, threshold_bins):  # type: ignore[no-untyped-def]
-    """TP, FP, FN, TN (S, K, 4) of histograms (S, K, B) at the bins (S, K)."""
-    found = np.zeros((cells.shape[0], cells.shape[1], 4), np.int64)
+    """TP, FP, FN, TN (T, S, K, 4) of histograms (S, K, B) at the bins (T, S, K)."""
+    found = np.zeros((*threshold_bins.shape, 4), np.int64)
+    # of each bin the cells and positives from it on
+    called, called_positives = np.zeros((2, cells.shape[2] + 1), np.int64)
     for s in range(cells.shape[0]):
         for k in range(cells.shape[1]):
-            missed, others = 0, 0
-            for b in range(threshold_bins[s, k]):
-                missed += positives[s, k, b]
-                others += cells[s, k, b]
-            called, called_positives = 0, 0
-            for b in range(threshold_bins[s, k], cells.shape[2]):
-                called += cells[s, k, b]
-                called_positives += positives[s, k, b]
-            found[s, k, 0] = called_positives
-            found[s, k, 1] = called - called_positives
-            found[s, k, 2] = missed
-            found[s, k, 3] = others - missed
+            for b in range(cells.shape[2] - 1, -1, -1):
+                called[b] = called[b + 1] + cells[s, k, b]
+                called_positives[b] = called_positives[b + 1] + positives[s, k, b]
+            for t in range(threshold_bins.shape[0]):
+                b = threshold_bins[t, s, k]
+                true, missed = called_positives[b], called_positives[0] - called_positives[b]
+                found[t, s, k, 0] = true
+                found[t, s, k, 1] = called[b] - true
+                found[t, s, k, 2] = missed
+                found[t, s, k, 3] = called[0] - called[b] - missed
     return found

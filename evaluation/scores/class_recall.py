@@ -23,20 +23,21 @@ def class_strata(facts: TrialFacts) -> tuple[str, ...]:
 
 def _count(forecast: ScoredForecast, facts: TrialFacts, memory: None) -> Floats:
     """TP, FN, TP at 0.5 and FN at 0.5 (S, K, 4), cells."""
-    found = np.zeros((len(forecast.targets), len(_STRATA), len(facts.classes), 4))
-    thresholds = facts.thresholds.values.astype(np.float32)
-    columns = [facts.strata.index(name) if name in facts.strata else 0 for name in _STRATA]
-    kinds = forecast.region_maps.cell_kinds.reshape(-1)
-    for n, target in enumerate(forecast.targets):
-        dynamic = kinds[target.cells] == _DYNAMIC
-        cells, labels = target.cells[dynamic], target.labels[dynamic]
-        p = forecast.occupancy[n].reshape(-1)[cells]
-        hidden = (target.state.reshape(-1)[cells] != SEEN_OCCUPIED).astype(np.int64)
-        missed = np.stack([p < thresholds[n, columns][hidden], p < np.float32(0.5)], axis=1)
-        for i in range(2):
-            np.add.at(found[n], (hidden, labels, 2 * i + missed[:, i].astype(np.int64)), 1)
-    strata = len(class_strata(facts))
-    return found.reshape(len(found), -1, 4)[:, :strata]
+    targets = forecast.targets
+    step = np.repeat(np.arange(len(targets)), [target.cells.size for target in targets])
+    cells, labels = (np.concatenate([getattr(target, name) for target in targets]) for name in ("cells", "labels"))
+    state = np.concatenate([target.state.reshape(-1)[target.cells] for target in targets])
+    dynamic = forecast.region_maps.cell_kinds.reshape(-1)[cells] == _DYNAMIC
+    step, cells, labels, hidden = step[dynamic], cells[dynamic], labels[dynamic], state[dynamic] != SEEN_OCCUPIED
+    p = forecast.occupancy.reshape(len(targets), -1)[step, cells]
+    columns = np.array([facts.strata.index(name) if name in facts.strata else 0 for name in _STRATA])
+    thresholds = facts.thresholds.values.astype(np.float32)[step, columns[hidden.astype(np.int64)]]
+    shape = len(targets), len(_STRATA), len(facts.classes), 4
+    found = np.zeros(shape)
+    for first, missed in ((0, p < thresholds), (2, p < np.float32(0.5))):
+        place = np.ravel_multi_index((step, hidden, labels, first + missed), shape)
+        found += np.bincount(place, minlength=found.size).reshape(shape)
+    return found.reshape(len(targets), -1, 4)[:, : len(class_strata(facts))]
 
 
 def _value(sums: Sums) -> Mapping[str, Ratio | Floats]:

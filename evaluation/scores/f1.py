@@ -21,7 +21,7 @@ from gridtrack.evaluation.scores.definition import (
     divided,
 )
 from gridtrack.evaluation.scores.relations import share_of_oracle
-from gridtrack.evaluation.scores.thresholds import LABEL_FREE, LabelFreeThresholds, half
+from gridtrack.evaluation.scores.thresholds import LABEL_FREE, LabelFreeThresholds
 
 COUNTS = ("tp", "fp", "fn", "tn")
 THRESHOLDS = ("chosen", "half", "visible", "label-free")
@@ -39,9 +39,9 @@ def _count(forecast: ScoredForecast, facts: TrialFacts, memory: LabelFreeThresho
     tally, label_free = forecast.once(cells_of), memory.bins(forecast.stamp_ns)
     chosen = label_free if facts.thresholds.chosen_on == LABEL_FREE else facts.thresholds.bins
     visible = chosen[:, [facts.strata.index("visible")]]
-    bins = (chosen, half(facts.steps, facts.strata).bins, np.broadcast_to(visible, chosen.shape))
+    bins = np.stack([chosen, memory.half, np.broadcast_to(visible, chosen.shape), label_free])
     memory.add(forecast.frames[-1].stamp_ns, tally)
-    return np.concatenate([tally.confusion(own) for own in (*bins, label_free)], axis=-1).astype(np.float64)
+    return np.concatenate(tally.confusion(bins), axis=-1, dtype=np.float64)
 
 
 def _value(sums: Sums) -> Mapping[str, Ratio]:

@@ -27,7 +27,7 @@ MOST_POINTS = 40
 def _count(forecast: ScoredForecast, facts: TrialFacts, memory: None) -> Floats:
     """Cells and occupied cells (S, K, 2 B), by probability."""
     tally = forecast.once(cells_of)
-    return np.concatenate([tally.cells, tally.positives], axis=-1).astype(np.float64)
+    return np.concatenate([tally.cells, tally.positives], axis=-1, dtype=np.float64)
 
 
 def _value(sums: Sums) -> Mapping[str, Measure]:

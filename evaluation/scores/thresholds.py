@@ -92,7 +92,8 @@ class LabelFreeThresholds:
 
     def __init__(self, steps: int, strata: tuple[str, ...]) -> None:
         self._cells, self._p_sum = np.zeros((2, steps + 1, len(strata), CALIBRATION_BINS))
-        self._half = half(steps, strata).bins
+        self.half = half(steps, strata).bins
+        """The bins (S, K) of a threshold of 0.5."""
         self._whole = [strata.index(THRESHOLD_OF[name]) for name in strata]
         self._waiting: deque[tuple[int, NDArray[np.int64], NDArray[np.float64]]] = deque()
 
@@ -108,7 +109,7 @@ class LabelFreeThresholds:
         expected = _f1_from_each_bin(self._cells, self._p_sum)[..., _CALIBRATION_NEAREST_TO_HALF]
         nearest = _CALIBRATION_NEAREST_TO_HALF[np.nan_to_num(expected).argmax(axis=-1)]
         known = self._p_sum[..., ::-1].cumsum(axis=-1)[..., -1] > 0
-        chosen: NDArray[np.int64] = np.where(known, FIRST_OF_CALIBRATION_BIN[nearest], self._half)[:, self._whole]
+        chosen: NDArray[np.int64] = np.where(known, FIRST_OF_CALIBRATION_BIN[nearest], self.half)[:, self._whole]
         return chosen
 
     def add(self, observed_ns: int, tally: Tally) -> None:
