@@ -18,6 +18,7 @@ INSTALL := $(BIN)/pip install --constraint constraints.txt $(if $(TORCH_CPU),--e
 # a worker more makes its fixtures and imports once more, which costs as much as it gains; with bytecode, whatever the
 # environment says, because hundreds of processes import the package
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell nproc) --dist worksteal --durations=10
+ENGINES := tests/evaluation/engines
 # with general weights: they have seen no recording of a site
 GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
@@ -27,7 +28,7 @@ folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
 trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))
 
-.PHONY: help demo demo-junction test lint-beside compiled pytest check coverage lint bench results worlds-results real-results schemas lock docs figures size screenshots ablations returns junction weights baseline clean
+.PHONY: help demo demo-junction test lint-beside compiled pytest pytest-engines check coverage lint bench results worlds-results real-results schemas lock docs figures size screenshots ablations returns junction weights baseline clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 15
@@ -42,7 +43,7 @@ demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minut
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS)) --out runs/junction
 
 test: $(VENV)/.installed-dev ## run lint, types and all tests
-	$(MAKE) --jobs 2 lint-beside pytest
+	$(MAKE) --jobs 3 lint-beside pytest pytest-engines
 
 # lint takes what the tests leave of the processors
 lint-beside:
@@ -54,7 +55,11 @@ compiled: $(VENV)/.installed-dev
 	$(COMPARE) $(HALL)@114s-119s $(call chosen,kalman factor-graph dogma) --no-floors --horizon 1s --jobs 1 --out runs/compiled
 
 pytest: $(VENV)/.installed-dev compiled
-	$(PYTEST)
+	$(PYTEST) --ignore=$(ENGINES)
+
+# tests of engines wait for nodes and timeouts three quarters of their time: they take no worker of the others
+pytest-engines: $(VENV)/.installed-dev compiled
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -q $(ENGINES)
 
 check: $(VENV)/.installed-dev | .link/gridtrack ## lint and test what changed since the last commit, for a minute (SINCE=main: since that revision)
 	PYTHONPATH=tests $(BIN)/python -m affected --since $(or $(SINCE),HEAD)
