@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, Points
+from gridtrack.common.grid import GridFrame, GridSpec, Points, Shift, rolled
 from gridtrack.common.raycast import cast_scan, end_cells
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import UNLABELLED, Person, Scene
@@ -116,13 +116,21 @@ def _without_points(
     return GridFrame(stamp_ns, visible, occupied, pose, origins, *none)
 
 
+_WHOLE = 1e-6
+"""A smaller part of a cell, or heading in radians, moves no centre of a cell into another cell."""
+
+
 def cells_in_window(marked: NDArray[np.bool_], own: SE2, window: SE2, grid: GridSpec) -> NDArray[np.bool_]:
     """The marked cells (K, M, M) of a window at `own`, as cells of another `window`; False outside of the first one.
 
     Each cell gets the mark of the cell that contains its centre. This is exactly a shift if the windows are whole cells
     apart and have the same heading.
     """
-    centres = (own.inverse() @ window).apply(grid.cell_centres(np.ones(grid.shape, np.bool_)))
+    moved = own.inverse() @ window
+    rows, columns = moved.y / grid.cell_m, moved.x / grid.cell_m
+    if max(abs(moved.theta), abs(rows - round(rows)), abs(columns - round(columns))) < _WHOLE:
+        return rolled(marked, Shift(round(rows), round(columns)), False)
+    centres = moved.apply(grid.cell_centres(np.ones(grid.shape, np.bool_)))
     cells, inside = grid.cells_of(centres)
     found = np.zeros((len(marked), grid.size**2), np.bool_)
     found[:, inside] = marked[:, cells[inside, 0], cells[inside, 1]]

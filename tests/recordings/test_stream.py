@@ -18,6 +18,7 @@ from gridtrack.common.scan import Scan
 from gridtrack.evaluation.referee.referee import refuse_moving
 from gridtrack.recordings import open_recording, packaged_recording
 from gridtrack.recordings.degradation import degrader, parse_degradation
+from gridtrack.recordings.observation import cells_in_window
 from gridtrack.recordings.stream import GridStream, frame_digest, open_stream
 
 GRID = GridSpec(60, 0.2)
@@ -166,6 +167,20 @@ def test_reference_poses_place_the_window_of_a_frame_and_change_no_frame(
         elsewhere = replace(observation, frame=replace(observation.frame, world_T_grid=SE2(9.0)))
         again = elsewhere.seen_in(observation.reference_T_grid, GRID).frame
         assert np.count_nonzero(again.visible != observation.frame.visible) < 5, "equal up to rounding"
+
+
+def test_marked_cells_stay_at_their_place_in_the_world_in_another_window() -> None:
+    grid, own = GridSpec(5, 0.2), SE2(2.0, 0.0, 0.5)
+    marked = np.zeros((1, 5, 5), np.bool_)
+    marked[0, 1, 3] = marked[0, 4, 0] = True
+
+    def in_window(of_own: SE2) -> list[list[int]]:
+        found: list[list[int]] = np.argwhere(cells_in_window(marked, own, own @ of_own, grid)[0]).tolist()
+        return found
+
+    assert in_window(SE2(0.4, -0.2)) == [[2, 1]], "two columns on, one row back; the other cell has left"
+    for nearly in (SE2(0.45, -0.15), SE2(0.4, -0.2, 0.05)):
+        assert in_window(nearly) == [[2, 1]], "the cell that has the centre"
 
 
 def test_points_are_returns_or_centres_of_occupied_cells(write, scan) -> None:
