@@ -369,9 +369,9 @@ def _add(unit, place, ends, parts, values, column, total):  # type: ignore[no-un
 
 
 def _opened(path: Path, metadata: Any = None) -> Any:
-    """The Parquet file; `metadata` spares reading them again."""
+    """The Parquet file; `metadata` spares reading them again. A thread that reads ahead costs more than it gains."""
     try:
-        return _Checked(parquet.ParquetFile(path, metadata=metadata), path)
+        return _Checked(parquet.ParquetFile(path, metadata=metadata, pre_buffer=False), path)
     except (OSError, ArrowException) as error:
         raise _unreadable(path, error) from None
 
