@@ -27,6 +27,9 @@ cells would take two and a half times as long, so that a training would see fewe
 DRAWS, MOVING_CELLS = 8, 10
 """With `moving_windows` a window with fewer than MOVING_CELLS entered cells is drawn again, up to DRAWS times."""
 
+PRIOR_FRAMES, COUNTED_FRAMES = 20, 1024
+"""The occupied rate of all cells counts as so many frames in the rate of one; so many frames are counted together."""
+
 
 class Item(NamedTuple):
     """A window (T, 2, M, M) uint8, visible and occupied at each step of the network, and its `resolution_of` (2,)."""
@@ -142,6 +145,21 @@ class SequenceDataset(Dataset[Item]):
         """Occupied cells divided by visible cells, in all stretches; at least 1 occupied and 2 visible."""
         visible, occupied = (sum(int(np.bitwise_count(s.planes[:, k]).sum()) for s in self.stretches) for k in (0, 1))
         return max(occupied, 1) / max(visible, 2)
+
+    @cached_property
+    def unseen_target(self) -> NDArray[np.float32]:
+        """What a cell is if no frame of an item sees it: its own occupied rate (M, M) if all windows are the same, with
+        PRIOR_FRAMES frames at the occupied rate of all cells, else that rate ()."""
+        if not self.has_one_window:
+            return np.array(self.occupied_rate, np.float32)
+        visible, occupied = np.zeros((2, self.size, self.size))
+        for planes in (stretch.planes for stretch in self.stretches):
+            for first in range(0, len(planes), COUNTED_FRAMES):
+                cells = np.unpackbits(planes[first : first + COUNTED_FRAMES], axis=-1, count=self.size)
+                visible += cells[:, 0].sum(axis=0)
+                occupied += cells[:, 1].sum(axis=0)
+        rates = (occupied + PRIOR_FRAMES * self.occupied_rate) / (visible + PRIOR_FRAMES)
+        return rates.astype(np.float32)
 
     @property
     def has_one_window(self) -> bool:

@@ -88,7 +88,7 @@ class TrainingSettings(Settings):
     """Updates over which the learning rate rises from zero; afterwards it falls to zero along a cosine."""
     unseen_weight: float = Field(0.0, ge=0)
     """Weight in the loss of a cell that no frame of the sequence sees, with the occupied rate of the recordings as its
-    target; a visible cell has weight 1. With 0 forecasts are arbitrary in cells that no beam ever reached."""
+    target, at a site its own rate; a visible cell has weight 1. With 0 forecasts are arbitrary where no beam came."""
     gradient_clip: float = Field(1.0, gt=0)
     weight_decay: float = Field(0.0, ge=0)
     validate_every: int = Field(250, ge=1)

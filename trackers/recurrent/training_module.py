@@ -45,13 +45,17 @@ class SequenceLoss(NamedTuple):
 
 
 def sequence_loss(
-    network: TrainedNetwork, windows: Tensor, settings: TrainingSettings, rate: float, motion_weight: float = 0.0
+    network: TrainedNetwork,
+    windows: Tensor,
+    settings: TrainingSettings,
+    rate: float | Tensor,
+    motion_weight: float = 0.0,
 ) -> SequenceLoss:
     """Binary cross-entropy of each forecast frame on its visible cells, and the penalty of the network.
 
     `windows` (B, T, 2, M, M) of 0 and 1: visible and occupied. A visible cell near an entered one has the weight 1 +
-    `motion_weight`. A cell that no frame sees has the weight `unseen_weight`, and as its target the occupied `rate` of
-    the recordings, which windows with more in them than a recording, such as moving shapes, do not have.
+    `motion_weight`. A cell that no frame sees has the weight `unseen_weight`, and as its target the occupied `rate`, of
+    all cells () or of each one (M, M), of the recordings: windows with moving shapes have more in them.
     """
     forecast = network.forecast_windows(windows, settings)
     frames = list(forecast.frames)
@@ -88,8 +92,10 @@ class TrainingModule(lightning.LightningModule):
         `done`: updates of the training that is resumed. `advance` and `report` are called with lines of progress.
         """
         super().__init__()
+        self.rate: Tensor
         self.network, self._in_training = channels_last(network), in_training
-        self.dataset, self.rate, self.done = dataset, dataset.occupied_rate, 0
+        self.dataset, self.done = dataset, 0
+        self.register_buffer("rate", torch.from_numpy(dataset.unseen_target), persistent=False)
         self.settings, self.devices, self.validate = settings, devices, validate
         self.advance: Callable[[str], None] = _ignore
         self.report: Callable[[str], None] = _ignore
