@@ -20,6 +20,7 @@ from gridtrack.trackers.recurrent.motion import entered_cells, moving_shapes
 from gridtrack.trackers.recurrent.network import resolution_of
 from gridtrack.trackers.recurrent.pacing import StepPace
 from gridtrack.trackers.recurrent.settings import TrainingSettings
+from gridtrack.trackers.site_map import posterior_rate
 
 LARGEST_WINDOW = 64
 """Cells a side of the windows that general weights are trained on: larger grids are cut, smaller ones padded. 100
@@ -27,8 +28,8 @@ cells would take two and a half times as long, so that a training would see fewe
 DRAWS, MOVING_CELLS = 8, 10
 """With `moving_windows` a window with fewer than MOVING_CELLS entered cells is drawn again, up to DRAWS times."""
 
-PRIOR_FRAMES, COUNTED_FRAMES = 20, 1024
-"""The occupied rate of all cells counts as so many frames in the rate of one; so many frames are counted together."""
+COUNTED_FRAMES = 1024
+"""Frames whose cells are counted together."""
 
 
 class Item(NamedTuple):
@@ -148,8 +149,8 @@ class SequenceDataset(Dataset[Item]):
 
     @cached_property
     def unseen_target(self) -> NDArray[np.float32]:
-        """What a cell is if no frame of an item sees it: its own occupied rate (M, M) if all windows are the same, with
-        PRIOR_FRAMES frames at the occupied rate of all cells, else that rate ()."""
+        """What a cell is if no frame of an item sees it: its own occupied rate (M, M) where all windows are the same,
+        else that of all cells ()."""
         if not self.has_one_window:
             return np.array(self.occupied_rate, np.float32)
         visible, occupied = np.zeros((2, self.size, self.size))
@@ -158,8 +159,7 @@ class SequenceDataset(Dataset[Item]):
                 cells = np.unpackbits(planes[first : first + COUNTED_FRAMES], axis=-1, count=self.size)
                 visible += cells[:, 0].sum(axis=0)
                 occupied += cells[:, 1].sum(axis=0)
-        rates = (occupied + PRIOR_FRAMES * self.occupied_rate) / (visible + PRIOR_FRAMES)
-        return rates.astype(np.float32)
+        return posterior_rate(occupied, visible)
 
     @property
     def has_one_window(self) -> bool:
