@@ -15,9 +15,10 @@ HALL_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tra
 JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
 INSTALL := $(BIN)/pip install --constraint constraints.txt $(if $(TORCH_CPU),--extra-index-url https://download.pytorch.org/whl/cpu )--editable
-# a worker more makes its fixtures and imports once more, which costs as much as it gains; with bytecode, whatever the
-# environment says, because hundreds of processes import the package
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell nproc) --dist worksteal --durations=10
+# with bytecode, whatever the environment says, because hundreds of processes import the package
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest
+# a worker more makes its fixtures and imports once more, which costs as much as it gains
+WORKERS := -n $(shell nproc) --dist worksteal --durations=10
 ENGINES := tests/evaluation/engines
 # with general weights: they have seen no recording of a site
 GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
@@ -55,17 +56,17 @@ compiled: $(VENV)/.installed-dev
 	$(COMPARE) $(HALL)@114s-119s $(call chosen,kalman factor-graph dogma) --no-floors --horizon 1s --jobs 1 --out runs/compiled
 
 pytest: $(VENV)/.installed-dev compiled
-	$(PYTEST) --ignore=$(ENGINES)
+	$(PYTEST) $(WORKERS) --ignore=$(ENGINES)
 
 # tests of engines wait for nodes and timeouts three quarters of their time: they take no worker of the others
 pytest-engines: $(VENV)/.installed-dev compiled
-	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -q $(ENGINES)
+	$(PYTEST) -q $(ENGINES)
 
 check: $(VENV)/.installed-dev | .link/gridtrack ## lint and test what changed since the last commit, for a minute (SINCE=main: since that revision)
 	PYTHONPATH=tests $(BIN)/python -m affected --since $(or $(SINCE),HEAD)
 
 coverage: $(VENV)/.installed-dev ## run all tests; print the coverage and the ten files with the least
-	$(PYTEST) --cov --cov-report=
+	$(PYTEST) $(WORKERS) --cov --cov-report=
 	$(BIN)/coverage report | sed -n '1,12p;$$p'
 
 lint: $(VENV)/.installed-dev | .link/gridtrack ## check style, spelling, types and the import rule

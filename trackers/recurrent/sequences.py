@@ -29,7 +29,7 @@ DRAWS, MOVING_CELLS = 8, 10
 """With `moving_windows` a window with fewer than MOVING_CELLS entered cells is drawn again, up to DRAWS times."""
 
 COUNTED_FRAMES = 1024
-"""Frames whose cells are counted together."""
+"""Frames that are counted at a time: unpacked they take eight times the memory."""
 
 
 class Item(NamedTuple):
@@ -150,8 +150,8 @@ class SequenceDataset(Dataset[Item]):
     @cached_property
     def unseen_target(self) -> NDArray[np.float32]:
         """What a cell is if no frame of an item sees it: its own occupied rate (M, M) where all windows are the same,
-        else that of all cells ()."""
-        if not self.has_one_window:
+        else that of all cells (), and where it has no weight."""
+        if not (self.settings.unseen_weight and self.has_one_window):
             return np.array(self.occupied_rate, np.float32)
         visible, occupied = np.zeros((2, self.size, self.size))
         for planes in (stretch.planes for stretch in self.stretches):

@@ -151,12 +151,12 @@ def test_the_occupied_rate_is_the_visible_cells():
 
 
 def test_at_a_site_the_target_of_an_unseen_cell_is_its_own_rate():
-    target = items(Shuttle(12)).unseen_target
+    target = items(Shuttle(12), unseen_weight=0.5).unseen_target
     rate = (12 + 1) / (12 * 11)
     expected = np.full((12, 12), 20 * rate / 32)
     expected[0], expected[5], expected[11] = (20 * rate + 12) / 32, (20 * rate + 1) / 32, rate
     np.testing.assert_allclose(target, expected, rtol=1e-6)
-    assert items(Walk(12, 0.2, 0.1), general=True).unseen_target.shape == ()
+    assert items(Walk(12, 0.2, 0.1), general=True, unseen_weight=0.5).unseen_target.shape == ()
 
 
 def test_every_epoch_continues_the_series_of_windows():
