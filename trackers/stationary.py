@@ -57,6 +57,7 @@ class StationaryTracker(Tracker):
         self._table = array(weights, "occupied", (len(TABLE_HORIZONS_S), *TABLE_BINS)).reshape(
             len(TABLE_HORIZONS_S), -1
         )
+        self._rates = np.zeros((0, self._table.shape[1]), np.float32)
         self.reset(seed=0)
 
     def reset(self, seed: int) -> None:
@@ -69,9 +70,15 @@ class StationaryTracker(Tracker):
 
     def predict(self, steps: int) -> Forecast:
         """The rates of the table (steps+1, M, M) for the past of each cell."""
+        if len(self._rates) <= steps:  # a trial asks for as many steps each time
+            self._rates = self._rates_of(steps)
+        return Forecast(self._rates[: steps + 1, self._past.bins()])
+
+    def _rates_of(self, steps: int) -> NDArray[np.float32]:
+        """The rates (steps+1, bins) of the table at each step."""
         horizons_s = np.arange(steps + 1) * self.stream.period_s
-        by_step = np.stack([np.interp(horizons_s, TABLE_HORIZONS_S, rates) for rates in self._table.T], axis=1)
-        return Forecast(by_step.astype(np.float32)[:, self._past.bins()])
+        rates = [np.interp(horizons_s, TABLE_HORIZONS_S, of_bin) for of_bin in self._table.T]
+        return np.stack(rates, axis=1).astype(np.float32)
 
     @classmethod
     def fit(cls, task: FitTask) -> None:

@@ -28,9 +28,9 @@ from gridtrack.trackers.training.device import device_count
 
 AT_THE_END_S = 10.0
 """Time limit for the last lines of a device process that was killed."""
-TRIES, ROUNDS = 8, 5
+TRIES, ROUNDS, CLEARLY_SLOWER = 8, 5, 3.0
 """Tries of each precision, which alternate because other work on the machine could slow one of them alone; convolutions
-in one try."""
+in one try; and how many times the time of the fastest precision another one may take to be tried again."""
 BATCH, SIZE, INPUTS, OUTPUTS = 2, 100, 16, 48
 """The convolution of the states of a layer of the dilated ConvGRU, with a batch of two grids of 100 cells a side."""
 
@@ -124,7 +124,8 @@ def training_precision(settings: TrainingSettings, devices: Devices, task: FitTa
         return "bf16-mixed"  # forked processes cannot use a device on which this process measures
     took_ms = dict.fromkeys(get_args(Precision), math.inf)
     for _ in range(TRIES):
-        took_ms = {precision: min(ms, convolution_ms(precision, devices.kind)) for precision, ms in took_ms.items()}
+        tried = [precision for precision, ms in took_ms.items() if ms <= CLEARLY_SLOWER * min(took_ms.values())]
+        took_ms |= {precision: min(took_ms[precision], convolution_ms(precision, devices.kind)) for precision in tried}
     fastest: Precision = min(took_ms, key=lambda precision: took_ms[precision])
     times = ", ".join(f"{precision} {ms:.1f} ms" for precision, ms in took_ms.items())
     task.report(f"precision {fastest}: a convolution and its gradient take {times} on this machine")

@@ -332,6 +332,16 @@ def test_the_faster_precision_is_taken_reported_once_and_on_the_card(tmp_path, m
     assert not any(line.startswith("precision") for line in lines)
 
 
+@pytest.mark.parametrize(("bfloat16_ms", "tries"), [(3.0, 8), (30.0, 1)])
+def test_a_clearly_slower_precision_is_tried_once(tmp_path, monkeypatch, bfloat16_ms, tries):
+    took_ms, tried = {"32-true": 2.0, "bf16-mixed": bfloat16_ms}, []
+    monkeypatch.setattr(
+        devices, "convolution_ms", lambda precision, device: tried.append(precision) or took_ms[precision]
+    )
+    fit(DeepTrackingRNNTracker, card_in(tmp_path), TRAIN, VALIDATE, precision="auto", **BRIEF)
+    assert (tried.count("32-true"), tried.count("bf16-mixed")) == (8, tries)
+
+
 def test_the_measurement_does_not_change_the_trained_network(tmp_path, monkeypatch):
     monkeypatch.setattr(devices, "TRIES", 1)
     monkeypatch.setattr(devices, "get_args", lambda _: ("32-true",))
