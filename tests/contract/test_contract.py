@@ -38,10 +38,8 @@ LIVE = sorted(entries().keys() - recorded().keys())
 
 
 TINY: dict[str, dict[str, object]] = {
-    "conv-lstm": {"layers": 1, "channels": 3},
     "simvp": {"channels": 2, "hidden": 4, "blocks": 2},
     "sogmp": {"channels": 2, "hidden": 4},
-    "pool": {"members": ("persistence", "blank")},
 }
 """Options of small trackers, for those without shipped weights."""
 CHEAPER = {"sogmp": {"samples": 2}}

@@ -28,9 +28,11 @@ from gridtrack.trackers.training.device import device_count
 
 AT_THE_END_S = 10.0
 """Time limit for the last lines of a device process that was killed."""
-TRIES, ROUNDS, CLEARLY_SLOWER = 8, 5, 3.0
+TRIES, ROUNDS = 8, 5
 """Tries of each precision, which alternate because other work on the machine could slow one of them alone; convolutions
-in one try; and how many times the time of the fastest precision another one may take to be tried again."""
+in one try."""
+CLEARLY_SLOWER = 3.0
+"""A precision that took more than this many times the time of the fastest one is not tried again."""
 BATCH, SIZE, INPUTS, OUTPUTS = 2, 100, 16, 48
 """The convolution of the states of a layer of the dilated ConvGRU, with a batch of two grids of 100 cells a side."""
 
