@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import lightning
+import numpy as np
 import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
@@ -55,6 +56,8 @@ AT_MOST = {"batch": 2, "burn_in": 20}
 processor, and a longer burn-in takes twice as long and gains nothing at a site."""
 FIRST_MOTION = frozenset({"shape_updates", "shape_share", "motion_weight"})
 """Settings for learning motion from nothing; a training from general weights does not have them."""
+MAPS_STORED_AS = np.float16
+"""Maps are nearly the whole file of a site; with half of the bits no score changes in its third digit."""
 FOR_ANY_PLACE = {"resolution_input": True, "step_s": 0.1}
 """Settings of a general network, unless others are given."""
 
@@ -81,7 +84,7 @@ def fit_network(kind: type[NetworkTracker], task: FitTask) -> None:
     def validate(trained: Network) -> dict[str, float]:
         def score_on(source: FrameSource) -> StretchScore:
             stream, steps = stream_of(source), step_of(source, max(SELECTION_HORIZONS_S))
-            inference = kind.inference_for(deepcopy(trained).cpu(), stream, options)
+            inference = kind.inference_for(as_stored(trained), stream, options)
             return task.objective(kind(stream, options, inference, dataset.first_window), source, steps)
 
         return validation_scores(score_on, held_out)
@@ -90,6 +93,7 @@ def fit_network(kind: type[NetworkTracker], task: FitTask) -> None:
     others = {*TransferSettings.model_fields, *kind.running.model_fields}
     trained = train_network(module, task, options.model_dump(exclude=others), start)
     arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
+    arrays |= {name: arrays[name].astype(MAPS_STORED_AS) for name in network.maps()}
     settings = options.model_dump(mode="json", exclude=set(kind.running.model_fields))
     card = card_for(name, task, settings, trained.scores)
     if trained.reached:
@@ -105,6 +109,15 @@ def _for_windows_of(dataset: SequenceDataset, kind: type[NetworkTracker], option
     if not dataset.has_one_window:
         return kind.without_map(options, "the windows of the training frames differ", task)
     return options
+
+
+@torch.no_grad()
+def as_stored(network: Network) -> Network:
+    """A copy on the processor, with maps as precise as in the file: the network that a user will run."""
+    stored = deepcopy(network).cpu()
+    for cells in stored.maps().values():
+        cells.copy_(torch.from_numpy(cells.numpy().astype(MAPS_STORED_AS)))
+    return stored
 
 
 @torch.no_grad()
