@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pyarrow import ArrowException, parquet
 
 from gridtrack.common.grid import GridSpec
-from gridtrack.evaluation.runs.prior_pass import PRIOR_COLUMNS, PRIOR_FILE
+from gridtrack.evaluation.runs.prior import PRIOR_COLUMNS, PRIOR_FILE
 from gridtrack.reports.run import ReportedRun, ReportError
 from gridtrack.reports.table import HeadlineTable
 
@@ -38,20 +38,24 @@ class PriorOfPlace:
 def priors_of(
     runs: Sequence[ReportedRun], tables: Sequence[HeadlineTable], styles: Mapping[str, str]
 ) -> tuple[tuple[dict[str, Any], ...], tuple[str, ...]]:
-    """The priors of each recording for the page of one run, and notices of unreadable files."""
+    """The priors of each place for the page of one run, each row's from its first recording there; and notices of
+    unreadable files."""
     if len(runs) > 1:
         return (), ()
     (run,) = runs
     places: list[dict[str, Any]] = []
     notices: list[str] = []
+    shown: set[tuple[str, str, str]] = set()
     for table in (table for table in tables if not table.pooled):
-        grid = run.summary.recordings[table.recording].grid
+        described = run.summary.recordings[table.recording]
         found: dict[str, PriorOfPlace] = {}
         for row in table.rows:
             path = run.trial_folder(row.label, table.recording) / PRIOR_FILE
-            if grid and path.is_file():
+            place = row.label, described.site, described.grid
+            if place not in shown and path.is_file():
                 try:
-                    found[row.label] = read_prior(path, GridSpec.parse(grid).size)
+                    found[row.label] = read_prior(path, GridSpec.parse(described.grid).size)
+                    shown.add(place)
                 except ReportError as error:
                     notices.append(str(error))
         if found:

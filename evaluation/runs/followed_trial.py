@@ -89,6 +89,9 @@ class FollowedTrial(TrialRun):
             self._await_whole()
         return ending
 
+    def _expectation(self) -> None:
+        """A recording that is still being written has no frame yet to ask with."""
+
     def _score(self, thresholds: Thresholds) -> None:
         """Process the frames in real time, and score the forecasts when the whole recording is known."""
         try:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 from pydantic import ValidationError
 
@@ -28,7 +28,6 @@ from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitRegions, p
 from gridtrack.evaluation.runs.learned import read_weights
 from gridtrack.evaluation.runs.oracle import ORACLE_REPLACES, oracle_validation, run_oracle
 from gridtrack.evaluation.runs.plan import Trial, sampling_of, segmented
-from gridtrack.evaluation.runs.prior_pass import PRIOR_FILE, PriorRun
 from gridtrack.evaluation.runs.recorded_rows import hash_of_file
 from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
 from gridtrack.evaluation.runs.run_folder import versions
@@ -36,13 +35,11 @@ from gridtrack.evaluation.runs.run_record import RecordingIdentity, TrialIdentit
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds, oracle_key, trial_key
 from gridtrack.evaluation.runs.trial import REPLACED, STDERR_LOG, TrialRun, error_with_location, failed
-from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, TrialRecord, hashes_of, read_trial_record
+from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, TrialRecord, read_trial_record
 from gridtrack.evaluation.scores.registry import scores
 from gridtrack.recordings.stretches import parse_stretch
 from gridtrack.trackers import registry
 from gridtrack.trackers.selection import Launch, Selection, launch
-
-JobKind = Literal["scores", "oracle", "prior", "robustness"]
 
 
 class SharedInputs:
@@ -90,7 +87,6 @@ class _Interruptible(Protocol):
 class _RunJob:
     """A job with the name of a trial; its result is the record in the trial's folder."""
 
-    kind: JobKind
     replaces: tuple[str, ...] = ()
     result_file = OUTCOME_FILE
     record: TrialRecord | None = None
@@ -105,7 +101,7 @@ class _RunJob:
 
     def order(self) -> str:
         """Its description as JSON."""
-        return JobOrder.of(self.kind, self._subject, self._shared, self.record).model_dump_json(by_alias=True)
+        return JobOrder.of(self._subject, self._shared, self.record).model_dump_json(by_alias=True)
 
     def result(self) -> TrialRecord:
         """The record in the trial's folder. Raises EngineError without one, RunError."""
@@ -134,7 +130,6 @@ class _RunJob:
 class TrialJob(_RunJob):
     """The scores of a trial. An error outside its tracker gives the outcome `failed`."""
 
-    kind: JobKind = "scores"
     replaces = REPLACED
 
     def __init__(self, trial: Trial, folder: Path, shared: SharedInputs) -> None:
@@ -179,7 +174,6 @@ class TrialJob(_RunJob):
 class OracleJob(_RunJob):
     """The scores of the oracle on one recording; if that fails, the run continues without it."""
 
-    kind: JobKind = "oracle"
     replaces = ORACLE_REPLACES
 
     def __init__(self, split: EvaluationSplit, folder: Path, shared: SharedInputs) -> None:
@@ -204,47 +198,18 @@ class OracleJob(_RunJob):
         return Notice(text=f"no oracle: {_reason(error)}", recording=self.split.name, kind="no oracle")
 
 
-class _MeasurementJob(_RunJob):
-    """A measurement that follows the scores of a trial, added to the trial's record."""
+class RobustnessJob(_RunJob):
+    """The scores of a trial on the degraded input that the settings of the run request, added to its record."""
 
-    measurement: str
-    """Its name in notices."""
     record: TrialRecord
 
     def __init__(self, trial: Trial, record: TrialRecord, folder: Path, shared: SharedInputs) -> None:
         super().__init__(trial.name, trial, folder, shared)
         self.trial, self.split, self.record = trial, trial.split, record
 
-    def on_error(self, error: Exception) -> Notice:
-        """The notice for the user."""
-        return not_measured(self.trial, self.measurement, error)
-
-
-class PriorJob(_MeasurementJob):
-    """The expectation of a tracker with weights for a place."""
-
-    kind: JobKind = "prior"
-    measurement = "the forecast before its first frame"
-
-    def run(self, monitor: Monitor) -> TrialRecord:
-        """Measure the prior. Raises Interrupted, TrialEnded."""
-        monitor.note(f"{self.name}: {self.measurement}")
-        run = PriorRun(self.trial, self._folder)
-        self._begin(run)
-        run.run(monitor.check)
-        files = {**self.record.files, **hashes_of(self._folder, (PRIOR_FILE,))}
-        return self._write(self.record.model_copy(update={"files": files}))
-
-
-class RobustnessJob(_MeasurementJob):
-    """The scores of a trial on the degraded input that the settings of the run request."""
-
-    kind: JobKind = "robustness"
-    measurement = "degraded input"
-
     def run(self, monitor: Monitor) -> TrialRecord:
         """Run the pass. Raises Interrupted, TrialEnded."""
-        monitor.note(f"{self.name}: {self.measurement}")
+        monitor.note(f"{self.name}: degraded input")
         degradation = self._shared.settings.degrade
         assert degradation is not None, "the run requests no degraded input"
         run = RobustnessRun(self.trial, degradation, self._folder)
@@ -253,8 +218,12 @@ class RobustnessJob(_MeasurementJob):
         robustness = run.run(regions, self.record.thresholds, monitor.check)
         return self._write(self.record.model_copy(update={"robustness": robustness}))
 
+    def on_error(self, error: Exception) -> Notice:
+        """The notice for the user."""
+        return not_measured(self.trial, "degraded input", error)
 
-RunJob = TrialJob | OracleJob | PriorJob | RobustnessJob
+
+RunJob = TrialJob | OracleJob | RobustnessJob
 
 
 def not_measured(trial: Trial, measurement: str, error: Exception) -> Notice:
@@ -316,7 +285,6 @@ class RowOrder(Settings):
 class JobOrder(Settings):
     """The description of one job."""
 
-    kind: JobKind
     settings: CompareSettings
     """The settings of the run, with the recording of this job alone."""
     name: str
@@ -335,7 +303,6 @@ class JobOrder(Settings):
     @classmethod
     def of(
         cls,
-        kind: JobKind,
         subject: Trial | EvaluationSplit,
         shared: SharedInputs,
         record: TrialRecord | None = None,
@@ -349,7 +316,6 @@ class JobOrder(Settings):
             "validation": settings.validation and _with_absolute_path(settings.validation),
         }
         return cls(
-            kind=kind,
             settings=settings.model_copy(update=alone),
             name=split.name,
             identity=identity_of(split),
@@ -411,5 +377,4 @@ def ordered_job(folder: TaskFolder, note: Callable[[str], None]) -> RunJob:
     trial = order.row.trial(split, order.settings)
     if order.record is None:
         return TrialJob(trial, folder.files, shared)
-    measure = PriorJob if order.kind == "prior" else RobustnessJob
-    return measure(trial, order.record, folder.files, shared)
+    return RobustnessJob(trial, order.record, folder.files, shared)

@@ -16,7 +16,6 @@ from gridtrack.evaluation.engines.remote import RemoteEngine
 from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmSettings
 from gridtrack.evaluation.runs.jobs import (
     OracleJob,
-    PriorJob,
     RobustnessJob,
     RunJob,
     SharedInputs,
@@ -25,7 +24,6 @@ from gridtrack.evaluation.runs.jobs import (
     not_measured,
 )
 from gridtrack.evaluation.runs.plan import ComparisonPlan, Trial, with_copied_weights
-from gridtrack.evaluation.runs.prior_pass import trials_with_priors
 from gridtrack.evaluation.runs.run_folder import RunFolder, refuse_other_files, run_lock, usable_cores, without_edited
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.summary import RunSummary
@@ -70,7 +68,6 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, en
     interrupted = False
     try:
         stages.score_missing()
-        stages.measure_priors()
         stages.measure_robustness()
         stages.measure_alone()
     except KeyboardInterrupt:
@@ -167,11 +164,6 @@ class Stages:
             if split.test.has_truth:
                 jobs.append(OracleJob(split, self._folder / split.oracle_name, self._shared))
         return [job for job in jobs if job.name not in self._records]
-
-    def measure_priors(self) -> None:
-        """Measure the prior of each row with weights at each place, if it is missing."""
-        trials = trials_with_priors(self._complete(), self._records)
-        self._execute([PriorJob(t, self._records[t.name], self._folder / t.name, self._shared) for t in trials])
 
     def measure_robustness(self) -> None:
         """Run the robustness pass of every complete trial, if it is requested and missing."""

@@ -15,12 +15,13 @@ from gridtrack.common.files import remove_partial_files
 from gridtrack.common.forecast_file import open_forecasts
 from gridtrack.evaluation.engines.engine import Interrupted
 from gridtrack.evaluation.hosting.outcome import TrialEnded
+from gridtrack.evaluation.hosting.timing import Timings
 from gridtrack.evaluation.hosting.tracker_process import TrackerDescription
 from gridtrack.evaluation.referee.referee import Delivery, TrackerLike, refuse_moving, scored_forecasts
 from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitRegions
 from gridtrack.evaluation.runs.passes import RoundTrips
 from gridtrack.evaluation.runs.plan import Trial
-from gridtrack.evaluation.runs.prior_pass import PRIOR_FILE
+from gridtrack.evaluation.runs.prior import PRIOR_FILE, Prior, has_prior
 from gridtrack.evaluation.runs.scorekeeper import SCORE_FILES, Scorekeeper, facts_of
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds, thresholds_of_card, trial_key
 from gridtrack.evaluation.runs.sums import SUMS_FILE
@@ -38,7 +39,8 @@ from gridtrack.evaluation.scores.registry import scores
 from gridtrack.evaluation.scores.thresholds import LABEL_FREE, Thresholds, best_thresholds, half
 
 STDERR_LOG = "stderr.log"
-REPLACED = (OUTCOME_FILE, *SCORE_FILES, PRIOR_FILE)
+RESULT_FILES = (*SCORE_FILES, PRIOR_FILE)
+REPLACED = (OUTCOME_FILE, *RESULT_FILES)
 """Files of an earlier run that a trial replaces."""
 INTERRUPTED_REASON = "the run was interrupted; continue it with --resume"
 OnFrame = Callable[[], None]
@@ -62,6 +64,7 @@ class TrialRun:
         self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
         self._shared = shared
         self._thresholds: Thresholds | None = None
+        self._prior: Prior | None = None
         self._test = trial.split.schedule
         self._delivery = Delivery(trial.test, on_frame, regions.test)
         self._scored = self._missing = 0
@@ -87,6 +90,7 @@ class TrialRun:
                 self._start_s = time.perf_counter() - began
                 self._description = self._process.description
                 self._refuse_moving(self._description)
+                self._prior = self._expectation()
                 self._thresholds = self._shared.of(trial_key(self.trial), self._choose_thresholds)
                 with self._clock():
                     self._score(self._thresholds)
@@ -108,6 +112,14 @@ class TrialRun:
         if not description.moving_sensor:
             for stretch in filter(None, (self.trial.validation, self.trial.test)):
                 refuse_moving(stretch, self.trial.label)
+
+    def _expectation(self) -> Prior | None:
+        """The tracker's expectation of the place: it is asked now, because later it could remember frames."""
+        if not has_prior(self.trial):
+            return None
+        prior = Prior(self._process, self.trial)
+        self._process.timings = Timings()  # of the stretches alone
+        return prior
 
     @contextmanager
     def _clock(self) -> Iterator[None]:
@@ -156,13 +168,16 @@ class TrialRun:
         """Stream the test stretch and write the score of each forecast once its last frame is observed."""
         split = self.trial.split
         facts = facts_of(split, thresholds, self.trial.robot, self._process.description.classes)
+        delivered = self._delivery if self._prior is None else self._prior.counted(self._delivery)
         with Scorekeeper(self._folder, split, facts, scores(self.trial.scores)) as scorekeeper:
-            for scored in scored_forecasts(self._tracker(), self._delivery, self._test, self.trial.seed):
+            for scored in scored_forecasts(self._tracker(), delivered, self._test, self.trial.seed):
                 if scored.missing:
                     self._missing += 1
                     continue
                 scorekeeper.add(scored, self._delivery.digest)
                 self._scored = scorekeeper.scored
+        if self._prior is not None:
+            self._prior.write(self._folder)
 
     def _tracker(self) -> TrackerLike:
         """The forecaster of the test stretch."""
@@ -195,7 +210,7 @@ class TrialRun:
                 ),
                 "round_trips": RoundTrips.of(timings),
                 "recoveries": self._process.recoveries,
-                "files": hashes_of(self._folder, SCORE_FILES),
+                "files": hashes_of(self._folder, RESULT_FILES),
                 "peak_rss_mb": self._process.peak_rss_mb,
             }
         )

@@ -10,10 +10,11 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from gridtrack.evaluation.runs.prior_pass import PRIOR_COLUMNS, PRIOR_FILE
+from gridtrack.evaluation.runs.prior import PRIOR_COLUMNS, PRIOR_FILE
 from gridtrack.reports.page import render_page, render_report
-from gridtrack.reports.priors import NEVER_SEEN, PRIOR_LEVELS
+from gridtrack.reports.priors import NEVER_SEEN, PRIOR_LEVELS, priors_of
 from gridtrack.reports.run import read_runs
+from gridtrack.reports.table import headline_tables
 
 from scenes.report_page import data_of, opened
 
@@ -21,12 +22,12 @@ SIZE = 32
 FRAMES = 8
 
 
-def columns(expected_at):
+def columns(expected_at, size=SIZE):
     """A place that is occupied in half of the frames at [3, 5] and never visible at [4, 6]."""
-    row, column = np.indices((SIZE, SIZE), np.int16)
-    visible, occupied = np.full((SIZE, SIZE), FRAMES, np.int32), np.zeros((SIZE, SIZE), np.int32)
+    row, column = np.indices((size, size), np.int16)
+    visible, occupied = np.full((size, size), FRAMES, np.int32), np.zeros((size, size), np.int32)
     occupied[3, 5], visible[4, 6] = FRAMES // 2, 0
-    probability = np.full((SIZE, SIZE), 1e-3, np.float32)
+    probability = np.full((size, size), 1e-3, np.float32)
     probability[expected_at] = 1.0
     return {"row": row, "column": column, "visible": visible, "occupied": occupied, "probability": probability}
 
@@ -60,6 +61,17 @@ def test_the_recorded_share_and_each_prior_are_on_one_logarithmic_scale(run):
     assert (recorded[4, 6], recorded[0, 0]) == (NEVER_SEEN, 0)
     (good,) = [row for row in place["rows"] if row["label"] == "good"]
     assert np.argwhere(plane(good["cells"]) == PRIOR_LEVELS).tolist() == [[3, 5]]
+
+
+def test_a_place_of_several_recordings_has_one_prior_of_each_row(twenty, tmp_path):
+    run = shutil.copytree(twenty, tmp_path / "run")
+    for trial in ("good@seed-00", "good@seed-01", "unlucky@seed-01"):
+        write_prior(run / trial, columns((3, 5), size=100))
+    runs = read_runs([run])
+    places, notices = priors_of(runs, headline_tables(runs), dict.fromkeys(("good", "unlucky"), ""))
+    assert not notices
+    shown = [(place["recording"], [row["label"] for row in place["rows"]]) for place in places]
+    assert shown == [("seed-00", ["good"]), ("seed-01", ["unlucky"])]
 
 
 def test_a_run_without_priors_has_no_figure_of_them(run_folder):

@@ -197,7 +197,7 @@ def test_another_machine_runs_the_same_trial_with_the_robot_of_the_run(settings,
     plan = resolve(settings(row, recordings=recordings, robot=CAR, seed=3))
     (here,) = plan.trials
     shared = SharedInputs(plan.settings, lambda text: None, tmp_path)
-    order = JobOrder.read(JobOrder.of("scores", here, shared).model_dump_json(by_alias=True))
+    order = JobOrder.read(JobOrder.of(here, shared).model_dump_json(by_alias=True))
     there = order.row.trial(order.split(), order.settings)
     assert (there.robot, there.scores, there.seed) == (CAR, here.scores, 3)
     assert there.file_sha256 == here.file_sha256 != ""

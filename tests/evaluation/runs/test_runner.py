@@ -239,7 +239,7 @@ def test_a_lack_of_memory_ends_the_run_like_an_interrupt_with_a_summary(compare,
     def exhausted(*_):
         raise MemoryError
 
-    monkeypatch.setattr(Stages, "measure_priors", exhausted)
+    monkeypatch.setattr(Stages, "measure_robustness", exhausted)
     summary = compare("blank")
     assert (summary.interrupted, trial_of(summary, "blank").outcome) == (True, "ok")
     assert any(note.startswith("too little memory: the scores so far are kept") for note in progress.notes)

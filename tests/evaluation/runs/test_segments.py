@@ -68,7 +68,7 @@ def test_another_machine_finds_the_same_segment(settings, long, tmp_path):
     plan = resolve(settings("persistence", **long, segment_s=10.0))
     shared = SharedInputs(plan.settings, lambda text: None, tmp_path)
     for split in plan.splits:
-        order = JobOrder.read(JobOrder.of("oracle", split, shared).model_dump_json(by_alias=True))
+        order = JobOrder.read(JobOrder.of(split, shared).model_dump_json(by_alias=True))
         assert identity_of(order.split()) == identity_of(split)
 
 
