@@ -17,6 +17,11 @@ from gridtrack.common.grid import GridFrame, rolled, shift_between
 from gridtrack.trackers.contract import Forecast, StreamSpec, Tracker
 
 
+ITERATIONS = 5
+"""Iterations of the flow for each warp, half of scikit-image's: on the validation recording of the junction the PR-AUC
+of cells in motion is .025 with both, contacts foreseen .454 and .449, in 60 % of the time."""
+
+
 class AdvectionOptions(Settings):
     """Options of advection. The defaults have the highest PR-AUC of cells in motion one second ahead, of 18 settings on
     the validation recording of the junction."""
@@ -91,6 +96,7 @@ class AdvectionTracker(Tracker):
         flow = optical_flow_tvl1(
             *(gaussian_filter(one.state, blur_cells) for one in (now, before)),
             attachment=self.options.attachment,
+            num_iter=ITERATIONS,
             dtype=np.float32,
         )
         steps = (now.stamp_ns - before.stamp_ns) / 1e9 / self.stream.period_s
