@@ -64,38 +64,39 @@ def sum_neighbourhoods(
     soft_union = np.zeros((len(targets), len(strata)))
     size = len(region_maps.visible)
     marked = np.zeros((2, size + 2 * _MARGIN, size + 2 * _MARGIN), np.int32)
-    rows = np.zeros(size, np.bool_)
     for n, target in enumerate(targets):
         region = cell_regions(target, region_maps, ages)
         for k in range(len(strata)):
-            sums = _mark(occupancy[n], target.state, region, member_of[k], marked, rows)
+            first, last, *sums = _mark(occupancy[n], target.state, region, member_of[k], marked)
             found[0, n, k, 0], found[1, n, k, 0], soft_union[n, k] = sums
-            for w, add_products in enumerate(_ADDERS, start=1):
-                found[:, n, k, w] = add_products(marked, rows)
+            for w, add_products in enumerate(_ADDERS if first <= last else (), start=1):
+                found[:, n, k, w] = add_products(marked, first, last)
     return NeighbourhoodSums(found[0], found[1], soft_union, strata)
 
 
 @numba.njit(cache=True, nogil=True)
-def _mark(probability, state, region, member_of, marked, rows):  # type: ignore[no-untyped-def]
+def _mark(probability, state, region, member_of, marked):  # type: ignore[no-untyped-def]
     """Set `marked` (2, M + margins, M + margins) int32: probabilities of members, in 1 / _UNITS, and their marks.
 
-    Sums of these integers are exact. `rows` (M,) is set where a row has a member. Returns the sums over members of
-    2 p o, p^2 + o^2 and p + o - p o.
+    Sums of these integers are exact. Returns the first and the last row with a member, M and -1 if there is none, and
+    the sums over members of 2 p o, p^2 + o^2 and p + o - p o.
     """
+    first, last = probability.shape[0], -1
     agreement, squares, union = 0.0, 0.0, 0.0
     for r in range(probability.shape[0]):
-        members_in_row = np.int32(0)
         for c in range(probability.shape[1]):
-            member, o = np.int32(member_of[region[r, c]]), np.int32(state[r, c] & 1)
-            p = member * probability[r, c]
+            if not member_of[region[r, c]]:
+                marked[0, r + _MARGIN, c + _MARGIN] = 0
+                marked[1, r + _MARGIN, c + _MARGIN] = 0
+                continue
+            first, last = min(first, r), r
+            p, o = np.float64(probability[r, c]), np.int32(state[r, c] & 1)
             marked[0, r + _MARGIN, c + _MARGIN] = np.int32(p * _UNITS + np.float32(0.5))
-            marked[1, r + _MARGIN, c + _MARGIN] = member * ((o << _MEMBER_BITS) + 1)
+            marked[1, r + _MARGIN, c + _MARGIN] = (o << _MEMBER_BITS) + 1
             agreement += 2 * p * o
-            squares += p * p + member * o
-            union += p + (member - p) * o
-            members_in_row += member
-        rows[r] = members_in_row > 0
-    return agreement, squares, union
+            squares += p * p + o
+            union += p + (1 - p) * o
+    return first, last, agreement, squares, union
 
 
 def _adder(scale: int) -> Callable[..., tuple[float, float]]:
@@ -104,22 +105,22 @@ def _adder(scale: int) -> Callable[..., tuple[float, float]]:
     first = _MARGIN - half
 
     @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
-    def add_products(marked, rows):  # type: ignore[no-untyped-def]
-        """Sums of 2 P O and P^2 + O^2 of `marked` (2, M + margins, M + margins), at every member, in `rows` (M,)."""
+    def add_products(marked, first_row, last_row):  # type: ignore[no-untyped-def]
+        """Sums of 2 P O and P^2 + O^2 of `marked` (2, M + margins, M + margins), at every member, in these rows."""
         width = marked.shape[2]
         size = width - 2 * _MARGIN
         probabilities, marks = np.zeros((2, width), np.int32)
         both_of_all, each_of_all = np.float64(0.0), np.float64(0.0)
-        for r in range(_MARGIN - half, _MARGIN + half):
+        for r in range(first_row + first, first_row + first + 2 * half):
             for c in range(width):
                 probabilities[c] += marked[0, r, c]
                 marks[c] += marked[1, r, c]
-        for r in range(size):
+        for r in range(first_row, last_row + 1):
             for c in range(width):
                 probabilities[c] += marked[0, r + _MARGIN + half, c]
                 marks[c] += marked[1, r + _MARGIN + half, c]
             both, each = np.float32(0.0), np.float32(0.0)
-            for c in range(size if rows[r] else 0):
+            for c in range(size):
                 p_sum, mark_sum = np.int32(0), np.int32(0)
                 for d in range(scale):
                     p_sum += probabilities[c + first + d]
