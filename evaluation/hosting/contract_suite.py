@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -151,9 +152,14 @@ class TrackerUnderTest:
             self._process = self._running.enter_context(self.process_on(self.stream))
         return self._process
 
-    def described(self, more: Mapping[str, Any] | None = None) -> TrackerDescription:
-        """The tracker's description without a stream, with `more` options. Raises ConfigurationError, PluginError."""
-        return describe(self._launch, {**self._options, **(more or {})}, self._limits)
+    @cached_property
+    def description(self) -> TrackerDescription:
+        """The tracker's description without a stream. Raises ConfigurationError, PluginError."""
+        return self.described_with({})
+
+    def described_with(self, options: Mapping[str, Any]) -> TrackerDescription:
+        """The description with more `options`. Raises ConfigurationError, PluginError."""
+        return describe(self._launch, {**self._options, **options}, self._limits)
 
     def restart(self) -> None:
         """End the process; the next use starts a new one."""
@@ -194,7 +200,7 @@ Check = Callable[[TrackerUnderTest], str]
 def loads(subject: TrackerUnderTest) -> str:
     """Ask for the description without a stream."""
     try:
-        description = subject.described()
+        description = subject.description
     except PluginError as error:
         raise ContractViolationError(str(error)) from None
     return f"{description.role}, {'learns' if description.learns else 'nothing to learn'}"
@@ -203,7 +209,7 @@ def loads(subject: TrackerUnderTest) -> str:
 def refuses_unknown_options(subject: TrackerUnderTest) -> str:
     """Ask for the description with an option that no tracker has."""
     try:
-        subject.described({UNKNOWN_OPTION: 1})
+        subject.described_with({UNKNOWN_OPTION: 1})
     except ConfigurationError:
         return f"refuses {UNKNOWN_OPTION}=1"
     except PluginError as error:
@@ -213,7 +219,7 @@ def refuses_unknown_options(subject: TrackerUnderTest) -> str:
 
 def starts(subject: TrackerUnderTest) -> str:
     """Start on the stream."""
-    before = subject.described()
+    before = subject.description
     try:
         after = subject.process().description
     except TrialEnded as ended:
