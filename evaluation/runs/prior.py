@@ -36,7 +36,7 @@ def has_prior(trial: Trial) -> bool:
     return trial.weights is not None and not trial.weights.card.general and trial.test.first_move_s is None
 
 
-class Prior:
+class PriorRecorder:
     """The expectation of a tracker that has just started, and the recorded frames in which cells are seen."""
 
     def __init__(self, tracker: TrackerLike, trial: Trial) -> None:

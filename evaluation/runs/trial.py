@@ -21,7 +21,7 @@ from gridtrack.evaluation.referee.referee import Delivery, TrackerLike, refuse_m
 from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitRegions
 from gridtrack.evaluation.runs.passes import RoundTrips
 from gridtrack.evaluation.runs.plan import Trial
-from gridtrack.evaluation.runs.prior import PRIOR_FILE, Prior, has_prior
+from gridtrack.evaluation.runs.prior import PRIOR_FILE, PriorRecorder, has_prior
 from gridtrack.evaluation.runs.scorekeeper import SCORE_FILES, Scorekeeper, facts_of
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds, thresholds_of_card, trial_key
 from gridtrack.evaluation.runs.sums import SUMS_FILE
@@ -64,7 +64,7 @@ class TrialRun:
         self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
         self._shared = shared
         self._thresholds: Thresholds | None = None
-        self._prior: Prior | None = None
+        self._prior: PriorRecorder | None = None
         self._test = trial.split.schedule
         self._delivery = Delivery(trial.test, on_frame, regions.test)
         self._scored = self._missing = 0
@@ -113,11 +113,11 @@ class TrialRun:
             for stretch in filter(None, (self.trial.validation, self.trial.test)):
                 refuse_moving(stretch, self.trial.label)
 
-    def _expectation(self) -> Prior | None:
+    def _expectation(self) -> PriorRecorder | None:
         """The tracker's expectation of the place: it is asked now, because later it could remember frames."""
         if not has_prior(self.trial):
             return None
-        prior = Prior(self._process, self.trial)
+        prior = PriorRecorder(self._process, self.trial)
         self._process.timings = Timings()  # of the stretches alone
         return prior
 

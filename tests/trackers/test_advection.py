@@ -64,7 +64,7 @@ def test_a_uniform_flow_carries_a_cell_of_a_5_x_5_grid_by_whole_cells(monkeypatc
 
 
 def test_a_moving_block_is_carried_on_in_its_direction() -> None:
-    tracker = tracker_on(WIDE, lookback_s=0.25, smoothing_m=0.3, attachment=5.0)
+    tracker = tracker_on(WIDE, lookback_s=0.25, smoothing_m=0.3)
     for n in range(10):
         tracker.update(frame(block(20, 8 + n), n, 0.1))
     forecast = tracker.predict(8).occupancy
