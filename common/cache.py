@@ -41,15 +41,13 @@ class FileCache:
         target.unlink(missing_ok=True)  # it may be a link to another file
         if self._usable and self._copied(entry, target):
             return target
-        room = self._room() if self._usable else None
-        if room is None:
+        try:
             make(target)
-            return target
-        with room as folder:
-            made = Path(folder) / target.name
-            make(made)
-            shutil.copyfile(made, target)
-            self._keep(made, entry)
+        except BaseException:
+            target.unlink(missing_ok=True)
+            raise
+        if self._usable:
+            self._keep(target, entry)
         return target
 
     def trim(self) -> None:
@@ -81,22 +79,18 @@ class FileCache:
             os.utime(entry)
         return True
 
-    def _room(self) -> TemporaryDirectory[str] | None:
-        """A temporary folder for a new entry; None if the cache folder cannot be used."""
+    def _keep(self, made: Path, entry: Path) -> None:
+        """Make `entry` of the file `made` and its checksum, complete or not at all."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            return TemporaryDirectory(dir=self.folder, prefix="making-")
-        except OSError as error:
-            self._cannot(error)
-            return None
-
-    def _keep(self, made: Path, entry: Path) -> None:
-        """Append the checksum to the file `made`, and move it to `entry`."""
-        try:
-            with made.open("r+b") as file:
-                digest = hashlib.file_digest(file, "sha256").digest()
-                file.write(digest)
-            made.replace(entry)
+            with TemporaryDirectory(dir=self.folder, prefix="making-", ignore_cleanup_errors=True) as room:
+                copy = Path(shutil.copyfile(made, Path(room) / entry.name))
+                with copy.open("r+b") as file:
+                    digest = hashlib.file_digest(file, "sha256").digest()
+                    file.write(digest)
+                copy.replace(entry)
+        except FileNotFoundError:
+            pass  # the user has emptied the cache meanwhile
         except OSError as error:
             self._cannot(error)
 

@@ -47,6 +47,8 @@ class RenderedRecording(Recording):
 
     def read(self, topics: Topics) -> Iterator[Scan]:
         """The scans of the rendering."""
+        if not self.rendering.is_file():
+            del self.rendering  # the user has emptied the cache meanwhile
         return NativeRecording(self.rendering, self.options).read(topics)
 
     @cached_property

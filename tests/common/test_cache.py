@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 
 import pytest
@@ -97,8 +98,20 @@ def test_nothing_stays_of_an_interrupted_entry(cache, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         cache.fetch({}, tmp_path / "one", make)
-    assert list(cache.folder.iterdir()) == []
+    assert not cache.folder.exists()
     assert not (tmp_path / "one").exists()
+
+
+def test_the_user_may_empty_the_cache_while_a_file_is_made(cache, tmp_path, notes):
+    fetched(cache, {"n": 1}, tmp_path / "one")
+
+    def make(path):
+        shutil.rmtree(cache.folder)
+        path.write_bytes(b"content")
+
+    assert cache.fetch({"n": 2}, tmp_path / "two", make).read_bytes() == b"content"
+    assert fetched(cache, {"n": 2}, tmp_path / "three") == (b"content", False)
+    assert notes == []
 
 
 def test_without_a_folder_nothing_is_cached_with_one_note(cache, tmp_path, notes):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from io import BytesIO
 from pathlib import Path
 
@@ -97,6 +98,14 @@ def test_the_rendering_is_cached_and_repeated_if_it_is_damaged(tmp_path: Path, o
     np.testing.assert_array_equal([scan.ranges for scan in open_recording(path).scans()], expected)
     assert rendering.read_bytes() == content
     assert sorted(p.suffix for p in rendering_folder().iterdir()) == [".mcap", ".sha256"]
+
+
+def test_the_cache_may_be_emptied_between_two_readings(tmp_path: Path, own_cache: Path) -> None:
+    write_recording(tmp_path / "yard.tracks", walk())
+    recording = open_recording(tmp_path / "yard.tracks")
+    first = [scan.stamp_ns for scan in recording.scans()]
+    shutil.rmtree(own_cache)
+    assert [scan.stamp_ns for scan in recording.scans()] == first
 
 
 def test_other_tracks_of_the_same_name_are_rendered_again(tmp_path: Path) -> None:
