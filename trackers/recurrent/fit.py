@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import lightning
-import numpy as np
 import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
@@ -56,8 +55,8 @@ AT_MOST = {"batch": 2, "burn_in": 20}
 processor, and a longer burn-in takes twice as long and gains nothing at a site."""
 FIRST_MOTION = frozenset({"shape_updates", "shape_share", "motion_weight"})
 """Settings for learning motion from nothing; a training from general weights does not have them."""
-MAPS_STORED_AS = np.float16
-"""Maps are nearly the whole file of a site; with half of the bits no score changes in its third digit."""
+STORED_AS = torch.float16
+"""Precision of the arrays in the file: half the size, and no score changes in its third digit."""
 FOR_ANY_PLACE = {"resolution_input": True, "step_s": 0.1}
 """Settings of a general network, unless others are given."""
 
@@ -92,8 +91,7 @@ def fit_network(kind: type[NetworkTracker], task: FitTask) -> None:
     module = TrainingModule(network, in_training, dataset, options, devices, validate)
     others = {*TransferSettings.model_fields, *kind.running.model_fields}
     trained = train_network(module, task, options.model_dump(exclude=others), start)
-    arrays = {name: value.detach().contiguous().numpy() for name, value in network.state_dict().items()}
-    arrays |= {name: arrays[name].astype(MAPS_STORED_AS) for name in network.maps()}
+    arrays = {name: value.contiguous().numpy() for name, value in network.to(STORED_AS).state_dict().items()}
     settings = options.model_dump(mode="json", exclude=set(kind.running.model_fields))
     card = card_for(name, task, settings, trained.scores)
     if trained.reached:
@@ -111,13 +109,9 @@ def _for_windows_of(dataset: SequenceDataset, kind: type[NetworkTracker], option
     return options
 
 
-@torch.no_grad()
 def as_stored(network: Network) -> Network:
-    """A copy on the processor, with maps as precise as in the file: the network that a user will run."""
-    stored = deepcopy(network).cpu()
-    for cells in stored.maps().values():
-        cells.copy_(torch.from_numpy(cells.numpy().astype(MAPS_STORED_AS)))
-    return stored
+    """A copy on the processor, as precise as in the file: the network that a user will run."""
+    return deepcopy(network).cpu().to(STORED_AS).float()
 
 
 @torch.no_grad()

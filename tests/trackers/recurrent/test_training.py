@@ -278,7 +278,7 @@ def test_a_training_on_two_devices_has_the_weights_of_one(tmp_path, monkeypatch,
 
     found = arrays_of(two)
     for name, value in arrays_of(one).items():
-        np.testing.assert_allclose(found[name], value, atol=2e-5, err_msg=name)
+        np.testing.assert_allclose(found[name], value, rtol=1e-3, atol=2e-5, err_msg=name)  # one step of float16
     updates = [[line.split()[1] for line in each if line.startswith("update")] for each in lines]
     assert updates == [["2", "4"], ["2", "4"]], "a device reports its validations to this process"
     assert read_card(two).settings["devices"] == 2
