@@ -38,7 +38,6 @@ LIVE = sorted(entries().keys() - recorded().keys())
 
 
 TINY: dict[str, dict[str, object]] = {
-    "simvp": {"channels": 2, "hidden": 4, "blocks": 2},
     "sogmp": {"channels": 2, "hidden": 4},
 }
 """Options of small trackers, for those without shipped weights."""
