@@ -43,7 +43,7 @@ class PriorRecorder:
         """Ask the `tracker` one step after a frame that shows nothing. Raises TrialEnded."""
         tracker.reset(trial.seed)
         tracker.update(without_returns(next(iter(trial.test))))
-        self._probability = tracker.predict(1).occupancy[1]
+        self._probability = tracker.predict(1).occupancy[1].copy()  # without the rest of the forecast
         self._visible, self._occupied = (np.zeros(trial.test.grid.shape, np.int32) for _ in range(2))
 
     def counted(self, moments: Iterable[Moment]) -> Iterator[Moment]:
