@@ -83,7 +83,6 @@ def comparison(
     with _run_folder(out, settings, command, note) as folder:
         settings = settings.model_copy(update={"out": folder})
         ended = (_follow if settings.follow else _run)(settings, command, note, console)
-        render_report([folder])
         yield replace(ended, out=out)
 
 
@@ -130,6 +129,7 @@ def _run(
     plan = resolve(settings, note=note)
     with RunProgress(console) as progress:
         summary = run(plan, command, progress)
+        render_report([settings.out])
     not_measured = not summary.interrupted and _note_missing(plan, summary, note)
     return Comparison(plan.settings.out, summary, summary.interrupted, not_measured)
 
@@ -143,6 +143,7 @@ def _follow(
             followed.follow(table)
         with RunProgress(console) as progress:
             summary = followed.finish(command, progress)
+            render_report([settings.out])
     return Comparison(settings.out, summary, summary.interrupted or followed.interrupted)
 
 

@@ -145,10 +145,12 @@ class RunProgress:
         return f"{len(self._ended)} of {len(self._frames)} trials"
 
     def _left(self) -> str:
-        """The time left for all trials at the current rate; "" before it can be estimated."""
+        """The time left for all trials at the current rate, or what follows; "" before it can be estimated."""
         with self._lock:
             share = sum(self._delivered.values()) / max(self._total(), 1)
-        if share < MIN_SHARE or share >= 1.0:
+        if share >= 1.0:
+            return f"{self._then}, then the summary".removeprefix(", ")
+        if share < MIN_SHARE:
             return ""
         return f"{duration_text((time.monotonic() - self._began_s) * (1.0 - share) / share)} left{self._then}"
 

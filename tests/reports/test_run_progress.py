@@ -36,6 +36,15 @@ def test_on_a_terminal_all_trials_have_a_bar_with_the_time_left():
     assert "1 of 2 trials" in console.file.getvalue()
 
 
+def test_after_the_last_trial_the_measurements_and_the_summary_are_named():
+    console = Console(file=io.StringIO(), width=140, force_terminal=False)
+    with RunProgress(console) as progress:
+        progress.planned({"a@hall": 10}, ["latency"])
+        progress.started("a@hall", 10)
+        progress.ended("a@hall", record())
+    assert "(1 of 1 trials, then latency, then the summary)" in console.file.getvalue()
+
+
 def test_a_long_start_is_announced_and_left_out_of_the_time_left(monkeypatch):
     console, announced = Console(file=io.StringIO(), width=80, force_terminal=False), threading.Event()
     monkeypatch.setattr(run_progress, "RUNNING_LINE_EVERY_S", 0.0)
