@@ -37,6 +37,7 @@ QUICK = {
     "benchmarks.inference": "--rounds 1 --out TMP/recurrent.json",
     "benchmarks.model_free": "--frames 10 --out TMP/model-free.json",
     "benchmarks.parts": "--runs 1",
+    "benchmarks.peers": "--out TMP/peers.json",
     "benchmarks.scale": "--engine local --recordings 1 --out TMP/scale.json",
     "benchmarks.scoring": "--runs 1",
     "benchmarks.stone_soup": "--people 3 --frames 24 --seeds 1 --out TMP/model-free.json",
@@ -59,6 +60,10 @@ SMALLER: dict[str, dict[str, Any]] = {
     "benchmarks.dogma": {"FRAMES": 30},
     "benchmarks.inference": {"SIZE": 48},
     "benchmarks.model_free": {"MOVERS": (3,), "WARM_UP": 5},
+    "benchmarks.peers": {
+        **{"SIZE": 16, "BATCH": 1, "RUNS": 1, "ROWS": (("conv-lstm", {"channels": 2}),)},
+        **{"TRAINED": ("conv-lstm",), "MEASURED": 1},
+    },
     "benchmarks.scale": {"SECONDS": 14, "_timed": timed_here},
     "benchmarks.scoring": {"STEPS": 5},
     "studies.coverage": {
@@ -76,7 +81,6 @@ A_RUN = "needs the folder of a comparison"
 DRAWN = "test_comparisons.py runs it on drawn comparisons"
 LONG = {
     "benchmarks.harness": "goes through the whole demo recording three times",
-    "benchmarks.peers": "trains on whole batches",
     "benchmarks.recurrent": "trains on whole batches",
     "studies.drive_recordings": "needs SUMO",
     "studies.kept_summary": "test_results.py runs it",
