@@ -33,7 +33,7 @@ class StepsAhead(NamedTuple):
 
 
 class PastFramesNetwork(Network):
-    """Base of the networks; a subclass defines `next_steps` and `output_bias`."""
+    """Base of the networks; a subclass defines `next_steps` and `decoder`."""
 
     mixed_resolutions = True
 

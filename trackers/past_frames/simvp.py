@@ -115,10 +115,9 @@ class SimVP(PastFramesNetwork):
         self.read = nn.Conv2d(channels, 1, 1)
 
     @property
-    def output_bias(self) -> Tensor:
-        """The bias (1,) of the last convolution."""
-        assert self.read.bias is not None
-        return self.read.bias
+    def decoder(self) -> nn.Conv2d:
+        """The convolution `read`."""
+        return self.read
 
     def next_steps(self, past: Tensor, draw: torch.Generator | None) -> StepsAhead:
         """As many steps as are read; nothing is random."""

@@ -96,10 +96,9 @@ class SOGMP(PastFramesNetwork):
         self.read = nn.Conv2d(half, 1, 3, padding=1)
 
     @property
-    def output_bias(self) -> Tensor:
-        """The bias (1,) of the last convolution."""
-        assert self.read.bias is not None
-        return self.read.bias
+    def decoder(self) -> nn.Conv2d:
+        """The convolution `read`."""
+        return self.read
 
     def next_steps(self, past: Tensor, draw: torch.Generator | None) -> StepsAhead:
         """One step, of a z that is drawn for each of the batch; the penalty is that of z."""

@@ -122,16 +122,10 @@ class ConvLSTM(RecurrentNetwork):
         """The last layer's hidden state."""
         return state[-1].h
 
-    def occupancy(self, features: Tensor) -> Tensor:
-        """Logits of P(occupied), (B, M, M)."""
-        logits: Tensor = self.decode(features)
-        return logits.squeeze(1)
-
     @property
-    def output_bias(self) -> Tensor:
-        """The bias (1,) of the decoder."""
-        assert self.decode.bias is not None
-        return self.decode.bias
+    def decoder(self) -> nn.Conv2d:
+        """The convolution `decode`."""
+        return self.decode
 
 
 class ConvLSTMTracker(RecurrentTracker):

@@ -117,16 +117,10 @@ class DeepTrackingRNN(RecurrentNetwork):
         """The state itself."""
         return state[0]
 
-    def occupancy(self, features: Tensor) -> Tensor:
-        """Logits of P(occupied), (B, M, M)."""
-        logits: Tensor = self.decode(features)
-        return logits.squeeze(1)
-
     @property
-    def output_bias(self) -> Tensor:
-        """The bias (1,) of the decoder."""
-        assert self.decode.bias is not None
-        return self.decode.bias
+    def decoder(self) -> nn.Conv2d:
+        """The convolution `decode`."""
+        return self.decode
 
 
 def _centre(convolution: nn.Conv2d) -> Tensor:

@@ -154,16 +154,10 @@ class DilatedConvGRU(RecurrentNetwork):
         """The last layer's state."""
         return state[-1]
 
-    def occupancy(self, features: Tensor) -> Tensor:
-        """Logits of P(occupied), (B, M, M)."""
-        logits: Tensor = self.decode_occupancy(features)
-        return logits.squeeze(1)
-
     @property
-    def output_bias(self) -> Tensor:
-        """The bias (1,) of the occupancy decoder."""
-        assert self.decode_occupancy.bias is not None
-        return self.decode_occupancy.bias
+    def decoder(self) -> nn.Conv2d:
+        """The convolution `decode_occupancy`."""
+        return self.decode_occupancy
 
     def class_planes(self, state: LayerStates, layers: DecodedLayers) -> Tensor:
         """The states of the last or of all layers, (B, C, M, M) or (B, layers x C, M, M)."""

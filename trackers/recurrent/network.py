@@ -89,8 +89,14 @@ class Network(nn.Module, TrainedNetwork):
 
     @property
     @abstractmethod
+    def decoder(self) -> nn.Conv2d:
+        """The last convolution, whose one output is the logit of P(occupied)."""
+
+    @property
     def output_bias(self) -> Tensor:
-        """The bias (1,) of the occupancy decoder's output."""
+        """The bias (1,) of the decoder."""
+        assert self.decoder.bias is not None
+        return self.decoder.bias
 
     def maps(self) -> dict[str, nn.Parameter]:
         """The static memory, by name: parameters (C, M, M), or (C, 1, 1) in a network for any place."""
@@ -100,7 +106,7 @@ class Network(nn.Module, TrainedNetwork):
 class RecurrentNetwork(Network, Recurrence):
     """Base of the recurrent networks: a Recurrence with parameters.
 
-    A subclass defines the methods of Recurrence and `output_bias`; the other methods have defaults.
+    A subclass defines `decoder`, and `initial`, `step` and `features` of Recurrence; the other methods have defaults.
     """
 
     def __init__(self, size: int) -> None:
@@ -108,6 +114,11 @@ class RecurrentNetwork(Network, Recurrence):
         self.decoded_layers: DecodedLayers = "last"
         self.decode_semantics: nn.Module | None
         self.register_module("decode_semantics", None)
+
+    def occupancy(self, features: Tensor) -> Tensor:
+        """Logits of P(occupied), (B, M, M)."""
+        logits: Tensor = self.decoder(features)
+        return logits.squeeze(1)
 
     def class_planes(self, state: State, layers: DecodedLayers) -> Tensor:
         """The part of the latent state that the class decoder reads, (B, C, M, M); `features` unless overridden."""
