@@ -61,6 +61,11 @@ class Launch:
         """Whether a `trackers.toml` names it."""
         return self.cwd is not None
 
+    @property
+    def in_this_python(self) -> bool:
+        """Whether it is registered in this environment."""
+        return self.argv == _serve(sys.executable, self.name)
+
     def code_sha256(self) -> str:
         """The hash of the files that the command names; "" if it names none."""
         digests = [sha256_of(path) for path in (Path(self.cwd or "", word) for word in self.argv) if _is_file(path)]

@@ -13,25 +13,25 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from subprocess import Popen
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from gridtrack.evaluation.hosting.supervisor import (
     GIVE_UP_S,
     PR_SET_CHILD_SUBREAPER,
     PR_SET_DUMPABLE,
+    command_line,
     make_unreadable,
     prctl,
+    write_command_line,
 )
 
 PR_GET_DUMPABLE = 3
-ARG_START, ARG_END = 45, 46
-"""Positions in /proc/self/stat, after the name in parentheses, of the command line's addresses (proc(5), 48 and 49)."""
 
 _lock = threading.Lock()
 _adopting = threading.Event()
 _leaders: set[int] = set()
-"""Children of this process that lead a session of their own."""
+"""Processes that lead a session of their own, and are no orphans."""
+StartedLeader = TypeVar("StartedLeader", bound="Leader")
 
 
 @contextmanager
@@ -44,13 +44,9 @@ def shielded_host(title: str, *, alone: bool) -> Iterator[None]:
     if sys.platform != "linux":
         yield
         return
-    fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
-    start = int(fields[ARG_START])
-    size = int(fields[ARG_END]) - start if start else 0
-    command_line, readable = ctypes.string_at(start, size), ctypes.CDLL(None).prctl(PR_GET_DUMPABLE, 0, 0, 0, 0)
-    if size > 1:
-        # the last byte stays 0: else the kernel takes the environment for a part of the command line
-        ctypes.memmove(start, title.encode()[: size - 1].ljust(size, b"\0"), size)
+    start, size = command_line()
+    before, readable = ctypes.string_at(start, size), ctypes.CDLL(None).prctl(PR_GET_DUMPABLE, 0, 0, 0, 0)
+    write_command_line(title.encode())
     make_unreadable()
     adopt_orphans(alone)
     try:
@@ -58,7 +54,7 @@ def shielded_host(title: str, *, alone: bool) -> Iterator[None]:
     finally:
         adopt_orphans(False)
         prctl(PR_SET_DUMPABLE, readable)
-        ctypes.memmove(start, command_line, size)
+        ctypes.memmove(start, before, size)
 
 
 def shielded_environment(recordings: Iterable[Path]) -> dict[str, str]:
@@ -77,15 +73,21 @@ def adopt_orphans(adopt: bool = True) -> None:
     (_adopting.set if adopt else _adopting.clear)()
 
 
-def start_leader(start: Callable[[], Popen[Any]]) -> Popen[Any]:
-    """The child that `start` starts in a session of its own, which is no orphan."""
+class Leader(Protocol):
+    """A process in a session of its own, which is no orphan."""
+
+    pid: int
+
+
+def start_leader(start: Callable[[], StartedLeader]) -> StartedLeader:
+    """The leader that `start` starts."""
     with _lock:
         leader = start()
         _leaders.add(leader.pid)
     return leader
 
 
-def forget_leader(leader: Popen[Any], orderly: bool) -> None:
+def forget_leader(leader: Leader, orderly: bool) -> None:
     """A leader has ended; if not `orderly`, end its processes that this process adopted.
 
     A child is adopted if its session is neither this process's nor a leader's.

@@ -13,16 +13,18 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
 from tempfile import mkdtemp
+from typing import IO
 
 from gridtrack.common.files import open_new
 from gridtrack.evaluation.hosting.host import forget_leader, start_leader
+from gridtrack.evaluation.hosting.nursery import SUPERVISOR, ForkedSupervisor, fork_supervisor
 from gridtrack.trackers.wire import Message, encode, receive, widen, without
 
-SUPERVISOR = Path(__file__).with_name("supervisor.py")
 OF_A_SIGNAL = 128
 SLICE_S = 1.0
 """Longest single wait. A wait that lasts longer by another SLICE_S shows that this process did not run meanwhile."""
@@ -96,40 +98,61 @@ class SupervisedProgram:
         memory_mb: int | None = None,
         cwd: Path | None = None,
         inherited: tuple[int, ...] = (),
+        from_nursery: bool = False,
     ) -> None:
         """Start the program. Its stderr goes to `log`, in bounded size, or to the stderr of this process.
 
         With `memory_mb` it ends when the resident memory of all its processes exceeds it. It has the descriptors
-        `inherited`, too. Raises OSError if the log cannot be opened.
+        `inherited`, too. A tracker of this Python may come `from_nursery`, with a log and without `cwd`.
+        Raises OSError if the log cannot be opened.
         """
         self._folder = mkdtemp(prefix="gridtrack-")
-        control, supervisors_end = socket.socketpair()
-        command = [sys.executable, "-I", "-S", str(SUPERVISOR), str(supervisors_end.fileno()), str(memory_mb or 0)]
-        command += ["1" if log else "0", self._folder, *argv]
-        with supervisors_end, open_new(log) if log else contextlib.nullcontext() as stderr:
-            self._supervisor = start_leader(
-                lambda: subprocess.Popen(
-                    command,
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    stderr=stderr,
-                    bufsize=0,
-                    pass_fds=(supervisors_end.fileno(), *inherited),
-                    env=dict(env) | {"TMPDIR": self._folder},
-                    cwd=cwd,
-                    start_new_session=True,
-                )
-            )
-        self._control = control
-        assert self._supervisor.stdin is not None
-        assert self._supervisor.stdout is not None
-        self._stdin, self._stdout = self._supervisor.stdin, self._supervisor.stdout
+        arguments = [str(memory_mb or 0), "1" if log else "0", self._folder, *argv]
+        with open_new(log) if log else contextlib.nullcontext() as stderr:
+            supervisor = self._forked(env, arguments, stderr) if from_nursery and stderr else None
+            self._supervisor = supervisor or self._started(env, arguments, stderr, cwd, inherited)
         for pipe in (self._stdin, self._stdout):
             os.set_blocking(pipe.fileno(), False)
             widen(pipe.fileno())
         self._exit: ProcessExit | None = None
         self.killed = False
         """Whether `kill` was called."""
+
+    def _started(
+        self,
+        env: Mapping[str, str],
+        arguments: list[str],
+        stderr: IO[bytes] | None,
+        cwd: Path | None,
+        inherited: tuple[int, ...],
+    ) -> subprocess.Popen[bytes]:
+        """A supervisor as a new program."""
+        with self._other_ends() as (stdin, stdout, control):
+            return start_leader(
+                lambda: subprocess.Popen(
+                    [sys.executable, "-I", "-S", str(SUPERVISOR), str(control), *arguments],
+                    stdin=stdin,
+                    stdout=stdout,
+                    stderr=stderr,
+                    pass_fds=(control, *inherited),
+                    env=env,
+                    cwd=cwd,
+                    start_new_session=True,
+                )
+            )
+
+    def _forked(self, env: Mapping[str, str], arguments: list[str], stderr: IO[bytes]) -> ForkedSupervisor | None:
+        """A supervisor from the nursery, if there is one."""
+        with self._other_ends() as (stdin, stdout, control):
+            return fork_supervisor(env, arguments, (stdin, stdout, stderr.fileno(), control))
+
+    @contextlib.contextmanager
+    def _other_ends(self) -> Iterator[tuple[int, int, int]]:
+        """The supervisor's ends of the wire and of the control socket; this process keeps its own ends only."""
+        (stdin, self._stdin), (self._stdout, stdout) = _pipe(), _pipe()
+        self._control, control = socket.socketpair()
+        with stdin, stdout, control:
+            yield stdin.fileno(), stdout.fileno(), control.fileno()
 
     def send(self, message: Message, limit: TimeLimit | None = None) -> None:
         """Send `message` within `limit`. Raises TimeoutError, BrokenPipeError."""
@@ -210,3 +233,9 @@ class SupervisedProgram:
             self._supervisor.wait()
         forget_leader(self._supervisor, orderly=bool(line))
         return ProcessExit(**json.loads(line)) if line else ProcessExit()
+
+
+def _pipe() -> tuple[FileIO, FileIO]:
+    """The reading and the writing end of a new pipe."""
+    reading, writing = os.pipe()
+    return FileIO(reading, "rb"), FileIO(writing, "wb")

@@ -4,6 +4,11 @@ A separate program that uses the standard library only, so that it starts in a f
 
     python -I -S supervisor.py CONTROL_FD MEMORY_MB LOG FOLDER PROGRAM [ARGUMENT...]
 
+The nursery has loaded what every tracker in Python needs. For each request on a socket it forks a supervisor, which
+forks the tracker, in a few thousandths of a second:
+
+    python -P supervisor.py REQUESTS_FD
+
 Descriptors 0 and 1 are the program's wire. Descriptor 2 is its log, of bounded size where LOG is 1.
 With MEMORY_MB 0 its memory is neither limited nor measured. On CONTROL_FD, a socket to the host, each byte asks for an
 interrupt (SIGINT) of the program, and the end of the stream for its end: the host closed it or died. When the program
@@ -19,6 +24,7 @@ from __future__ import annotations
 
 import collections
 import ctypes
+import gc
 import json
 import math
 import os
@@ -29,20 +35,110 @@ import signal
 import socket
 import sys
 import time
+import traceback
+from collections.abc import Callable
+from typing import Any
 
 MEMORY_PERIOD_S = 0.05
 GIVE_UP_S = 5.0
+IDLE_S = 60.0
+"""The nursery ends after as long without a request."""
+REQUEST_BYTES = 1 << 18
 LOG_BYTES = 1 << 20
 SHARED_MEMORY, MEMFD = "/dev/shm/", "/memfd:"
 IN_MEMORY = ("/tmp", "/dev/shm")
+ARG_START, ARG_END = 45, 46
+"""Positions in /proc/self/stat, after the name in parentheses, of the command line's addresses (proc(5), 48 and 49)."""
 PR_SET_PDEATHSIG, PR_SET_DUMPABLE, PR_SET_CHILD_SUBREAPER = 1, 4, 36
 KEYCTL = {"x86_64": 250, "aarch64": 219}
 KEYCTL_JOIN_SESSION_KEYRING = 1
 
 
 def main() -> None:
-    """Supervise one program from its start to its end."""
-    control = socket.socket(fileno=int(sys.argv[1]))
+    """Supervise one program from its start to its end, or fork supervisors on request."""
+    given, arguments = socket.socket(fileno=int(sys.argv[1])), sys.argv[2:]
+    if arguments:
+        supervise(given, arguments, exec_program)
+    else:
+        serve_requests(given)
+
+
+def serve_requests(requests: socket.socket) -> None:
+    """Fork a supervisor for each of the `requests`; in the program that it forks, be the tracker.
+
+    A request has the working folder, the environment and the arguments of a supervisor, and the descriptors of the
+    wire, of the log and of CONTROL_FD. The answer has the number of the supervisor's process and a descriptor of it.
+    No tracker can write to the memory of this process, so that none finds anything of another one.
+    """
+    from gridtrack.trackers import serve
+
+    make_unreadable()
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for the supervisors
+    gc.freeze()
+    requests.settimeout(IDLE_S)
+    try:
+        while True:
+            content, descriptors, *_ = socket.recv_fds(requests, REQUEST_BYTES, 4)
+            if not content:
+                return
+            pid = os.fork()
+            if pid == 0:
+                requests.close()
+                command = supervise_forked(json.loads(content), descriptors)
+                sys.argv = [serve.__file__, *command[-1:]]
+                serve.main()
+                return
+            close_all(descriptors)
+            supervisor = os.pidfd_open(pid)
+            socket.send_fds(requests, [str(pid).encode()], [supervisor])
+            os.close(supervisor)
+    except (TimeoutError, ConnectionError):
+        return
+
+
+def supervise_forked(request: dict[str, Any], descriptors: list[int]) -> list[str]:
+    """Supervise a program from its start to its end, and exit. Returns in the forked program alone: its command."""
+    try:
+        *wire_and_log, control = descriptors
+        for number, descriptor in enumerate(wire_and_log):
+            os.dup2(descriptor, number)
+        close_all(wire_and_log)
+        os.chdir(request["cwd"])
+        os.environ.clear()
+        os.environ.update(request["env"])
+        time.tzset()
+        supervise(socket.socket(fileno=control), request["arguments"], become_program)
+    except ProgramForked as forked:
+        command = forked.command
+    except BaseException:  # noqa: BLE001 - a supervisor never returns to the loop of the nursery
+        traceback.print_exc()
+        os._exit(1)
+    else:
+        os._exit(0)
+    os.closerange(3, max(map(int, names_in("/proc/self/fd"))) + 1)
+    return command
+
+
+class ProgramForked(BaseException):
+    """Leaves the frames of the supervisor in the program that it forked."""
+
+    def __init__(self, command: list[str]) -> None:
+        super().__init__()
+        self.command = command
+
+
+def close_all(descriptors: list[int]) -> None:
+    """Close the descriptors."""
+    for descriptor in descriptors:
+        os.close(descriptor)
+
+
+Start = Callable[[list[str], int, int], None]
+"""What a forked child does to be the program: from its command, its stderr, and where to write why it cannot start."""
+
+
+def supervise(control: socket.socket, arguments: list[str], start: Start) -> None:
+    """Supervise a program from its start to its end; `arguments`: MEMORY_MB, LOG, FOLDER and its command."""
     control.set_inheritable(False)
     prctl(PR_SET_CHILD_SUBREAPER, 1)
     make_unreadable()
@@ -50,8 +146,9 @@ def main() -> None:
     os.set_blocking(notify, False)
     signal.set_wakeup_fd(notify, warn_on_full_buffer=False)
     signal.signal(signal.SIGCHLD, lambda *_: None)
-    memory_mb, log, folder, *command = sys.argv[2:]
-    program = Program(command, memory_kb=int(memory_mb) * 1024, bounded_log=log == "1")
+    memory_mb, log, folder, *command = arguments
+    os.environ["TMPDIR"] = folder
+    program = Program(command, start, memory_kb=int(memory_mb) * 1024, bounded_log=log == "1")
     program.watch(control, wake)
     program.end()
     remove_folder(folder)
@@ -66,7 +163,7 @@ def main() -> None:
 class Program:
     """The supervised program: its exit status, peak memory and log."""
 
-    def __init__(self, command: list[str], memory_kb: int, *, bounded_log: bool) -> None:
+    def __init__(self, command: list[str], start: Start, memory_kb: int, *, bounded_log: bool) -> None:
         """Start it; `memory_kb` 0: its memory is not measured."""
         self.memory_kb = memory_kb
         self.shared = SharedFiles()
@@ -74,10 +171,10 @@ class Program:
         self.over_memory = False
         self.status: int | None = None
         self.log = BoundedLog(2) if bounded_log else None
-        failure, fail = os.pipe()  # exec closes it when the program starts
+        failure, fail = os.pipe()  # closed when the program starts
         self.pid = os.fork()
         if self.pid == 0:
-            exec_program(command, self.log.source if self.log else 2, fail)
+            start(command, self.log.source if self.log else 2, fail)
         os.close(fail)
         if self.log:
             os.close(self.log.source)
@@ -266,21 +363,39 @@ class BoundedLog:
 
 def exec_program(command: list[str], stderr: int, fail: int) -> None:
     """In the forked child: execute the program; where that fails, write the reason to `fail`."""
-    supervisor = os.getppid()
     try:
-        prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != supervisor:
-            os._exit(127)
-        os.setsid()
-        join_new_keyring()
-        os.dup2(stderr, 2)
+        leave_supervisor(stderr)
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         os.execvp(command[0], command)
     except OSError as error:
         os.write(fail, (error.strerror or str(error)).encode())
     finally:
         os._exit(127)
+
+
+def become_program(command: list[str], stderr: int, fail: int) -> None:
+    """In the forked child: undo what exec would undo, and raise ProgramForked."""
+    leave_supervisor(stderr)
+    signal.set_wakeup_fd(-1)
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    prctl(PR_SET_DUMPABLE, 1)
+    write_command_line("\0".join(command).encode())
+    if random := sys.modules.get("numpy.random"):
+        random.seed()
+    os.close(fail)
+    raise ProgramForked(command)
+
+
+def leave_supervisor(stderr: int) -> None:
+    """Make this process a program of its own, with the log `stderr`, that ends with its supervisor."""
+    supervisor = os.getppid()
+    prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != supervisor:
+        os._exit(127)
+    os.setsid()
+    join_new_keyring()
+    os.dup2(stderr, 2)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def prctl(option: int, value: int) -> None:
@@ -298,6 +413,21 @@ def join_new_keyring() -> None:
 def make_unreadable() -> None:
     """Hide this process's descriptors, environment and memory from others in /proc: its log names the recording."""
     prctl(PR_SET_DUMPABLE, 0)
+
+
+def command_line() -> tuple[int, int]:
+    """Address and size of the command line that others see of this process, on Linux."""
+    fields = pathlib.Path("/proc/self/stat").read_text().rpartition(")")[2].split()
+    start = int(fields[ARG_START])
+    return start, int(fields[ARG_END]) - start if start else 0
+
+
+def write_command_line(text: bytes) -> None:
+    """Show `text` in place of the command line, as far as there is room."""
+    start, size = command_line()
+    if size > 1:
+        # the last byte stays 0: else the kernel takes the environment for a part of the command line
+        ctypes.memmove(start, text[: size - 1].ljust(size, b"\0"), size)
 
 
 def descendants(pid: int) -> list[int]:

@@ -287,6 +287,8 @@ def _dialogue(
     threads = dict.fromkeys(THREAD_VARIABLES, str(limits.threads))
     how: dict[str, Any] = {"log": log, "memory_mb": limits.memory_mb, "cwd": launch.cwd}
     if not limits.sandbox:
+        # threads of libraries do not survive a fork
+        how["from_nursery"] = launch.in_this_python and limits.threads == 1
         return Dialogue(SupervisedProgram(argv, env | threads, **how), log, limits.memory_mb)
     check_sandbox()
     with system_call_filter() as number:

@@ -58,7 +58,7 @@ def trackers_of(node):
     names = []
     for process in psutil.Process(raylet.process.pid).children(recursive=True):
         with suppress(psutil.NoSuchProcess):  # it has ended in the meantime
-            *_, module, name = ["", "", *process.cmdline()]
+            *_, module, name = ["", "", *filter(None, process.cmdline())]
             names += [name] * (module == "gridtrack.trackers.serve")
     return names
 

@@ -18,6 +18,7 @@ from gridtrack.common.errors import ConfigurationError, PluginError
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting.contract_scene import scene
 from gridtrack.evaluation.hosting.limits import Limits
+from gridtrack.evaluation.hosting.nursery import end_nursery
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess, describe
 from gridtrack.trackers.contract import StreamSpec
@@ -41,9 +42,11 @@ def log(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def _leaves_no_process(bad_trackers: None) -> Iterator[None]:
     """Every test here also checks that no child of the referee is alive after the trial."""
+    end_nursery()
     before = set(psutil.Process().children(recursive=True))
     descriptors = psutil.Process().num_fds()
     yield
+    end_nursery()
     assert set(psutil.Process().children(recursive=True)) <= before
     assert psutil.Process().num_fds() <= descriptors  # the garbage of an earlier test may go meanwhile
 

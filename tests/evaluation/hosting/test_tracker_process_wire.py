@@ -43,7 +43,7 @@ def _leaves_no_process() -> Iterator[None]:
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
     """The rogue program answers in this process."""
 
-    def program(argv, env, *, log, memory_mb, cwd):
+    def program(argv, env, *, log, **how):
         def answer(request):
             return [rogue.answer_to(request, argv[-1], DESCRIBED)]
 
