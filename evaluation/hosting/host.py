@@ -19,10 +19,10 @@ from gridtrack.evaluation.hosting.supervisor import (
     GIVE_UP_S,
     PR_SET_CHILD_SUBREAPER,
     PR_SET_DUMPABLE,
-    command_line,
     make_unreadable,
     prctl,
-    write_command_line,
+    show_arguments,
+    shown_arguments,
 )
 
 PR_GET_DUMPABLE = 3
@@ -44,9 +44,9 @@ def shielded_host(title: str, *, alone: bool) -> Iterator[None]:
     if sys.platform != "linux":
         yield
         return
-    start, size = command_line()
+    start, size = shown_arguments()
     before, readable = ctypes.string_at(start, size), ctypes.CDLL(None).prctl(PR_GET_DUMPABLE, 0, 0, 0, 0)
-    write_command_line(title.encode())
+    show_arguments(title.encode())
     make_unreadable()
     adopt_orphans(alone)
     try:

@@ -28,7 +28,7 @@ OF_LOADING = (
     *("OMP_", "MKL_", "OPENBLAS_", "GOTO_", "NPY_", "NUMEXPR_", "VECLIB_"),
 )
 """Beginnings of the environment variables that Python and its libraries read while they are loaded."""
-ANSWER_S = 60.0
+NURSERY_ANSWER_S = 60.0
 """A nursery that does not answer for as long, because somebody stopped it, is ended."""
 
 
@@ -73,7 +73,7 @@ class Nursery:
 
     def __init__(self, env: Mapping[str, str]) -> None:
         self._requests, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._requests.settimeout(ANSWER_S)
+        self._requests.settimeout(NURSERY_ANSWER_S)
         with theirs:
             self._process = start_leader(
                 lambda: subprocess.Popen(

@@ -59,41 +59,42 @@ def main() -> None:
     given, arguments = socket.socket(fileno=int(sys.argv[1])), sys.argv[2:]
     if arguments:
         supervise(given, arguments, exec_program)
-    else:
-        serve_requests(given)
+        return
+    os.close(os.pidfd_open(os.getpid()))  # fails at once on a system without it
+    from gridtrack.trackers import serve
+
+    if command := answer_requests(given):
+        sys.argv = [serve.__file__, *command[-1:]]
+        serve.main()
 
 
-def serve_requests(requests: socket.socket) -> None:
-    """Fork a supervisor for each of the `requests`; in the program that it forks, be the tracker.
+def answer_requests(requests: socket.socket) -> list[str]:
+    """Fork a supervisor for each of the `requests`. Returns in each program that these fork, with its command, and at
+    the end, without one.
 
     A request has the working folder, the environment and the arguments of a supervisor, and the descriptors of the
     wire, of the log and of CONTROL_FD. The answer has the number of the supervisor's process and a descriptor of it.
     No tracker can write to the memory of this process, so that none finds anything of another one.
     """
-    from gridtrack.trackers import serve
-
     make_unreadable()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for the supervisors
     gc.freeze()
     requests.settimeout(IDLE_S)
-    try:
-        while True:
+    while True:
+        try:
             content, descriptors, *_ = socket.recv_fds(requests, REQUEST_BYTES, 4)
-            if not content:
-                return
-            pid = os.fork()
-            if pid == 0:
-                requests.close()
-                command = supervise_forked(json.loads(content), descriptors)
-                sys.argv = [serve.__file__, *command[-1:]]
-                serve.main()
-                return
-            close_all(descriptors)
-            supervisor = os.pidfd_open(pid)
-            socket.send_fds(requests, [str(pid).encode()], [supervisor])
-            os.close(supervisor)
-    except (TimeoutError, ConnectionError):
-        return
+        except (TimeoutError, ConnectionError):
+            return []
+        if not content:
+            return []
+        pid = os.fork()
+        if pid == 0:
+            requests.close()
+            return supervise_forked(json.loads(content), descriptors)
+        close_all(descriptors)
+        supervisor = os.pidfd_open(pid)
+        socket.send_fds(requests, [str(pid).encode()], [supervisor])
+        os.close(supervisor)
 
 
 def supervise_forked(request: dict[str, Any], descriptors: list[int]) -> list[str]:
@@ -379,7 +380,7 @@ def become_program(command: list[str], stderr: int, fail: int) -> None:
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     prctl(PR_SET_DUMPABLE, 1)
-    write_command_line("\0".join(command).encode())
+    show_arguments("\0".join(command).encode())
     if random := sys.modules.get("numpy.random"):
         random.seed()
     os.close(fail)
@@ -415,16 +416,16 @@ def make_unreadable() -> None:
     prctl(PR_SET_DUMPABLE, 0)
 
 
-def command_line() -> tuple[int, int]:
+def shown_arguments() -> tuple[int, int]:
     """Address and size of the command line that others see of this process, on Linux."""
     fields = pathlib.Path("/proc/self/stat").read_text().rpartition(")")[2].split()
     start = int(fields[ARG_START])
     return start, int(fields[ARG_END]) - start if start else 0
 
 
-def write_command_line(text: bytes) -> None:
+def show_arguments(text: bytes) -> None:
     """Show `text` in place of the command line, as far as there is room."""
-    start, size = command_line()
+    start, size = shown_arguments()
     if size > 1:
         # the last byte stays 0: else the kernel takes the environment for a part of the command line
         ctypes.memmove(start, text[: size - 1].ljust(size, b"\0"), size)

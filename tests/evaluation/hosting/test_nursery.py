@@ -12,7 +12,7 @@ import pytest
 
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting.limits import Limits
-from gridtrack.evaluation.hosting.nursery import end_nursery
+from gridtrack.evaluation.hosting.nursery import SUPERVISOR, end_nursery
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import launch
@@ -42,8 +42,9 @@ def found_by(limits: Limits, tmp_path: Path) -> dict[str, Any]:
 
 
 def nurseries() -> list[psutil.Process]:
-    """The children of this process that are alive."""
-    return [child for child in psutil.Process().children() if child.status() != psutil.STATUS_ZOMBIE]
+    """The nurseries of this process that are alive."""
+    children = (child for child in psutil.Process().children() if child.status() != psutil.STATUS_ZOMBIE)
+    return [child for child in children if str(SUPERVISOR) in child.cmdline()]
 
 
 def test_a_forked_tracker_finds_its_process_as_a_started_one_does(tmp_path, monkeypatch):
