@@ -1,7 +1,7 @@
 """The nursery of trackers in Python: a process that has loaded their common libraries, and forks each of them.
 
 Loading these takes 0.4 s of a processor for each tracker, a fork some thousandths. The nursery has loaded nothing of a
-tracker and receives no frames: it is as new for the last tracker as for the first one.
+tracker and learns nothing of it: it is as new for the last tracker as for the first one.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from gridtrack.evaluation.hosting.host import forget_leader, start_leader
+from gridtrack.evaluation.hosting.supervisor import FORK, LENGTH_BYTES
 
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 OF_LOADING = (
@@ -87,9 +87,9 @@ class Nursery:
                 )
             )
 
-    def fork(self, request: Mapping[str, Any], descriptors: Sequence[int]) -> ForkedSupervisor:
-        """A supervisor by a request of supervisor.py. Raises OSError or ValueError without an answer."""
-        socket.send_fds(self._requests, [json.dumps(request).encode()], descriptors)
+    def fork(self, descriptors: Sequence[int]) -> ForkedSupervisor:
+        """A supervisor with these descriptors of its own. Raises OSError or ValueError without an answer."""
+        socket.send_fds(self._requests, [FORK], descriptors)
         answer, (descriptor, *_), *_ = socket.recv_fds(self._requests, 32, 1)
         return ForkedSupervisor(int(answer), descriptor)
 
@@ -107,20 +107,24 @@ _kept: dict[tuple[object, ...], Nursery] = {}
 
 
 def fork_supervisor(
-    env: Mapping[str, str], arguments: Sequence[str], descriptors: Sequence[int]
+    env: Mapping[str, str], arguments: Sequence[str], descriptors: Sequence[int], control: socket.socket
 ) -> ForkedSupervisor | None:
     """A supervisor of a tracker with the environment `env`; `arguments` and `descriptors` as in supervisor.py.
 
-    None if the nursery has ended, because nobody needed it or somebody killed it: the next one starts anew.
+    It reads the rest on the socket to `control`. None if the nursery has ended, because nobody needed it or somebody
+    killed it: the next one starts anew.
     """
     with _lock:
         try:
+            started = json.dumps({"cwd": str(Path.cwd()), "env": dict(env), "arguments": arguments}).encode()
             nursery = _nursery(_read_in_loading(env))
-            request = {"cwd": str(Path.cwd()), "env": dict(env), "arguments": arguments}
-            return start_leader(lambda: nursery.fork(request, descriptors))
+            supervisor = start_leader(lambda: nursery.fork(descriptors))
         except (OSError, ValueError):
             end_nursery()
             return None
+    with suppress(OSError):  # it was killed, as the reader of its report will see
+        control.sendall(len(started).to_bytes(LENGTH_BYTES, "little") + started)
+    return supervisor
 
 
 def _read_in_loading(env: Mapping[str, str]) -> dict[str, str]:

@@ -144,7 +144,8 @@ class SupervisedProgram:
     def _forked(self, env: Mapping[str, str], arguments: list[str], stderr: IO[bytes]) -> ForkedSupervisor | None:
         """A supervisor from the nursery; None if it has ended."""
         with self._other_ends() as (stdin, stdout, control):
-            supervisor = fork_supervisor(env, arguments, (stdin, stdout, stderr.fileno(), control))
+            descriptors = (stdin, stdout, stderr.fileno(), control)
+            supervisor = fork_supervisor(env, arguments, descriptors, self._control)
         if supervisor is None:
             for own in (self._stdin, self._stdout, self._control):
                 own.close()

@@ -37,13 +37,12 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
-from typing import Any
 
 MEMORY_PERIOD_S = 0.05
 GIVE_UP_S = 5.0
 IDLE_S = 60.0
 """The nursery ends after as long without a request."""
-REQUEST_BYTES = 1 << 18
+FORK, LENGTH_BYTES = b"fork", 4
 LOG_BYTES = 1 << 20
 SHARED_MEMORY, MEMFD = "/dev/shm/", "/memfd:"
 IN_MEMORY = ("/tmp", "/dev/shm")
@@ -72,9 +71,9 @@ def answer_requests(requests: socket.socket) -> list[str]:
     """Fork a supervisor for each of the `requests`. Returns in each program that these fork, with its command, and at
     the end, without one.
 
-    A request has the working folder, the environment and the arguments of a supervisor, and the descriptors of the
-    wire, of the log and of CONTROL_FD. The answer has the number of the supervisor's process and a descriptor of it.
-    No tracker can write to the memory of this process, so that none finds anything of another one.
+    A request has the descriptors of the wire, of the log and of CONTROL_FD; the supervisor alone reads the rest there.
+    The answer has the number of the supervisor's process and a descriptor of it. This process learns nothing of a
+    tracker, and no tracker can write to its memory: none finds anything of another one.
     """
     make_unreadable()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for the supervisors
@@ -82,33 +81,39 @@ def answer_requests(requests: socket.socket) -> list[str]:
     requests.settimeout(IDLE_S)
     while True:
         try:
-            content, descriptors, *_ = socket.recv_fds(requests, REQUEST_BYTES, 4)
+            request, descriptors, *_ = socket.recv_fds(requests, len(FORK), 4)
         except (TimeoutError, ConnectionError):
             return []
-        if not content:
+        if not request:
             return []
         pid = os.fork()
         if pid == 0:
             requests.close()
-            return supervise_forked(json.loads(content), descriptors)
+            return supervise_forked(descriptors)
         close_all(descriptors)
         supervisor = os.pidfd_open(pid)
         socket.send_fds(requests, [str(pid).encode()], [supervisor])
         os.close(supervisor)
 
 
-def supervise_forked(request: dict[str, Any], descriptors: list[int]) -> list[str]:
-    """Supervise a program from its start to its end, and exit. Returns in the forked program alone: its command."""
+def supervise_forked(descriptors: list[int]) -> list[str]:
+    """Supervise a program from its start to its end, and exit. Returns in the forked program alone: its command.
+
+    The host sends the working folder, the environment and the arguments of this supervisor as JSON after its length.
+    """
     try:
-        *wire_and_log, control = descriptors
+        *wire_and_log, control_fd = descriptors
         for number, descriptor in enumerate(wire_and_log):
             os.dup2(descriptor, number)
         close_all(wire_and_log)
-        os.chdir(request["cwd"])
+        control = socket.socket(fileno=control_fd)
+        size = int.from_bytes(control.recv(LENGTH_BYTES, socket.MSG_WAITALL), "little")
+        found = json.loads(control.recv(size, socket.MSG_WAITALL))
+        os.chdir(found["cwd"])
         os.environ.clear()
-        os.environ.update(request["env"])
+        os.environ.update(found["env"])
         time.tzset()
-        supervise(socket.socket(fileno=control), request["arguments"], become_program)
+        supervise(control, found["arguments"], become_program)
     except ProgramForked as forked:
         command = forked.command
     except BaseException:  # noqa: BLE001 - a supervisor never returns to the loop of the nursery
