@@ -112,8 +112,10 @@ def fork_supervisor(
     """A supervisor of a tracker with the environment `env`; `arguments` and `descriptors` as in supervisor.py.
 
     It reads the rest on the socket to `control`. None if the nursery has ended, because nobody needed it or somebody
-    killed it: the next one starts anew.
+    killed it: the next one starts anew. None on systems other than Linux.
     """
+    if sys.platform != "linux":
+        return None
     with _lock:
         try:
             started = json.dumps({"cwd": str(Path.cwd()), "env": dict(env), "arguments": arguments}).encode()
