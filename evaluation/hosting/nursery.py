@@ -124,6 +124,9 @@ def fork_supervisor(
         except (OSError, ValueError):
             end_nursery()
             return None
+        except KeyboardInterrupt:
+            end_nursery()  # else the next one would read its answer
+            raise
     with suppress(OSError):  # it was killed, as the reader of its report will see
         control.sendall(len(started).to_bytes(LENGTH_BYTES, "little") + started)
     return supervisor

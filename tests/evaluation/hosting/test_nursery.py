@@ -80,6 +80,20 @@ def test_without_its_nursery_a_trial_goes_on_and_the_next_tracker_starts(tmp_pat
     assert tracker.peak_rss_mb > 1
 
 
+def test_an_interrupted_start_leaves_no_answer_for_the_next_one(tmp_path, monkeypatch):
+    found_by(FORKED, tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr("socket.recv_fds", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            found_by(FORKED, tmp_path)
+    assert nurseries() == []
+    assert found_by(FORKED, tmp_path)["arguments"] == ["mirror"]
+
+
+def interrupt(*_: Any) -> None:
+    raise KeyboardInterrupt
+
+
 def test_variables_of_loading_have_a_nursery_of_their_own(tmp_path, monkeypatch):
     found_by(FORKED, tmp_path)
     before = nurseries()
