@@ -63,7 +63,7 @@ class Launch:
 
     @property
     def in_this_python(self) -> bool:
-        """Whether it is registered in this environment."""
+        """Whether this Python serves it, as a registered tracker."""
         return self.argv == _serve(sys.executable, self.name)
 
     def code_sha256(self) -> str:

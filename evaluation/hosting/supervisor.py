@@ -102,6 +102,7 @@ def supervise_forked(descriptors: list[int]) -> list[str]:
     The host sends the working folder, the environment and the arguments of this supervisor as JSON after its length.
     """
     try:
+        os.setsid()  # else it is an orphan of the host once the nursery has ended
         *wire_and_log, control_fd = descriptors
         for number, descriptor in enumerate(wire_and_log):
             os.dup2(descriptor, number)

@@ -40,6 +40,7 @@ class Mirror(BlankTracker):
             "arguments": sys.argv[1:],
             "path": sys.path,
             "leads a session": os.getsid(0) == os.getpid(),
+            "its supervisor leads another": os.getsid(os.getppid()) == os.getppid(),
             "handlers": [str(signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGCHLD, signal.SIGPIPE)],
             "wakeup": signal.set_wakeup_fd(-1),
             "core": resource.getrlimit(resource.RLIMIT_CORE),
