@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, maximum_filter
 
 from gridtrack.common.grid import GridFrame, nearest_step
-from gridtrack.evaluation.referee.referee import Delivery, ScoredForecast, scored_forecasts
+from gridtrack.evaluation.referee.referee import ScoredForecast, moments, scored_forecasts
 from gridtrack.evaluation.referee.splits import EvaluationSplit, Sampling, plan_split
 from gridtrack.evaluation.referee.targets import NOT_SCORED
 from gridtrack.evaluation.runs.scorekeeper import facts_of
@@ -138,8 +138,8 @@ def sums_of(split: EvaluationSplit, names: Sequence[str], robot: str) -> Unit:
     trackers = AllTrackers(split.test, names)
     found: dict[tuple[str, str], Floats] = {}
     memories: dict[tuple[str, str], Any] = {}
-    delivery = Delivery(split.test, lambda: None, split.regions().test)
-    for scored in scored_forecasts(trackers, delivery, split.schedule, seed=0):
+    delivered = moments(split.test, split.regions().test)
+    for scored in scored_forecasts(trackers, delivered, split.schedule, seed=0):
         both = {TRUTH: scored, OBSERVED: as_observed(scored)}
         for row, forecast in trackers.made.pop(0).items():
             for kind, own in both.items():

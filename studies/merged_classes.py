@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gridtrack.common.grid import nearest_step
 from gridtrack.evaluation.referee.kinds import Regions
-from gridtrack.evaluation.referee.referee import Delivery, Schedule, ScoredForecast, scored_forecasts
+from gridtrack.evaluation.referee.referee import Schedule, ScoredForecast, moments, scored_forecasts
 from gridtrack.evaluation.runs.fit_regions import cell_kinds_for
 from gridtrack.evaluation.scores.class_log_loss import VISIBILITIES, count_classes, match_classes
 from gridtrack.evaluation.scores.definition import Floats, Ratio, divided
@@ -83,8 +83,8 @@ def each_scored(row: str, stream: GridStream) -> Iterator[dict[str, Floats]]:
     kind = registry.load(name)
     tracker = kind(shipped_stream(name, stream), kind.Options(**ROWS[row]))
     schedule = Schedule(len(stream), max(steps), nearest_step(1.0, stream.period_s))
-    delivery = Delivery(stream, lambda: None, Regions(stream.grid, cell_kinds_for(stream, [stream])))
-    for forecast in scored_forecasts(tracker, delivery, schedule, seed=0):
+    delivered = moments(stream, Regions(stream.grid, cell_kinds_for(stream, [stream])))
+    for forecast in scored_forecasts(tracker, delivered, schedule, seed=0):
         found = losses_of(forecast, tracker.classes, stream.classes)
         yield {classes: values[steps] for classes, values in found.items()}
 

@@ -29,7 +29,6 @@ from gridtrack.common.grid import GridSpec, Mask
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.referee.kinds import regions_of
-from gridtrack.evaluation.referee.motion import ObservedMotion
 from gridtrack.evaluation.referee.referee import Schedule, moments
 from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH, RegionMaps
 from gridtrack.evaluation.referee.targets import Target, target_of
@@ -110,7 +109,7 @@ def views_of(tracks: Path, frames: int) -> Views:
 
 def visible_cells(stream: GridStream) -> Cells:
     """The targets of the referee: visible cells by the scans, hidden ones by the true outlines."""
-    found = list(moments(stream, regions_of(stream, STRATA_WITH_TRUTH), ObservedMotion(stream)))
+    found = list(moments(stream, regions_of(stream, STRATA_WITH_TRUTH)))
     return Cells(lambda index: found[index].target, found[0].region_maps)
 
 

@@ -1,15 +1,17 @@
 """The referee: delivers the frames of a stretch to a tracker, and pairs each forecast with the observed frames.
 
 A tracker receives past frames only. Memory is bounded by one horizon of frames and the forecasts within it, whatever
-the length of the stretch.
+the length of the stretch; moments of a short stretch are kept for the next tracker, up to MOST_KEPT_BYTES.
 """
 
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -31,6 +33,11 @@ from gridtrack.trackers.contract import Forecast, FrameSource
 
 WARM_UP = 20
 """Frames at the start of a stretch that are delivered and not scored."""
+MOST_KEPT_BYTES = 1 << 27
+"""Limit of the moments of one stretch that are kept: a minute of a laser with a thousand beams in 100 x 100 cells has
+two thirds of it."""
+_CELL_BYTES, _BEAM_BYTES = 12, 64
+"""Memory that a moment takes for a cell of its window and a beam of its scans, with its target."""
 _Counts = TypeVar("_Counts")
 
 
@@ -150,29 +157,18 @@ def scored_forecasts(
 
 
 class Delivery:
-    """The frames of a stretch, counted and hashed as they are delivered to a tracker."""
+    """The moments of a stretch, counted and hashed as their frames are delivered to a tracker."""
 
-    def __init__(
-        self,
-        stream: FrameSource,
-        on_frame: Callable[[], None],
-        regions: Regions,
-        motion: MotionFinder | None = None,
-    ) -> None:
-        """`on_frame()` is called before each frame; an error that it raises ends the delivery.
-
-        `motion` finds returns in motion; None: from the observations of the stream.
-        """
+    def __init__(self, delivered: Iterable[Moment], on_frame: Callable[[], None]) -> None:
+        """`on_frame()` is called before each frame; an error that it raises ends the delivery."""
         self.frames = 0
-        self._stream = stream
+        self._delivered = delivered
         self._on_frame = on_frame
-        self._regions = regions
-        self._motion = motion or ObservedMotion(stream)
         self._hash = hashlib.blake2b(digest_size=16)
 
     def __iter__(self) -> Iterator[Moment]:
-        """The frames, once, as moments."""
-        for moment in moments(self._stream, self._regions, self._motion):
+        """The moments, once."""
+        for moment in self._delivered:
             self._on_frame()
             self._hash.update(frame_digest(moment.frame))
             self.frames += 1
@@ -206,13 +202,15 @@ class Moment:
     def __init__(
         self, observation: Observation, in_motion: ReturnsInMotion, source: FrameSource, regions: Regions
     ) -> None:
-        self._observation, self._in_motion, self._source, self._regions = observation, in_motion, source, regions
+        self.observation = observation
+        """For the referee only: no tracker receives one."""
+        self._in_motion, self._source, self._regions = in_motion, source, regions
         self._newest: tuple[SE2, RegionMaps, Target] | None = None
 
     @property
     def frame(self) -> GridFrame:
         """The frame as a tracker receives it."""
-        return self._observation.frame
+        return self.observation.frame
 
     @property
     def cell_m(self) -> float:
@@ -222,12 +220,12 @@ class Moment:
     @property
     def window(self) -> SE2:
         """`reference_T_grid` of the frame."""
-        return self._observation.reference_T_grid
+        return self.observation.reference_T_grid
 
-    @property
+    @cached_property
     def region_maps(self) -> RegionMaps:
         """The regions of the cells of the frame's own window. Raises RecordingError."""
-        return self._regions.of(self._observation)
+        return self._regions.of(self.observation)
 
     def target_in(self, window: SE2, region_maps: RegionMaps) -> Target:
         """The target in the window of a forecast with these regions of cells. Raises RecordingError."""
@@ -235,7 +233,7 @@ class Moment:
         # the regions of a window change with time too (`observed_kinds.BLOCK_NS`)
         if newest is None or newest[0] != window or newest[1] is not region_maps:
             grid = self._source.grid
-            seen = self._observation.seen_in(window, grid)
+            seen = self.observation.seen_in(window, grid)
             moving = self._in_motion.among(seen, grid)
             motion = parts_of(moving, seen.frame.occupied, region_maps.dynamic, grid)
             bodies = self._in_motion.bodies
@@ -257,7 +255,58 @@ class Observed(Protocol):
     def observations(self) -> Iterator[Observation]: ...  # noqa: D102
 
 
-def moments(stream: FrameSource, regions: Regions, motion: MotionFinder) -> Iterator[Moment]:
-    """The frames of a stretch as moments; with the truth and labels that its source has."""
+def moments(stream: FrameSource, regions: Regions, motion: MotionFinder | None = None) -> Iterator[Moment]:
+    """The frames of a stretch as moments; with the truth and labels that its source has.
+
+    `motion` finds returns in motion; None: from the observations of the stream.
+    """
+    found = motion or ObservedMotion(stream)
     observations = stream.observations() if isinstance(stream, Observed) else map(Observation, stream)
-    return (Moment(observation, motion.of(observation), stream, regions) for observation in observations)
+    return (Moment(observation, found.of(observation), stream, regions) for observation in observations)
+
+
+class KeptMoments:
+    """The moments of a stretch, for one tracker after the other. Thread-safe.
+
+    The first pass to its end keeps them, and their targets, for the next ones, if they take at most MOST_KEPT_BYTES:
+    reading, rendering and targets take ten times as long as the rest of the work between two forecasts.
+    """
+
+    def __init__(self, stream: GridStream, regions: Regions) -> None:
+        self.stream, self.regions = stream, regions
+        self._kept: tuple[Moment, ...] | None = None
+        self._keeping = threading.Lock()
+        """Held by the pass that keeps them, so that passes at the same time keep them once."""
+
+    def __iter__(self) -> Iterator[Moment]:
+        """The moments, from the first on."""
+        if self._kept is not None:
+            yield from self._kept
+        elif self._keeping.acquire(blocking=False):
+            try:
+                yield from self._read()
+            finally:
+                self._keeping.release()
+        else:
+            yield from moments(self.stream, self.regions)
+
+    def _read(self) -> Iterator[Moment]:
+        """The moments; after the last one they are kept if they are small enough."""
+        kept: list[Moment] = []
+        room = MOST_KEPT_BYTES
+        for number, moment in enumerate(moments(self.stream, self.regions)):
+            size = _size_of(moment)
+            room -= size if number else size * (len(self.stream) if size * len(self.stream) > room else 1)
+            if room >= 0:
+                kept.append(moment)
+            else:
+                kept.clear()
+            yield moment
+        if room >= 0:
+            self._kept = tuple(kept)
+
+
+def _size_of(moment: Moment) -> int:
+    """About the bytes that a moment takes with its target."""
+    beams = sum(scan.ranges.size for scan in moment.observation.scans)
+    return _CELL_BYTES * moment.frame.visible.size + _BEAM_BYTES * beams

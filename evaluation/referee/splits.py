@@ -13,7 +13,7 @@ from gridtrack.common.files import NAME_RULE, is_name, name_from
 from gridtrack.common.grid import GridSpec, Points, nearest_step
 from gridtrack.common.notices import Notice
 from gridtrack.evaluation.referee.kinds import Regions, regions_of
-from gridtrack.evaluation.referee.referee import WARM_UP, Schedule
+from gridtrack.evaluation.referee.referee import WARM_UP, KeptMoments, Schedule
 from gridtrack.evaluation.referee.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.recordings import Recording, Stretch, open_recording
 from gridtrack.recordings.recording_info import NO_MOTION, RecordingInfo, stretch_text
@@ -56,6 +56,14 @@ class SplitRegions:
 
     test: Regions
     validation: Regions
+
+
+@dataclass(frozen=True, slots=True)
+class SplitMoments:
+    """Moments of the test and of the validation stretch, for the trials with the same `points`."""
+
+    test: KeptMoments
+    validation: KeptMoments | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +118,13 @@ class EvaluationSplit:
         if self.validation is None or self.validation.sha256 == self.test.sha256:
             return SplitRegions(test, test)
         return SplitRegions(test, regions_of(self.validation, self.strata, check))
+
+    def moments(self, regions: SplitRegions, points: Points = "centres") -> SplitMoments:
+        """The moments of both stretches, with these `regions` and the returns `points`."""
+        test = KeptMoments(with_points(self.test, points), regions.test)
+        if self.validation is None:
+            return SplitMoments(test, None)
+        return SplitMoments(test, KeptMoments(with_points(self.validation, points), regions.validation))
 
 
 def plan_splits(texts: Iterable[str], validation: str | None, sampling: Sampling) -> tuple[EvaluationSplit, ...]:

@@ -30,7 +30,7 @@ from gridtrack.evaluation.referee.kinds import (
     observed_kinds,
 )
 from gridtrack.evaluation.referee.motion import MotionFinder, ObservedMotion
-from gridtrack.evaluation.referee.referee import Delivery, Schedule, scored_forecasts
+from gridtrack.evaluation.referee.referee import Schedule, moments, scored_forecasts
 from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.scores.cells import Tally, count_cells
 from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT
@@ -332,7 +332,7 @@ def score_in_process(
 ) -> StretchScore:
     """Stream `source` through the tracker and score its forecasts with the referee's counts, on its regions.
 
-    `motion`: as in Delivery. Thresholds are chosen on the same stretch: a score for choosing parameters, not for
+    `motion`: as in `moments`. Thresholds are chosen on the same stretch: a score for choosing parameters, not for
     reports. Raises RecordingError if the stretch is too short to score a forecast.
     """
     every = max(LEAST_FIT_EVERY, min(round(FIT_FORECAST_EVERY_S / source.period_s), len(source) // FIT_FORECASTS))
@@ -342,7 +342,7 @@ def score_in_process(
     facts = TrialFacts(source.grid.cell_m, steps, STRATA, half(steps), period_s=source.period_s)
     tally, memory = Tally.empty(steps), CONTACT_FORESIGHT.new_memory(facts)
     contacts: Any = 0.0
-    for scored in scored_forecasts(tracker, Delivery(source, lambda: None, regions, motion), schedule, seed=0):
+    for scored in scored_forecasts(tracker, moments(source, regions, motion), schedule, seed=0):
         tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps))
         contacts += CONTACT_FORESIGHT.count(scored, facts, memory)
     confusion = tally.confusion(best_thresholds(tally, source.name).bins)

@@ -14,7 +14,7 @@ from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.referee.deadline import DeadlineTracker, spare_steps
 from gridtrack.evaluation.referee.live_timeline import ForecastStore, LiveTimeline, Presented, StoredForecasts
 from gridtrack.evaluation.referee.referee import WARM_UP, Delivery, Schedule, TrackerLike
-from gridtrack.evaluation.referee.splits import SplitRegions
+from gridtrack.evaluation.referee.splits import SplitMoments
 from gridtrack.evaluation.runs.passes import Followed, Quantiles
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
@@ -35,15 +35,15 @@ class FollowedTrial(TrialRun):
     """
 
     def __init__(
-        self, trial: Trial, regions: SplitRegions, folder: Path, on_frame: OnFrame, shared: SharedThresholds
+        self, trial: Trial, moments: SplitMoments, folder: Path, on_frame: OnFrame, shared: SharedThresholds
     ) -> None:
-        super().__init__(trial, regions, folder, on_frame, shared)
+        super().__init__(trial, moments, folder, on_frame, shared)
         self.ready = threading.Event()
         self.live = LiveTimeline()
         self.store = ForecastStore(folder)
         self.endless = Schedule(1 << 62, trial.split.steps, trial.split.every)
         """The frames that are forecast from, while the end of the recording is not known."""
-        self._whole: Future[tuple[Trial, SplitRegions]] = Future()
+        self._whole: Future[tuple[Trial, SplitMoments]] = Future()
         self._reach = trial.split.steps
         self._trial_ms = 0.0
         self._is_scored = False
@@ -64,9 +64,9 @@ class FollowedTrial(TrialRun):
         if delivered is not None and self.endless.due(index):
             self.store.add(delivered)
 
-    def score(self, trial: Trial, regions: SplitRegions) -> None:
+    def score(self, trial: Trial, moments: SplitMoments) -> None:
         """Start the scoring on `trial`, which has the frames that were presented."""
-        self._whole.set_result((trial, regions))
+        self._whole.set_result((trial, moments))
 
     def abandon(self) -> None:
         """End the trial now, without a record if it is not scored yet."""
@@ -135,9 +135,9 @@ class FollowedTrial(TrialRun):
         self.ready.set()
 
     def _await_whole(self) -> None:
-        trial, regions = self._whole.result()
-        self.trial, self._regions, self._test = trial, regions, trial.split.schedule
-        self._delivery = Delivery(trial.test, self._on_frame, regions.test)
+        trial, moments = self._whole.result()
+        self.trial, self._moments, self._test = trial, moments, trial.split.schedule
+        self._delivery = Delivery(moments.test, self._on_frame)
 
     def _tracker(self) -> TrackerLike:
         """The tracker of the forecasts that were in time."""

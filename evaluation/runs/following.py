@@ -18,7 +18,7 @@ from gridtrack.common.notices import Notice, by_kind
 from gridtrack.evaluation.engines.engine import WAKE_S, Engine, Interrupted
 from gridtrack.evaluation.referee.kinds import regions_of
 from gridtrack.evaluation.referee.referee import WARM_UP
-from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitRegions, split_of
+from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitMoments, SplitRegions, split_of
 from gridtrack.evaluation.runs.arrivals import (
     BEHIND_S,
     Arrival,
@@ -83,9 +83,9 @@ class Following:
         refuse_raw(self._plan.trials)
         self.pace = RealTimePace(self._split.test.period_s)
         self._arrivals = Arrivals(self._split.test, self._growth)
-        shared, regions = SharedThresholds(folder), self._validation_regions()
+        shared, moments = SharedThresholds(folder), self._validation_moments()
         self.runs = [
-            FollowedTrial(trial, regions, settings.out / trial.name, partial(self._next_frame, trial.name), shared)
+            FollowedTrial(trial, moments, settings.out / trial.name, partial(self._next_frame, trial.name), shared)
             for trial in self._plan.trials
         ]
         self._threads = [threading.Thread(target=self._run, args=(run,), name=run.trial.name) for run in self.runs]
@@ -231,11 +231,11 @@ class Following:
         name = name_from(self._path)
         return split_of(self._recording, name, None, settings.validation, self._sampling, self._validation)
 
-    def _validation_regions(self) -> SplitRegions:
-        """The regions of the validation stretch; the test stretch gets its regions at its end."""
+    def _validation_moments(self) -> SplitMoments:
+        """The moments with the regions of the validation stretch; the test stretch gets its regions at its end."""
         stretch = self._split.validation or self._split.test
         regions = regions_of(stretch, self._split.strata)
-        return SplitRegions(regions, regions)
+        return self._split.moments(SplitRegions(regions, regions))
 
     def _whole_plan(self) -> ComparisonPlan:
         """The plan for the frames that were presented. Raises RecordingError if there are too few."""
@@ -265,13 +265,14 @@ class Following:
 
     def _score(self, plan: ComparisonPlan, progress: RunObserver) -> None:
         progress.note(f"{self._path}: ended; scoring the forecasts that were in time")
-        regions = plan.splits[0].regions()
+        (split,) = plan.splits
+        moments = split.moments(split.regions())
         progress.planned({trial.name: len(trial.test) for trial in plan.trials})
         for trial in plan.trials:
             progress.started(trial.name, len(trial.test))
         self._advanced = progress.advanced
         for run, trial in zip(self.runs, plan.trials, strict=True):
-            run.score(trial, regions)
+            run.score(trial, moments)
         self._join()
 
     def _join(self) -> None:

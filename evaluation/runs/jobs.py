@@ -20,11 +20,12 @@ from pydantic import ValidationError
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import name_from
+from gridtrack.common.grid import Points
 from gridtrack.common.notices import Notice
 from gridtrack.evaluation.engines.engine import EngineError, Monitor
 from gridtrack.evaluation.engines.task import TaskFolder, run_task
 from gridtrack.evaluation.hosting.outcome import TrialEnded
-from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitRegions, plan_split
+from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitMoments, SplitRegions, plan_split
 from gridtrack.evaluation.runs.learned import read_weights
 from gridtrack.evaluation.runs.oracle import ORACLE_REPLACES, oracle_validation, run_oracle
 from gridtrack.evaluation.runs.plan import Trial, sampling_of, segmented
@@ -43,7 +44,7 @@ from gridtrack.trackers.selection import Launch, Selection, launch
 
 
 class SharedInputs:
-    """The settings of a run, and regions and thresholds, made by the first job of a process that needs them.
+    """The settings of a run, and regions, moments and thresholds, made by the first job that needs them.
 
     Thread-safe. `note` receives a line for the user where that takes a while.
     """
@@ -51,7 +52,8 @@ class SharedInputs:
     def __init__(self, settings: CompareSettings, note: Callable[[str], None], folder: Path, jobs: int = 1) -> None:
         """`folder`: of `SharedThresholds`; `jobs` run at the same time.
 
-        The regions of as many recordings are kept: they are megabytes, and a run may have thousands of recordings.
+        Regions and moments are kept of as many recordings: they are many megabytes, and a run may have thousands of
+        recordings.
         """
         self.settings, self.folder = settings, folder
         self.thresholds = SharedThresholds(folder)
@@ -59,6 +61,20 @@ class SharedInputs:
         self._guard = threading.Lock()
         self._regions: dict[str, Future[SplitRegions]] = {}
         """By the name of the whole split, the last used at the end."""
+        self._moments: dict[tuple[str, Points], SplitMoments] = {}
+        """By the name of the split, the last used at the end."""
+
+    def moments_of(
+        self, split: EvaluationSplit, points: Points = "centres", check: Callable[[], None] = lambda: None
+    ) -> SplitMoments:
+        """The moments of a split with the returns `points`; otherwise as `regions_of`."""
+        regions, key = self.regions_of(split, check), (split.name, points)
+        with self._guard:
+            found = self._moments.pop(key, None) or split.moments(regions, points)
+            self._moments[key] = found
+            while len(self._moments) > self._jobs:
+                del self._moments[next(iter(self._moments))]
+        return found
 
     def regions_of(self, split: EvaluationSplit, check: Callable[[], None] = lambda: None) -> SplitRegions:
         """The regions of a split; finding them calls `check()` now and then. Raises its errors, RecordingError."""
@@ -144,8 +160,8 @@ class TrialJob(_RunJob):
 
     def run(self, monitor: Monitor) -> TrialRecord:
         """Run the trial to its end, successful or not."""
-        regions = self._shared.regions_of(self.split, monitor.check)
-        run = TrialRun(self.trial, regions, self._folder, monitor.next_frame, self._shared.thresholds)
+        moments = self._shared.moments_of(self.split, self.trial.selection.points, monitor.check)
+        run = TrialRun(self.trial, moments, self._folder, monitor.next_frame, self._shared.thresholds)
         monitor.started(run.frames)
         self._begin(run)
         return run.run()
@@ -190,8 +206,8 @@ class OracleJob(_RunJob):
         split, thresholds = self.split, self._shared.thresholds
         validation = () if thresholds.known(self.thresholds_key) else self.validation or ()
         monitor.started(len(split.test) + len(validation))
-        regions, by = self._shared.regions_of(split, monitor.check), scores(self._shared.settings.scores)
-        return run_oracle(split, regions, self._folder, monitor.next_frame, thresholds, by, self._shared.settings.robot)
+        moments, by = self._shared.moments_of(split, check=monitor.check), scores(self._shared.settings.scores)
+        return run_oracle(split, moments, self._folder, monitor.next_frame, thresholds, by, self._shared.settings.robot)
 
     def on_error(self, error: Exception) -> Notice:
         """The notice for the user."""
@@ -214,8 +230,8 @@ class RobustnessJob(_RunJob):
         assert degradation is not None, "the run requests no degraded input"
         run = RobustnessRun(self.trial, degradation, self._folder)
         self._begin(run)
-        regions = self._shared.regions_of(self.trial.split, monitor.check)
-        robustness = run.run(regions, self.record.thresholds, monitor.check)
+        moments = self._shared.moments_of(self.split, self.trial.selection.points, monitor.check)
+        robustness = run.run(moments.test, self.record.thresholds, monitor.check)
         return self._write(self.record.model_copy(update={"robustness": robustness}))
 
     def on_error(self, error: Exception) -> Notice:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +19,8 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene
-from gridtrack.evaluation.referee.referee import Delivery, scored_forecasts
-from gridtrack.evaluation.referee.splits import ORACLE, EvaluationSplit, SplitRegions
+from gridtrack.evaluation.referee.referee import Delivery, KeptMoments, scored_forecasts
+from gridtrack.evaluation.referee.splits import ORACLE, EvaluationSplit, SplitMoments
 from gridtrack.evaluation.runs.scorekeeper import SCORE_FILES, Scorekeeper, facts_of
 from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds, oracle_key
 from gridtrack.evaluation.runs.trial import OnFrame, validation_tally
@@ -43,13 +43,13 @@ MAX_ERROR_FRAMES = 500
 class Oracle:
     """A TrackerLike that reads ahead in the recording; it holds one horizon of observations and their forecasts."""
 
-    def __init__(self, stream: GridStream) -> None:
-        self.stream = stream
-        self.errors = range_errors(stream)
+    def __init__(self, moments: KeptMoments) -> None:
+        self._moments, self._grid_spec = moments, moments.stream.grid
+        self.errors = range_errors(_observations(moments), len(moments.stream))
 
     def reset(self, seed: int) -> None:
         """Start at the first frame; nothing is drawn at random, so `seed` is not used."""
-        self._unread: Iterator[Observation] = self.stream.observations()
+        self._unread: Iterator[Observation] = _observations(self._moments)
         self._ahead: deque[Observation] = deque()
         self._grids: dict[tuple[int, SE2], NDArray[np.float32]] = {}
 
@@ -77,15 +77,19 @@ class Oracle:
         """The forecast of one observation in a window; kept, because a sensor at rest has the same window again."""
         key = observation.frame.stamp_ns, window
         if key not in self._grids:
-            grid = self.stream.grid
+            grid = self._grid_spec
             self._grids[key] = expected_grid(observation.seen_in(window, grid), grid, self.errors)
         return self._grids[key]
 
 
-def range_errors(stream: GridStream) -> dict[str, RangeErrors]:
-    """The range errors of each sensor in a stretch with truth, measured in frames spread over it."""
-    pairs = (pair for observation in stream.observations() for pair in _scenes(observation))
-    return measure_range_errors(pairs, -(-len(stream) // MAX_ERROR_FRAMES))
+def range_errors(observations: Iterable[Observation], frames: int) -> dict[str, RangeErrors]:
+    """The range errors of each sensor, measured in observations with truth that are spread over these `frames`."""
+    pairs = (pair for observation in observations for pair in _scenes(observation))
+    return measure_range_errors(pairs, -(-frames // MAX_ERROR_FRAMES))
+
+
+def _observations(moments: KeptMoments) -> Iterator[Observation]:
+    return (moment.observation for moment in moments)
 
 
 def expected_grid(observation: Observation, grid: GridSpec, errors: dict[str, RangeErrors]) -> NDArray[np.float32]:
@@ -111,7 +115,7 @@ def _scenes(observation: Observation) -> Iterator[tuple[Scan, Scene]]:
 
 def run_oracle(
     split: EvaluationSplit,
-    regions: SplitRegions,
+    moments: SplitMoments,
     folder: Path,
     on_frame: OnFrame,
     shared: SharedThresholds,
@@ -128,10 +132,10 @@ def run_oracle(
     for stale in ORACLE_REPLACES:
         (folder / stale).unlink(missing_ok=True)
     began = time.perf_counter()
-    thresholds = shared.of(oracle_key(split), lambda: _choose_thresholds(split, regions, on_frame))
-    delivery = Delivery(split.test, on_frame, regions.test)
+    thresholds = shared.of(oracle_key(split), lambda: _choose_thresholds(split, moments, on_frame))
+    delivery = Delivery(moments.test, on_frame)
     with Scorekeeper(folder, split, facts_of(split, thresholds, robot), scores) as scorekeeper:
-        for scored in scored_forecasts(Oracle(split.test), delivery, split.schedule, seed=0):
+        for scored in scored_forecasts(Oracle(moments.test), delivery, split.schedule, seed=0):
             scorekeeper.add(scored, delivery.digest)
     record = TrialRecord(
         label=ORACLE,
@@ -155,10 +159,10 @@ def oracle_validation(split: EvaluationSplit) -> GridStream | None:
     return split.validation if split.validation and split.validation.has_truth else None
 
 
-def _choose_thresholds(split: EvaluationSplit, regions: SplitRegions, on_frame: OnFrame) -> Thresholds:
+def _choose_thresholds(split: EvaluationSplit, moments: SplitMoments, on_frame: OnFrame) -> Thresholds:
     """The best thresholds on the validation stretch; 0.5 without one."""
     stretch = oracle_validation(split)
-    if stretch is None:
+    if stretch is None or moments.validation is None:
         return half(split.steps, split.strata)
-    delivery = Delivery(stretch, on_frame, regions.validation)
-    return best_thresholds(validation_tally(Oracle(stretch), delivery, split, 0), stretch.name)
+    delivery = Delivery(moments.validation, on_frame)
+    return best_thresholds(validation_tally(Oracle(moments.validation), delivery, split, 0), stretch.name)

@@ -7,9 +7,7 @@ from pathlib import Path
 
 from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
-from gridtrack.evaluation.referee.motion import ObservedMotion
-from gridtrack.evaluation.referee.referee import Delivery, TrackerLike, moments
-from gridtrack.evaluation.referee.splits import SplitRegions
+from gridtrack.evaluation.referee.referee import Delivery, KeptMoments, TrackerLike, moments
 from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.replay import replayed
@@ -34,12 +32,15 @@ class RobustnessRun:
         self._process: TrackerProcess | None = None
         self._interrupted = False
 
-    def run(self, regions: SplitRegions, thresholds: ThresholdsUsed, on_frame: Callable[[], None]) -> Robustness:
-        """Run the pass; `on_frame` is called before each frame and may raise to end it. Raises TrialEnded."""
+    def run(self, test: KeptMoments, thresholds: ThresholdsUsed, on_frame: Callable[[], None]) -> Robustness:
+        """Run the pass on the trial's `test` stretch; `on_frame` is called before each frame and may raise to end it.
+
+        Raises TrialEnded.
+        """
         return Robustness(
             degradation=self._degradation,
             kinds={
-                kind: tuple(self._at(kind, strength, regions, thresholds, on_frame) for strength in STRENGTHS)
+                kind: tuple(self._at(kind, strength, test, thresholds, on_frame) for strength in STRENGTHS)
                 for kind in self._degradation.kinds
             },
         )
@@ -54,19 +55,19 @@ class RobustnessRun:
         self,
         kind: str,
         strength: float,
-        regions: SplitRegions,
+        test: KeptMoments,
         thresholds: ThresholdsUsed,
         on_frame: Callable[[], None],
     ) -> AtStrength:
         trial, degradation = self._trial, self._degradation.only(kind).scaled(strength)
-        degraded = Delivery(trial.test.degraded(degrader(degradation, trial.seed)), on_frame, regions.test)
-        undegraded = moments(trial.test, regions.test, ObservedMotion(trial.test))
+        stream = test.stream.degraded(degrader(degradation, trial.seed))
+        degraded = Delivery(moments(stream, test.regions), on_frame)
         self._process = trial.tracker_process(self._log)
         if self._interrupted:
             self._process.kill()
         with self._process as process:
             tracker = _DegradedInput(process, degraded)
-            scores = replayed(tracker, undegraded, trial, thresholds)
+            scores = replayed(tracker, test, trial, thresholds)
         return AtStrength(strength=strength, value=getattr(degradation, kind), delivered=degraded.digest, scores=scores)
 
 

@@ -184,8 +184,8 @@ class Stages:
                     self._add(trial, latency_ms=measure_latency(trial, folder))
             if settings.deadline and record.deadline is None:
                 with self._measuring(trial, "deadlines, alone on the machine"):
-                    regions = self._shared.regions_of(trial.split)
-                    self._add(trial, deadline=measure_deadline(trial, regions, record, folder))
+                    moments = self._shared.moments_of(trial.split, trial.selection.points)
+                    self._add(trial, deadline=measure_deadline(trial, moments.test, record, folder))
 
     def all_records(self) -> dict[str, TrialRecord]:
         """The record of every trial of the plan, also of those that an interrupt prevented, and of the oracles."""

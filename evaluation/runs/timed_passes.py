@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from gridtrack.evaluation.hosting.timing import TWENTIETHS, Call, Timings
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.evaluation.referee.deadline import RATES, Clock, Costs, DeadlineTracker, Timeline, spare_steps, timeline
-from gridtrack.evaluation.referee.referee import WARM_UP, Delivery
-from gridtrack.evaluation.referee.splits import SplitRegions
+from gridtrack.evaluation.referee.referee import WARM_UP, KeptMoments
 from gridtrack.evaluation.runs.passes import AtRate, CallTimes, Deadline, Latency, Quantiles, RoundTrips
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.replay import replayed
@@ -46,12 +45,12 @@ def measure_latency(trial: Trial, folder: Path) -> Latency:
     )
 
 
-def measure_deadline(trial: Trial, regions: SplitRegions, record: TrialRecord, folder: Path) -> Deadline:
-    """Time the tracker, then score it on the simulated clock at every rate of RATES, at the thresholds of `record`.
+def measure_deadline(trial: Trial, test: KeptMoments, record: TrialRecord, folder: Path) -> Deadline:
+    """Time the tracker, then score it on its `test` stretch with the simulated clock, at the thresholds of `record`.
 
-    Forecasts reach further by the delay that the round trips of the trial show. Every pass over the stream has a
-    process of its own: a tracker that keeps frames over `reset` would know the stream. The log of the last process goes
-    to `folder`. Raises TrialEnded.
+    It is scored at every rate of RATES. Forecasts reach further by the delay that the round trips of the trial show.
+    Every pass over the stream has a process of its own: a tracker that keeps frames over `reset` would know the stream.
+    The log of the last process goes to `folder`. Raises TrialEnded.
     """
     log, steps, scored = folder / DEADLINE_LOG, trial.split.steps, trial.split.schedule.scored
     reach = steps + spare_steps(record.round_trips.total_ms, trial.test.period_s * 1e3, steps)
@@ -69,7 +68,7 @@ def measure_deadline(trial: Trial, regions: SplitRegions, record: TrialRecord, f
         clock=costs.clock,
         device=process.description.device,
         round_trips=RoundTrips.of(calls.timings),
-        rates=_at_every_rate(log, trial, regions, record.thresholds, costs, reach),
+        rates=_at_every_rate(log, trial, test, record.thresholds, costs, reach),
     )
 
 
@@ -136,7 +135,7 @@ def _durations(calls: Sequence[Call], clock: Clock) -> list[float]:
 
 
 def _at_every_rate(
-    log: Path, trial: Trial, regions: SplitRegions, thresholds: ThresholdsUsed, costs: Costs, reach: int
+    log: Path, trial: Trial, test: KeptMoments, thresholds: ThresholdsUsed, costs: Costs, reach: int
 ) -> tuple[AtRate, ...]:
     """Scores at each rate; rates with the same timeline share one pass over the stream."""
     schedule, period_ms = trial.split.schedule, trial.test.period_s * 1e3
@@ -146,10 +145,9 @@ def _at_every_rate(
         clock = timeline(schedule.frames, period_ms / rate, costs)
         key = clock.accepted.tobytes() + clock.newest.tobytes()
         if key not in scores_of:
-            frames = Delivery(trial.test, lambda: None, regions.test)
             with trial.tracker_process(log) as process:
                 tracker = DeadlineTracker(process, clock, schedule, reach, trial.test.grid.cell_m)
-                scores_of[key] = replayed(tracker, frames, trial, thresholds)
+                scores_of[key] = replayed(tracker, test, trial, thresholds)
         results.append(
             AtRate(
                 rate=rate,

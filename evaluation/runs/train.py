@@ -18,7 +18,7 @@ from gridtrack.common.grid import GridSpec, nearest_step
 from gridtrack.common.remote_files import is_url
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.referee.kinds import CellKinds, Regions
-from gridtrack.evaluation.referee.referee import WARM_UP, Delivery
+from gridtrack.evaluation.referee.referee import WARM_UP, Delivery, moments
 from gridtrack.evaluation.referee.splits import (
     TEST,
     TRAIN,
@@ -439,7 +439,7 @@ def _tally(row: Selection, path: Path, stream: GridStream, kinds: CellKinds, pro
     log = path.with_suffix(".logs") / THRESHOLDS_LOG
     log.parent.mkdir(exist_ok=True)
     with trial.tracker_process(log) as process, progress.stage("frame", len(stream)) as frames:
-        delivery = Delivery(stream, frames.advance, Regions(stream.grid, kinds, split.strata))
+        delivery = Delivery(moments(stream, Regions(stream.grid, kinds, split.strata)), frames.advance)
         return validation_tally(process, delivery, split, seed=0)
 
 

@@ -18,7 +18,7 @@ from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.timing import Timings
 from gridtrack.evaluation.hosting.tracker_process import TrackerDescription
 from gridtrack.evaluation.referee.referee import Delivery, TrackerLike, refuse_moving, scored_forecasts
-from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitRegions
+from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitMoments
 from gridtrack.evaluation.runs.passes import RoundTrips
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.prior import PRIOR_FILE, PriorRecorder, has_prior
@@ -51,9 +51,9 @@ class TrialRun:
     """A trial while it runs. A trial that ends early leaves a record of the frames scored until then."""
 
     def __init__(
-        self, trial: Trial, regions: SplitRegions, folder: Path, on_frame: OnFrame, shared: SharedThresholds
+        self, trial: Trial, moments: SplitMoments, folder: Path, on_frame: OnFrame, shared: SharedThresholds
     ) -> None:
-        """`regions` as of `trial.split.regions`; the trial's files are written to `folder`.
+        """`moments` of `trial.test` and `trial.validation`; the trial's files are written to `folder`.
 
         `shared` holds the thresholds that earlier trials of the same run have chosen.
         """
@@ -61,12 +61,12 @@ class TrialRun:
         remove_partial_files(folder)
         for stale in REPLACED:
             (folder / stale).unlink(missing_ok=True)
-        self.trial, self._regions, self._folder, self._on_frame = trial, regions, folder, on_frame
+        self.trial, self._moments, self._folder, self._on_frame = trial, moments, folder, on_frame
         self._shared = shared
         self._thresholds: Thresholds | None = None
         self._prior: PriorRecorder | None = None
         self._test = trial.split.schedule
-        self._delivery = Delivery(trial.test, on_frame, regions.test)
+        self._delivery = Delivery(moments.test, on_frame)
         self._scored = self._missing = 0
         self._description: TrackerDescription | None = None
         self._start_s = self._wall_s = 0.0
@@ -147,10 +147,10 @@ class TrialRun:
         Without such a stretch they come from the card, and are 0.5 if it has none. Recorded forecasts without one, or
         with none there, have label-free thresholds.
         """
-        stretch = self.trial.validation
-        if stretch is None:
+        moments = self._moments.validation
+        if moments is None:
             return thresholds_of_card(self.trial) or self._unchosen()
-        delivery = Delivery(stretch, self._on_frame, self._regions.validation)
+        delivery, stretch = Delivery(moments, self._on_frame), moments.stream
         try:
             with self._clock():
                 tally = validation_tally(self._process, delivery, self.trial.split, self.trial.seed)

@@ -8,7 +8,6 @@ import pytest
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.referee.kinds import Regions, observed_kinds
-from gridtrack.evaluation.referee.motion import ObservedMotion
 from gridtrack.evaluation.referee.referee import ScoredForecast, moments
 from gridtrack.evaluation.referee.samples import SAMPLES, SampleWriter
 from gridtrack.evaluation.referee.strata import STRATA
@@ -68,7 +67,7 @@ class Frames(list):
     grid, period_s, classes = GRID, PERIOD_S, ()
 
 
-MOMENTS = list(moments(Frames(FRAME_LIST), REGIONS, ObservedMotion(Frames())))
+MOMENTS = list(moments(Frames(FRAME_LIST), REGIONS))
 JUST_SEEN = np.zeros(GRID.shape, np.uint8)
 
 

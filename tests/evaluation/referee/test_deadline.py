@@ -13,7 +13,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
 from gridtrack.evaluation.referee.deadline import Costs, DeadlineTracker, Timeline, spare_steps, timeline
 from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
-from gridtrack.evaluation.referee.referee import Delivery, Schedule, scored_forecasts
+from gridtrack.evaluation.referee.referee import Delivery, Schedule, moments, scored_forecasts
 from gridtrack.trackers.contract import Forecast
 
 PERIOD_MS = 100.0
@@ -120,7 +120,7 @@ class Frames:
 
 
 def delivery(frames: int) -> Delivery:
-    return Delivery(Frames(frames), lambda: None, Regions(GRID, KindsOfWindow(np.zeros(GRID.shape, np.uint8))))
+    return Delivery(moments(Frames(frames), Regions(GRID, KindsOfWindow(np.zeros(GRID.shape, np.uint8)))), lambda: None)
 
 
 class Clockwork:

@@ -117,9 +117,9 @@ def test_the_second_before_a_stretch_is_read_from_its_recording(record):
     whole = open_stream(recording)
     dynamic = Regions(whole.grid, KindsOfWindow(np.full(whole.grid.shape, CELL_KINDS.index("dynamic"), np.uint8)))
     first = round(3.0 / whole.period_s)
-    expected = [moment.target.motion for moment in moments(whole, dynamic, ObservedMotion(whole))][first:]
+    expected = [moment.target.motion for moment in moments(whole, dynamic)][first:]
     part = open_stream(f"{recording}@3s-")
-    found = [moment.target.motion for moment in moments(part, dynamic, ObservedMotion(part))]
+    found = [moment.target.motion for moment in moments(part, dynamic)]
     assert (found[0] == PARTS.index("in-motion")).any()
     assert np.array_equal(found, expected)
 

@@ -10,7 +10,7 @@ from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions, observed_kinds, regions_of
 from gridtrack.evaluation.referee.motion import OnceFree
-from gridtrack.evaluation.referee.referee import Delivery, Moment, Schedule, scored_forecasts
+from gridtrack.evaluation.referee.referee import KeptMoments, Moment, Schedule, moments, scored_forecasts
 from gridtrack.evaluation.referee.strata import AGES_S, CELL_KINDS, PARTS, STRATA, LastSeen
 from gridtrack.evaluation.referee.targets import NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED
 from gridtrack.evaluation.runs.oracle import Oracle
@@ -122,7 +122,7 @@ def scores(stream, tracker, regions=None, strata=("visible", "static", "dynamic"
     regions = regions or regions_of(stream, strata)
     tally = Tally.empty(STEPS, regions.strata)
     schedule = Schedule(len(stream), STEPS, EVERY)
-    for scored in scored_forecasts(tracker, Delivery(stream, lambda: None, regions), schedule, 0):
+    for scored in scored_forecasts(tracker, moments(stream, regions), schedule, 0):
         tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps, scored.ages))
     f1 = f1_of(tally.confusion(half(STEPS, regions.strata).bins))
     return {name: f1[:, k] for k, name in enumerate(regions.strata)}, tally
@@ -143,10 +143,10 @@ def test_persistence_of_a_static_scene_is_right_from_a_sensor_that_drives(tmp_pa
 
 def test_beams_of_a_later_frame_start_where_the_sensor_is_by_then(tmp_path):
     stream = open_stream(drive.write_recording(tmp_path / "d.mcap", 20, people=False))
-    delivery = Delivery(stream, lambda: None, regions_of(stream, STRATA))
+    delivered = moments(stream, regions_of(stream, STRATA))
     sizes, driven, windows = np.zeros(BINS), 0.0, set()
     facts = TrialFacts(stream.grid.cell_m, STEPS, STRATA, half(STEPS))
-    for scored in scored_forecasts(persistence(stream), delivery, Schedule(len(stream), STEPS, EVERY), 0):
+    for scored in scored_forecasts(persistence(stream), delivered, Schedule(len(stream), STEPS, EVERY), 0):
         now, later = (scored.targets[step].beams.starts[0] for step in (0, 10))
         driven = max(driven, np.hypot(*(later - now)))
         sizes += BEAM_ERROR.count(scored, facts, None)[10, STRATA.index("visible"), 2:]
@@ -160,7 +160,7 @@ def test_beams_of_a_later_frame_start_where_the_sensor_is_by_then(tmp_path):
 def test_the_oracle_of_a_drive_is_near_one_with_poses_that_are_perfect_and_with_noisy_ones(tmp_path):
     for name, noise in (("perfect", (0.0, 0.0)), ("noisy", (0.1, 0.02))):
         stream = open_stream(drive.write_recording(tmp_path / f"{name}.mcap", 12, pose_noise=noise))
-        f1, _ = scores(stream, Oracle(stream))
+        f1, _ = scores(stream, Oracle(KeptMoments(stream, regions_of(stream, STRATA))))
         assert (f1["visible"] > 0.97).all(), name
         assert (f1["in-motion"] > 0.97).all(), name
 

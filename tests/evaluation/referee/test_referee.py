@@ -11,8 +11,15 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
-from gridtrack.evaluation.referee.motion import ObservedMotion
-from gridtrack.evaluation.referee.referee import WARM_UP, Delivery, Schedule, moments, scored_forecasts
+from gridtrack.evaluation.referee.referee import (
+    WARM_UP,
+    Delivery,
+    KeptMoments,
+    Schedule,
+    _size_of,
+    moments,
+    scored_forecasts,
+)
 from gridtrack.evaluation.referee.strata import CELL_KINDS
 from gridtrack.evaluation.runs.fit_regions import score_in_process
 from gridtrack.evaluation.scores.cells import Tally, count_cells
@@ -73,7 +80,7 @@ class Seer:
 
 
 def delivery(stream):
-    return Delivery(stream, lambda: None, ALL_DYNAMIC)
+    return Delivery(moments(stream, ALL_DYNAMIC), lambda: None)
 
 
 def f1_per_step(stream, tracker, every=3):
@@ -152,10 +159,53 @@ def test_no_more_than_a_horizon_of_frames_is_kept():
 
     source = HeldFrames(200)
     regions = Regions(source.grid, KindsOfWindow(np.zeros((1, 1), np.uint8)))
-    stream = moments(source, regions, ObservedMotion(source))
+    stream = moments(source, regions)
     for scored in scored_forecasts(Still(), stream, Schedule(200, STEPS, 1), seed=0):
         assert len(scored.frames) == STEPS + 1
         del scored
+
+
+class ReadStream(FakeStream):
+    """Counts how often it is read."""
+
+    passes = 0
+
+    def __iter__(self):
+        self.passes += 1
+        return super().__iter__()
+
+
+def test_a_short_stretch_is_read_once_for_all_trackers():
+    stream = ReadStream(60)
+    kept = KeptMoments(stream, ALL_DYNAMIC)
+    first, second = (list(scored_forecasts(Seer(FakeStream(60)), kept, Schedule(60, STEPS, 3), 7)) for _ in range(2))
+    assert stream.passes == 1
+    assert len(first) == len(second) == Schedule(60, STEPS, 3).expected
+    for one, other in zip(first, second, strict=True):
+        assert all(mine is yours for mine, yours in zip(one.targets, other.targets, strict=True))
+        assert one.region_maps is other.region_maps
+
+
+@pytest.mark.parametrize("room", [1, 30])
+def test_a_stretch_that_takes_too_much_memory_is_read_for_each_tracker(room, monkeypatch):
+    """Its first frame says it, or a later one that is larger."""
+    stream = ReadStream(60)
+    size = _size_of(next(iter(moments(stream, ALL_DYNAMIC))))
+    monkeypatch.setattr("gridtrack.evaluation.referee.referee.MOST_KEPT_BYTES", room * size)
+    if room > 1:
+        monkeypatch.setattr(ReadStream, "__len__", lambda self: 1)
+    kept, stream.passes = KeptMoments(stream, ALL_DYNAMIC), 0
+    assert [len(list(kept)) for _ in range(2)] == [60, 60]
+    assert stream.passes == 2
+
+
+def test_a_pass_that_ended_early_keeps_nothing_and_passes_at_the_same_time_keep_once():
+    stream = ReadStream(60)
+    kept = KeptMoments(stream, ALL_DYNAMIC)
+    next(iter(kept))
+    together = [(one.frame.stamp_ns, other.frame.stamp_ns) for one, other in zip(kept, kept, strict=True)]
+    assert ([one == other for one, other in together], stream.passes) == ([True] * 60, 3)
+    assert [next(iter(kept)) is next(iter(kept)), stream.passes] == [True, 3]
 
 
 def test_the_digest_covers_every_frame_in_order():

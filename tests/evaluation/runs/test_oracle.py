@@ -28,7 +28,7 @@ def frames(tmp_path_factory):
     """The observations of a recording with range noise, and the oracle's forecast of each."""
     path = truth_scene.write_recording(tmp_path_factory.mktemp("recording") / "room.mcap", noise_m=NOISE_M)
     stream = open_stream(path, rate_hz=5)
-    errors = range_errors(stream)
+    errors = range_errors(stream.observations(), len(stream))
     return [(one, expected_grid(one, stream.grid, errors)) for one in stream.observations()]
 
 
@@ -111,16 +111,17 @@ def test_hidden_cells_are_the_true_outlines(frames):
 def test_the_forecast_of_a_frame_is_the_same_in_every_reading(frames, tmp_path):
     path = truth_scene.write_recording(tmp_path / "room.mcap", noise_m=NOISE_M)
     stream = open_stream(path, rate_hz=5)
-    again = [expected_grid(one, stream.grid, range_errors(stream)) for one in list(stream.observations())[:3]]
+    errors = range_errors(stream.observations(), len(stream))
+    again = [expected_grid(one, stream.grid, errors) for one in list(stream.observations())[:3]]
     assert all(np.array_equal(one, oracle) for one, (_, oracle) in zip(again, frames, strict=False))
 
 
 def test_its_thresholds_are_chosen_once_for_all_recordings_with_one_validation_stretch(tmp_path):
     path = truth_scene.write_recording(tmp_path / "room.mcap", noise_m=NOISE_M)
     split = plan_split(str(path), None, Sampling(horizon_s=1.0, every_s=1.0))
-    regions, shared, delivered = split.regions(), SharedThresholds(tmp_path), []
+    moments, shared, delivered = split.moments(split.regions()), SharedThresholds(tmp_path), []
     records = [
-        run_oracle(split, regions, tmp_path / name, lambda: delivered.append(1), shared, built_in(), SMALL_ROBOT)
+        run_oracle(split, moments, tmp_path / name, lambda: delivered.append(1), shared, built_in(), SMALL_ROBOT)
         for name in ("one", "two")
     ]
     assert len(delivered) == 2 * len(split.test) + len(split.validation)

@@ -89,10 +89,10 @@ def test_a_tracker_that_received_other_frames_is_reported(compare, monkeypatch):
 
     original = trial.TrialRun.__init__
 
-    def tampering(self, the_trial, regions, folder, on_frame, shared):
-        original(self, the_trial, regions, folder, on_frame, shared)
+    def tampering(self, the_trial, moments, folder, on_frame, shared):
+        original(self, the_trial, moments, folder, on_frame, shared)
         if the_trial.label == "odd":
-            self._delivery = Tampered(the_trial.test, on_frame, regions.test)
+            self._delivery = Tampered(moments.test, on_frame)
 
     monkeypatch.setattr(trial.TrialRun, "__init__", tampering)
     summary = compare("persistence", "blank", "odd=blank")

@@ -12,6 +12,7 @@ from gridtrack.evaluation.engines.engine import Interrupted
 from gridtrack.evaluation.referee.splits import EvaluationSplit
 from gridtrack.evaluation.runs.jobs import SharedInputs
 from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.recordings.stream import GridStream
 
 
 class Split:
@@ -78,6 +79,17 @@ def test_regions_that_cannot_be_found_fail_the_trials_of_their_recording_alone(c
     rows = compare("persistence", recordings=recordings).trackers["persistence"].recordings
     assert (rows["good"].outcome, rows["bad"].outcome) == ("ok", "failed")
     assert rows["bad"].reason == "bad.mcap: damaged at 3 s"
+
+
+@pytest.mark.usefixtures("trackers_here")
+def test_a_recording_is_read_as_often_for_three_trackers_as_for_one(compare, record, monkeypatch, tmp_path):
+    path, passes, observations = record("hall", 60, {}), [], GridStream.observations
+    monkeypatch.setattr(GridStream, "observations", lambda stream: (passes.append(stream), observations(stream))[1])
+    counts = []
+    for number, trackers in enumerate((["persistence"], ["persistence", "blank", "advection"])):
+        compare(*trackers, recordings=(str(path),), out=tmp_path / f"run-{number}")
+        counts.append(len(passes))
+    assert 0 < counts[0] == counts[1] - counts[0]
 
 
 def test_an_interrupt_ends_the_search_for_static_cells(shared, settings, record):

@@ -14,7 +14,7 @@ from gridtrack.common.scene import Person
 from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions, regions_of
 from gridtrack.evaluation.referee.motion import OnceFree
 from gridtrack.evaluation.referee.people import PeopleInWindow, people_in
-from gridtrack.evaluation.referee.referee import Delivery, Moment, Schedule, scored_forecasts
+from gridtrack.evaluation.referee.referee import Moment, Schedule, moments, scored_forecasts
 from gridtrack.evaluation.referee.strata import PARTS, STRATA
 from gridtrack.evaluation.referee.targets import Target
 from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT
@@ -219,8 +219,7 @@ def test_persistence_of_a_drive_past_people_is_scored_with_the_people_where_they
     stream = open_stream(tmp_path / "d.mcap")
     regions = regions_of(stream, STRATA)
     tracker = PersistenceTracker(stream_of(stream), PersistenceTracker.Options())
-    delivery = Delivery(stream, lambda: None, regions)
-    found = list(scored_forecasts(tracker, delivery, Schedule(len(stream), 5, 5), 0))
+    found = list(scored_forecasts(tracker, moments(stream, regions), Schedule(len(stream), 5, 5), 0))
     facts = facts_of(found[0], has_people=stream.has_people, cell_m=drive.CELL_M)
     sums = [PEOPLE_SCORE.count(one, facts, None) for one in found]
     assert [one is not None for one in sums] == [25 <= 20 + 5 * k < 50 for k in range(len(found))]
