@@ -3,7 +3,8 @@
 `python -m studies.worlds_results` compares every tracker with general weights, and its further trainings, on the worlds
 of data/worlds/test, and writes the numbers and the chart of docs/results/worlds. The worlds whose poses come from the
 wheels of a robot are compared once more with refined poses (`recording import --ego-motion refined`, which knows the
-scans and the odometry alone). Forecasts are always scored by the true poses, at the thresholds of the cards, which were
+scans and the odometry alone), and the networks with the weights of an equal budget (studies/recipes/equal-budget).
+Forecasts are always scored by the true poses, at the thresholds of the cards, which were
 chosen on the validation worlds. An interrupted comparison resumes with the same rows; `--out` takes another folder for
 others. On one idle core a network needs a minute per world, the pipeline half of that, the floors seconds.
 """
@@ -26,9 +27,11 @@ from studies.support.unseen_places import (
     STRATA,
     PlaceScores,
     compare_places,
+    compare_rows,
     not_measured,
     place_parser,
     point_text,
+    rows_of,
     worlds_called,
     write_places,
 )
@@ -45,6 +48,10 @@ AIM_TRACKERS, AIM_HORIZONS_S, AIM_F1 = ("dilated-convgru", "kalman"), (0.5, 1.0)
 
 CONTENDERS = ("kalman", "factor-graph", "dogma", "dilated-convgru", "pool")
 """The trackers that forecast motion and have similar scores, for comparisons in pairs."""
+NETWORKS = (*FAMILIES["networks of 2016"], *FAMILIES["learned peers"])
+FLOOR = "stationary"
+EQUAL_BUDGET = "equal-budget"
+"""The folder, among the further trainings, of the weights that had the same hour of a core."""
 CONTENDER_SCORES = {
     "contacts": (CONTACTS, 3),
     "F1": ("f1", 3),
@@ -104,6 +111,21 @@ def floor_table(scores: PlaceScores, corner: str, score: str) -> ResultTable:
     return pairs.model_copy(update={"rows": rows})
 
 
+def network_section(scores: PlaceScores) -> ResultSection:
+    """The rows of `scores` in few columns, and the differences between each two networks."""
+    columns = [
+        *((f"contacts, {h:g} s", "dynamic", CONTACTS, h) for h in AIM_HORIZONS_S),
+        ("contacts in motion, 1 s", "in-motion", CONTACTS, 1.0),
+        ("PR-AUC in motion, 1 s", "in-motion", "pr_auc", 1.0),
+        ("log loss, 1 s", "visible", "log_loss", 1.0),
+    ]
+    tables = {
+        "scores": scores.table("", columns),
+        "pairs": scores.pair_table(CONTACTS_FORESEEN, "dynamic", CONTACTS, NETWORKS),
+    }
+    return ResultSection(command=COMMAND, tables=tables)
+
+
 def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
     """The sections of the results file."""
     names = {part: [name for name in scores.described if name.startswith(part)] for part in PARTS}
@@ -136,6 +158,7 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
                 "not measured": not_measured(scores.labels),
             },
         ),
+        "shipped weights": network_section(scores),
         "differences": ResultSection(
             command=COMMAND,
             tables={
@@ -232,11 +255,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if len(drivers) >= FEWEST_POOLED:
         refined = {name: refined_world(path, given.out / "refined-recordings") for name, path in drivers.items()}
         folders["refined"] = list(refined.values())
+    budget_rows = rows_of(given.trainings / EQUAL_BUDGET)
     if not given.collect:
         for name, recordings in folders.items():
             compare_places(given, recordings, given.out / name)
+        if budget_rows:
+            compare_rows(given, list(worlds.values()), list(budget_rows.values()), given.out / EQUAL_BUDGET)
     scores = {name: PlaceScores.read(given.out / name) for name in folders}
     sections = sections_of(scores["recorded"])
+    if budget_rows:
+        equal = PlaceScores.read(given.out / EQUAL_BUDGET)
+        sections[EQUAL_BUDGET] = network_section(scores["recorded"].with_rows(equal, (REFERENCE, FLOOR, *NETWORKS)))
     if refined:
         drift = drift_table(drivers, refined)
         sections["poses"] = poses_section(scores["recorded"], scores["refined"], lasers, drift)

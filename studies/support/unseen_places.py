@@ -77,17 +77,22 @@ def general_rows(weights: Path, trainings: Path) -> dict[str, str]:
     They are the trackers that need no weights, those with general ones in `weights`, and their further trainings in
     `trainings`/seed-N.
     """
-    rows = {}
+    rows, with_weights = {}, rows_of(weights)
     for name in trackers():
         if name in WITHOUT_WEIGHTS:
             rows[name] = name
-        elif (weights / name / f"{GENERAL}.toml").is_file():
-            rows[name] = _row(name, name, weights)
+        elif name in with_weights:
+            rows[name] = with_weights[name]
             for card in sorted(trainings.glob(f"seed-*/{name}/{GENERAL}.toml")):
                 folder = card.parents[1]
                 label = f"{name} {folder.name.removeprefix('seed-')}"
                 rows[label] = _row(label, name, folder)
     return rows
+
+
+def rows_of(weights: Path) -> dict[str, str]:
+    """The rows of the trackers with general weights in the folder `weights`, as `general_rows`."""
+    return {name: _row(name, name, weights) for name in trackers() if (weights / name / f"{GENERAL}.toml").is_file()}
 
 
 def _row(label: str, name: str, weights: Path) -> str:
@@ -146,6 +151,13 @@ class PlaceScores:
         """These scores together with `others`, which replace recordings of the same names."""
         kept = [trial for trial in self._trials if trial.record.recording not in others.described]
         return PlaceScores({**self.described, **others.described}, [*kept, *others._trials])
+
+    def with_rows(self, others: PlaceScores, labels: Collection[str]) -> PlaceScores:
+        """The rows `labels` of these scores; those that `others` has are from there."""
+        other = [trial for trial in others._trials if trial.record.label in labels]
+        replaced = {trial.record.label for trial in other}
+        kept = [one for one in self._trials if one.record.label in labels and one.record.label not in replaced]
+        return PlaceScores(self.described, [*kept, *other])
 
     @cached_property
     def summary(self) -> RunSummary:
@@ -340,8 +352,12 @@ def compare_places(given: argparse.Namespace, recordings: Sequence[Path], out: P
     rows = general_rows(given.weights, given.trainings)
     if unknown := [label for label in given.tracker or () if label not in rows]:
         raise SystemExit(f"--tracker {', '.join(unknown)}: no row that can run; there are {', '.join(rows)}")
-    chosen = [rows[label] for label in given.tracker or rows]
-    compare(recordings, None, chosen, out, "--every", given.every, "--jobs", given.jobs, "--resume")
+    compare_rows(given, recordings, [rows[label] for label in given.tracker or rows], out)
+
+
+def compare_rows(given: argparse.Namespace, recordings: Sequence[Path], rows: Sequence[str], out: Path) -> None:
+    """Compare `rows`, values of `--tracker`, as `compare_places`."""
+    compare(recordings, None, rows, out, "--every", given.every, "--jobs", given.jobs, "--resume")
 
 
 def write_places(results: Path, sections: Mapping[str, ResultSection]) -> None:

@@ -34,6 +34,7 @@ from studies.worlds_results import (
     aim_table,
     drift_text,
     laser_of,
+    network_section,
     poses_section,
     sections_of,
 )
@@ -195,6 +196,16 @@ def test_worlds_with_refined_poses_replace_worlds_with_poses_of_the_wheels(tmp_p
     )
     before, after = (float(table.rows[-1][1]) for table in (aim_table(recorded), tables["aim"]))
     assert 0.0 < before < 0.1 < after
+
+
+def test_networks_of_an_equal_budget_replace_the_shipped_ones(worlds: PlaceScores, tmp_path: Path) -> None:
+    names = list(worlds.described)
+    equal = scores_of(tmp_path, names, {"dilated-convgru": 0.5, "deep-tracking-rnn": 0.5})
+    together = worlds.with_rows(equal, ("persistence", "dilated-convgru", "deep-tracking-rnn", "conv-lstm"))
+    assert together.labels == ["persistence", "dilated-convgru", "deep-tracking-rnn"]
+    shipped, budget = (float(scores.text("dilated-convgru", "dynamic", "f1", 1.0)[:5]) for scores in (worlds, together))
+    assert shipped > budget + 0.05
+    assert [row[0] for row in network_section(together).tables["scores"].rows] == together.labels
 
 
 def test_the_laser_of_a_world_stands_or_drives_with_exact_poses_or_wheel_odometry(tmp_path: Path) -> None:
