@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache, lru_cache, partial
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec, Mask, snapped
 from gridtrack.common.raycast import directions_of, turned, window_ranges
+from gridtrack.common.scan import Scan
 from gridtrack.common.scene import UNLABELLED
 from gridtrack.evaluation.referee.motion import BodyMotions, body_of_returns
 from gridtrack.evaluation.referee.people import PeopleInWindow
@@ -26,24 +29,37 @@ _STATE_OF_COVER[[FREE, OUTLINE, INTERIOR]] = HIDDEN_FREE, HIDDEN_OCCUPIED, NOT_S
 _NO_CELLS, _NO_LABELS = np.zeros(0, np.int64), np.zeros(0, np.uint8)
 
 
-@dataclass(frozen=True, slots=True)
-class CrossingBeams:
+@dataclass(frozen=True, slots=True, eq=False)
+class BeamPaths:
     """N beams of all sensors that cross the window, in cells from the window's lower-left corner.
 
-    `starts` (N, 2) float64: x, y of the sensor; `directions` (N, 2) float64: unit vectors; `ends` (N,) float64: range
-    at which a beam leaves the window, or the sensor's maximum range if that is shorter; `ranges` (N,) float64: measured
-    range, or that end for a beam that did not return from the window.
+    `starts` (N, 2) float64: x, y of the sensor; `directions` (N, 2) float64: unit vectors; `enters` (N,) float64: range
+    at which a beam enters the window; `ends` (N,) float64: range at which it leaves the window, or the sensor's maximum
+    range if that is shorter. `crossing` (B,) bool: which of the beams of all scans they are.
     """
 
     starts: NDArray[np.float64]
     directions: NDArray[np.float64]
+    enters: NDArray[np.float64]
     ends: NDArray[np.float64]
+    crossing: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class CrossingBeams:
+    """The beams of a frame along `paths`: the same object for frames of a sensor at rest.
+
+    `ranges` (N,) float64, cells: the measured range, or the end of its path for a beam that did not return from the
+    window; NaN for an invalid range, and for a return before the window.
+    """
+
+    paths: BeamPaths
     ranges: NDArray[np.float64]
 
     @classmethod
     def none(cls) -> CrossingBeams:
         """Those of a frame without scans."""
-        return cls(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+        return cls(_paths((), GridSpec()), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,23 +139,48 @@ def _truth(observation: Observation, grid: GridSpec) -> TruthGrid | None:
 
 
 def crossing_beams(observation: Observation, grid: GridSpec) -> CrossingBeams:
-    """The beams of an observation that cross its window before they return; none if it has no scans.
+    """The beams of an observation that cross its window; none if it has no scans."""
+    scans = observation.scans
+    paths = _paths(tuple(map(_Sweep.of, scans, observation.grid_T_sensor)), grid)
+    valid = [np.where(scan.ranges >= scan.range_min, scan.ranges.astype(np.float64), np.nan) for scan in scans]
+    ranges = np.concatenate([np.zeros(0), *valid])[paths.crossing] / grid.cell_m
+    return CrossingBeams(paths, np.where(ranges > paths.enters, np.minimum(ranges, paths.ends), np.nan))
 
-    An invalid range says nothing of its beam, which is left out.
-    """
-    found = [CrossingBeams.none()]
-    for scan, pose in zip(observation.scans, observation.grid_T_sensor, strict=True):
-        start = snapped((np.array([pose.x, pose.y]) - grid.origin) / grid.cell_m)
-        directions = turned(directions_of(scan.angle_min, scan.angle_increment, scan.ranges.size), pose.theta)
-        enter, leave = window_ranges(start, directions, scan.range_max / grid.cell_m, grid.size)
-        ranges = scan.ranges.astype(np.float64) / grid.cell_m
-        kept = (scan.ranges >= scan.range_min) & (leave > enter) & (ranges > enter)
-        ends = leave[kept]
-        starts = np.tile(start, (ends.size, 1))
-        found.append(CrossingBeams(starts, directions[kept], ends, np.minimum(ranges[kept], ends)))
-    return CrossingBeams(
-        *(np.concatenate([getattr(one, name) for one in found]) for name in ("starts", "directions", "ends", "ranges"))
+
+class _Sweep(NamedTuple):
+    """The beams of a scan, whatever they measured."""
+
+    grid_T_sensor: SE2
+    angle_min: float
+    angle_increment: float
+    beams: int
+    range_max: float
+
+    @classmethod
+    def of(cls, scan: Scan, grid_T_sensor: SE2) -> _Sweep:
+        return cls(grid_T_sensor, scan.angle_min, scan.angle_increment, scan.ranges.size, scan.range_max)
+
+
+@lru_cache(maxsize=4)
+def _paths(sweeps: tuple[_Sweep, ...], grid: GridSpec) -> BeamPaths:
+    """The paths of all beams of the sweeps that cross the window."""
+    starts, directions, ranges, crossing = (
+        [np.zeros((0, 2))],
+        [np.zeros((0, 2))],
+        [np.zeros((0, 2))],
+        [np.zeros(0, bool)],
     )
+    for sweep in sweeps:
+        pose = sweep.grid_T_sensor
+        start = snapped((np.array([pose.x, pose.y]) - grid.origin) / grid.cell_m)
+        all_directions = turned(directions_of(sweep.angle_min, sweep.angle_increment, sweep.beams), pose.theta)
+        enter, leave = window_ranges(start, all_directions, sweep.range_max / grid.cell_m, grid.size)
+        crossing.append(leave > enter)
+        directions.append(all_directions[crossing[-1]])
+        ranges.append(np.stack([enter, leave], axis=1)[crossing[-1]])
+        starts.append(np.tile(start, (len(directions[-1]), 1)))
+    enters, ends = np.concatenate(ranges).T.copy()
+    return BeamPaths(np.concatenate(starts), np.concatenate(directions), enters, ends, np.concatenate(crossing))
 
 
 def true_flow(

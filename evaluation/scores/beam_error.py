@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gridtrack.common.grid import RESOLUTION_CELLS
 from gridtrack.common.raycast import clip, first_cell
 from gridtrack.evaluation.referee.referee import ScoredForecast
-from gridtrack.evaluation.referee.targets import CrossingBeams
+from gridtrack.evaluation.referee.targets import BeamPaths
 from gridtrack.evaluation.scores.definition import (
     Floats,
     Measure,
@@ -44,14 +44,19 @@ def _count(forecast: ScoredForecast, facts: TrialFacts, memory: None) -> Floats:
     Metres by which beams are expected to end behind their returns (late), and before them (early), and the number of
     beams by the size of the error.
     """
-    occupancy = forecast.occupancy
     found = np.zeros((len(forecast.targets), 1, 2 + BINS))
+    steps_of: dict[BeamPaths, list[int]] = {}
     for n, target in enumerate(forecast.targets):
-        error_m = facts.cell_m * (expected_ranges(occupancy[n], target.beams) - target.beams.ranges)
-        found[n, 0, 0] = np.maximum(error_m, 0.0).sum()
-        found[n, 0, 1] = np.maximum(-error_m, 0.0).sum()
-        bins = np.searchsorted(EDGES_M[1:-1], np.abs(error_m), side="right")
-        found[n, 0, 2:] = np.bincount(bins, minlength=BINS)
+        steps_of.setdefault(target.beams.paths, []).append(n)
+    for paths, steps in steps_of.items():
+        ranges = np.stack([forecast.targets[n].beams.ranges for n in steps])
+        errors_m = facts.cell_m * (expected_ranges(forecast.occupancy[steps], paths, ranges) - ranges)
+        for n, error_m in zip(steps, errors_m, strict=True):
+            known_m = error_m[~np.isnan(error_m)]
+            found[n, 0, 0] = np.maximum(known_m, 0.0).sum()
+            found[n, 0, 1] = np.maximum(-known_m, 0.0).sum()
+            bins = np.searchsorted(EDGES_M[1:-1], np.abs(known_m), side="right")
+            found[n, 0, 2:] = np.bincount(bins, minlength=BINS)
     return found
 
 
@@ -77,22 +82,32 @@ def median_size(counts: Floats) -> Floats:
     return np.where(number > 0, median, np.nan)
 
 
-def expected_ranges(occupancy: NDArray[np.float32], beams: CrossingBeams) -> NDArray[np.float64]:
-    """Expected range (N,), in cells, of each beam in a forecast (M, M) of the frame that it is of.
+def expected_ranges(
+    occupancy: NDArray[np.float32], paths: BeamPaths, ranges: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Expected range (S, N), in cells, of each beam in the forecasts (S, M, M) of the frames that it is of.
 
     A return from a cell is counted at the middle of the beam's way through it, and a beam that passes all cells at its
-    end: where it leaves the window, or at the sensor's maximum range.
+    end: where it leaves the window, or at the sensor's maximum range. A beam without `ranges` (S, N) is not followed.
     """
-    ranges: NDArray[np.float64] = np.empty(beams.ranges.size)
-    _follow(np.ascontiguousarray(occupancy), beams.starts, beams.directions, beams.ends, ranges)
-    return ranges
+    expected = np.full(ranges.shape, np.nan)
+    followed = ~np.isnan(ranges).all(axis=0)
+    of_cells = np.ascontiguousarray(occupancy.transpose(1, 2, 0))
+    _follow(of_cells, paths.starts, paths.directions, paths.ends, followed, expected)
+    return expected
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _follow(occupancy, starts, directions, ends, ranges):  # type: ignore[no-untyped-def]
-    """Follow each beam from cell to cell (Amanatides and Woo, 1987), and set its expected range."""
-    size = occupancy.shape[0]
-    for i in range(ranges.size):
+def _follow(occupancy, starts, directions, ends, followed, ranges):  # type: ignore[no-untyped-def]
+    """Follow each beam from cell to cell (Amanatides and Woo, 1987), and set its expected ranges (S, N).
+
+    All forecasts (M, M, S) at once: the way of a beam is the same in each, and the loop over them is a vector loop.
+    """
+    size, steps = occupancy.shape[0], occupancy.shape[2]
+    reached, expected = np.empty((2, steps))
+    for i in range(ends.size):
+        if not followed[i]:
+            continue
         dx, dy, end = directions[i, 0], directions[i, 1], ends[i]
         x0, y0 = starts[i, 0], starts[i, 1]
         enter, _ = clip(x0, y0, dx * end, dy * end, size)
@@ -102,13 +117,16 @@ def _follow(occupancy, starts, directions, ends, ranges):  # type: ignore[no-unt
         apart_x, apart_y = 1.0 / abs(dx), 1.0 / abs(dy)  # infinite along an axis
         next_x = (column + (dx > 0) - x0) / dx if dx != 0 else np.inf
         next_y = (row + (dy > 0) - y0) / dy if dy != 0 else np.inf
-        reached, expected = 1.0, 0.0
-        while at < end and 0 <= column < size and 0 <= row < size and reached > LEAST_REACHED:
+        reached[:], expected[:], going = 1.0, 0.0, steps
+        while at < end and 0 <= column < size and 0 <= row < size and going:
             after = min(next_x, next_y, end)
             if after > at + RESOLUTION_CELLS:  # not a cell that is only touched at a corner
-                returned = reached * occupancy[row, column]
-                expected += returned * 0.5 * (at + after)
-                reached -= returned
+                middle, of_cell, going = 0.5 * (at + after), occupancy[row, column], 0
+                for s in range(steps):
+                    returned = reached[s] * of_cell[s] if reached[s] > LEAST_REACHED else 0.0
+                    expected[s] += returned * middle
+                    reached[s] -= returned
+                    going += reached[s] > LEAST_REACHED
                 at = after
             if next_x < next_y:
                 next_x += apart_x
@@ -116,7 +134,8 @@ def _follow(occupancy, starts, directions, ends, ranges):  # type: ignore[no-unt
             else:
                 next_y += apart_y
                 row += step_y
-        ranges[i] = expected + reached * end
+        for s in range(steps):
+            ranges[s, i] = expected[s] + reached[s] * end
 
 
 BEAM_ERROR = ScoreDefinition(

@@ -147,7 +147,7 @@ def test_beams_of_a_later_frame_start_where_the_sensor_is_by_then(tmp_path):
     sizes, driven, windows = np.zeros(BINS), 0.0, set()
     facts = TrialFacts(stream.grid.cell_m, STEPS, STRATA, half(STEPS))
     for scored in scored_forecasts(persistence(stream), delivered, Schedule(len(stream), STEPS, EVERY), 0):
-        now, later = (scored.targets[step].beams.starts[0] for step in (0, 10))
+        now, later = (scored.targets[step].beams.paths.starts[0] for step in (0, 10))
         driven = max(driven, np.hypot(*(later - now)))
         sizes += BEAM_ERROR.count(scored, facts, None)[10, STRATA.index("visible"), 2:]
         windows.add((round(scored.reference_T_grid.x, 6), round(scored.reference_T_grid.y, 6)))

@@ -34,13 +34,22 @@ def row_of(probabilities, columns):
     return p
 
 
+def ends_in(p, beams):
+    """The expected range of each beam that crosses the window, in one forecast."""
+    return expected_ranges(p[None], beams.paths, np.zeros((1, beams.ranges.size)))[0]
+
+
+def measured(beams):
+    return beams.ranges[~np.isnan(beams.ranges)]
+
+
 ALONG_X = observed((scan_of([4.25]), SE2(0.25, 0.25)))
 """One beam from the middle of cell [20, 10] along x; it ends 4.25 m away, at the border of columns 18 and 19."""
 
 
 def test_a_hand_computed_beam():
     beams = crossing_beams(ALONG_X, GRID)
-    assert (beams.starts, beams.ranges, beams.ends) == (pytest.approx(np.array([[10.5, 20.5]])), 8.5, 29.5)
+    assert (beams.paths.starts, beams.ranges, beams.paths.ends) == (pytest.approx(np.array([[10.5, 20.5]])), 8.5, 29.5)
     found = {
         "a certain return, at the middle of its cell": row_of(1.0, 16),
         "half the beams go on": row_of([0.5, 1.0], [12, 22]),
@@ -48,26 +57,26 @@ def test_a_hand_computed_beam():
         "nothing: to where the beam leaves the window": row_of(0.0, 0),
         "behind the sensor, and beside the beam": row_of(1.0, 9) + np.roll(row_of(1.0, 16), 1, axis=0),
     }
-    ranges = [expected_ranges(p, beams)[0] for p in found.values()]
+    ranges = [ends_in(p, beams)[0] for p in found.values()]
     assert ranges == pytest.approx([6.0, 7.0, 0.1 * 1.0 + 0.18 * 2.0 + 0.72 * 3.0, 29.5, 29.5])
 
 
 def test_the_sensors_own_cell_is_the_first():
     beams = crossing_beams(ALONG_X, GRID)
-    assert expected_ranges(row_of(1.0, 10), beams)[0] == pytest.approx(0.25), "half of the way out of it"
+    assert ends_in(row_of(1.0, 10), beams)[0] == pytest.approx(0.25), "half of the way out of it"
 
 
 def test_a_beam_that_would_go_on_ends_at_the_sensors_maximum_range():
     beams = crossing_beams(observed((scan_of([4.25], range_max=8.0), SE2(0.25, 0.25))), GRID)
-    assert expected_ranges(row_of(0.0, 0), beams)[0] == pytest.approx(16.0)
+    assert ends_in(row_of(0.0, 0), beams)[0] == pytest.approx(16.0)
 
 
 def test_every_valid_beam_that_crosses_the_window_counts_up_to_its_edge():
     scan = scan_of([np.inf, np.nan, -np.inf, 0.05, 29.0, 40.0, 4.0])
     beams = crossing_beams(observed((scan, SE2(0.25, 0.25))), GRID)
-    assert beams.ranges == pytest.approx([29.5, 29.5, 29.5, 8.0]), "no return, and two beyond the window; one inside"
+    assert measured(beams) == pytest.approx([29.5, 29.5, 29.5, 8.0]), "no return, and two beyond the window; one inside"
     outside = crossing_beams(observed((scan_of([3.0, 8.0, 40.0]), SE2(-10.0, 0.25)), (scan, SE2(0.25, 11.0))), GRID)
-    assert outside.ranges == pytest.approx([16.0, 50.0]), "one ends before the window, and seven miss it"
+    assert measured(outside) == pytest.approx([16.0, 50.0]), "one ends before the window, and seven miss it"
     assert len(crossing_beams(Observation(EMPTY), GRID).ranges) == 0, "a frame without scans has none"
 
 
@@ -94,14 +103,33 @@ def test_beams_in_all_directions_agree_with_the_crossings_of_grid_lines(seed, po
     scan = scan_of(rng.uniform(1.0, 25.0, 360), -np.pi, 2 * np.pi / 360)
     beams = crossing_beams(observed((scan, pose)), GRID)
     assert len(beams.ranges) > 5
-    expected = [by_crossings(p, *one) for one in zip(beams.starts, beams.directions, beams.ends, strict=True)]
-    assert expected_ranges(p, beams) == pytest.approx(expected, abs=1e-3)
+    expected = [
+        by_crossings(p, *one) for one in zip(beams.paths.starts, beams.paths.directions, beams.paths.ends, strict=True)
+    ]
+    assert ends_in(p, beams) == pytest.approx(expected, abs=1e-3)
+
+
+def test_beams_in_forecasts_of_several_frames_end_as_in_each_alone():
+    """Of a sensor at rest all at once; a beam that no frame measured is not followed."""
+    rng = np.random.default_rng(0)
+    p = rng.beta(0.1, 4.0, (3, *GRID.shape)).astype(np.float32)
+    frames = rng.uniform(1.0, 25.0, (3, 360))
+    frames[:, 7] = frames[1, 9] = np.nan
+    several = [
+        crossing_beams(observed((scan_of(one, -np.pi, 2 * np.pi / 360), SE2(0.1, -0.4))), GRID) for one in frames
+    ]
+    assert len({id(one.paths) for one in several}) == 1
+    ranges = np.stack([one.ranges for one in several])
+    found = expected_ranges(p, several[0].paths, ranges)
+    assert np.flatnonzero(np.isnan(found).any(axis=0)).tolist() == [7]
+    alone = np.stack([ends_in(one, beams) for one, beams in zip(p, several, strict=True)])
+    np.testing.assert_array_equal(np.delete(found, 7, axis=1), np.delete(alone, 7, axis=1))
 
 
 def test_beams_along_the_lines_of_the_grid_and_through_its_corners_stay_in_the_window():
     scan = scan_of([3.0] * 8, 0.0, np.pi / 4)
     beams = crossing_beams(observed((scan, SE2(0.0, 0.0)), (scan, SE2(0.25, 0.25))), GRID)
-    ones = expected_ranges(np.ones(GRID.shape, np.float32), beams)
+    ones = ends_in(np.ones(GRID.shape, np.float32), beams)
     assert ((ones > 0) & (ones <= 1)).all(), "the first cell that a beam has length in"
 
 
@@ -124,7 +152,7 @@ def test_errors_are_summed_over_all_beams_of_the_visible_cells():
 def test_a_forecast_of_walls_everywhere_is_far_from_beams_that_leave_the_window():
     everywhere = np.ones(GRID.shape, np.float32)
     beams = crossing_beams(observed((scan_of([2.0, np.inf]), SE2(0.25, 0.25))), GRID)
-    assert expected_ranges(everywhere, beams) - beams.ranges == pytest.approx([0.25 - 4.0, 0.25 - 29.5])
+    assert ends_in(everywhere, beams) - beams.ranges == pytest.approx([0.25 - 4.0, 0.25 - 29.5])
 
 
 def test_a_target_without_scans_has_no_beams():
