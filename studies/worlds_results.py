@@ -112,7 +112,7 @@ def floor_table(scores: PlaceScores, corner: str, score: str) -> ResultTable:
 
 
 def network_section(scores: PlaceScores) -> ResultSection:
-    """The rows of `scores` in few columns, and the differences between each two networks."""
+    """The rows of `scores` in a few columns, and the differences between each two networks."""
     columns = [
         *((f"contacts, {h:g} s", "dynamic", CONTACTS, h) for h in AIM_HORIZONS_S),
         ("contacts in motion, 1 s", "in-motion", CONTACTS, 1.0),
@@ -158,7 +158,7 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
                 "not measured": not_measured(scores.labels),
             },
         ),
-        "shipped weights": network_section(scores),
+        "shipped weights": network_section(scores.of_rows((REFERENCE, FLOOR, "kalman", *NETWORKS, "pool"))),
         "differences": ResultSection(
             command=COMMAND,
             tables={
@@ -265,7 +265,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sections = sections_of(scores["recorded"])
     if budget_rows:
         equal = PlaceScores.read(given.out / EQUAL_BUDGET)
-        sections[EQUAL_BUDGET] = network_section(scores["recorded"].with_rows(equal, (REFERENCE, FLOOR, *NETWORKS)))
+        sections[EQUAL_BUDGET] = network_section(
+            scores["recorded"].with_rows(equal).of_rows((REFERENCE, FLOOR, *NETWORKS))
+        )
     if refined:
         drift = drift_table(drivers, refined)
         sections["poses"] = poses_section(scores["recorded"], scores["refined"], lasers, drift)

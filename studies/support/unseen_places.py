@@ -152,12 +152,15 @@ class PlaceScores:
         kept = [trial for trial in self._trials if trial.record.recording not in others.described]
         return PlaceScores({**self.described, **others.described}, [*kept, *others._trials])
 
-    def with_rows(self, others: PlaceScores, labels: Collection[str]) -> PlaceScores:
-        """The rows `labels` of these scores; those that `others` has are from there."""
-        other = [trial for trial in others._trials if trial.record.label in labels]
-        replaced = {trial.record.label for trial in other}
-        kept = [one for one in self._trials if one.record.label in labels and one.record.label not in replaced]
-        return PlaceScores(self.described, [*kept, *other])
+    def of_rows(self, labels: Collection[str]) -> PlaceScores:
+        """The scores of these rows."""
+        return PlaceScores(self.described, [trial for trial in self._trials if trial.record.label in labels])
+
+    def with_rows(self, others: PlaceScores) -> PlaceScores:
+        """These scores together with `others`, which replace rows of the same labels."""
+        replaced = {trial.record.label for trial in others._trials}
+        kept = [trial for trial in self._trials if trial.record.label not in replaced]
+        return PlaceScores(self.described, [*kept, *others._trials])
 
     @cached_property
     def summary(self) -> RunSummary:

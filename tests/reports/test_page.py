@@ -272,7 +272,7 @@ def with_pr_auc_in_motion(run, target, **pr_auc):
 
 
 UNDECIDED = (
-    " cannot be decided here: too short for an interval: 1 unit, blocks of at least 100 s, and 20 are needed: 19 more"
+    ", cannot be decided here: too short for an interval: 1 unit, blocks of at least 100 s, and 20 are needed: 19 more"
     " recordings, or about 32 more minutes."
 )
 
@@ -283,7 +283,7 @@ UNDECIDED = (
         (
             {"good": 0.61234, "fair": 0.5, "persistence": 0.2},
             "good has the highest PR-AUC on in-motion cells 1 s ahead, 0.612. Whether it is better than the floor,"
-            f" persistence (0.200) and than the next tracker, fair (0.500){UNDECIDED}",
+            f" persistence (0.200), and than the next tracker, fair (0.500){UNDECIDED}",
         ),
         (
             {"good": 0.6},
@@ -302,7 +302,7 @@ UNDECIDED = (
         (
             {"good": 0.2001, "fair": 0.1, "persistence": 0.2},
             "No tracker beats the floors: persistence has a PR-AUC of 0.200 on in-motion cells 1 s ahead; the best"
-            " tracker, good, has 0.200. Whether it is better than the floor, persistence (0.200) and than the next"
+            " tracker, good, has 0.200. Whether it is better than the floor, persistence (0.200), and than the next"
             f" tracker, fair (0.100){UNDECIDED}",
         ),
         (

@@ -201,7 +201,7 @@ def test_worlds_with_refined_poses_replace_worlds_with_poses_of_the_wheels(tmp_p
 def test_networks_of_an_equal_budget_replace_the_shipped_ones(worlds: PlaceScores, tmp_path: Path) -> None:
     names = list(worlds.described)
     equal = scores_of(tmp_path, names, {"dilated-convgru": 0.5, "deep-tracking-rnn": 0.5})
-    together = worlds.with_rows(equal, ("persistence", "dilated-convgru", "deep-tracking-rnn", "conv-lstm"))
+    together = worlds.with_rows(equal).of_rows(("persistence", "dilated-convgru", "deep-tracking-rnn", "conv-lstm"))
     assert together.labels == ["persistence", "dilated-convgru", "deep-tracking-rnn"]
     shipped, budget = (float(scores.text("dilated-convgru", "dynamic", "f1", 1.0)[:5]) for scores in (worlds, together))
     assert shipped > budget + 0.05
