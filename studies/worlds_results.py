@@ -158,7 +158,7 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
                 "not measured": not_measured(scores.labels),
             },
         ),
-        "shipped weights": network_section(scores.of_rows((REFERENCE, FLOOR, "kalman", *NETWORKS, "pool"))),
+        "shipped weights": network_section(scores),
         "differences": ResultSection(
             command=COMMAND,
             tables={

@@ -270,21 +270,22 @@ class PlaceScores:
     def pair_table(
         self, corner: str, stratum: str, score: str, labels: Collection[str], *, decimals: int = 3
     ) -> ResultTable:
-        """The differences in a score between each two of `labels`; marked if not significant."""
+        """The differences in a score between each two of `labels`, where tested; marked if not significant."""
         one, output = find_output(score, built_in())
         key = stratum, one.name, output.name
         found = {f.step: f.pairs for f in self.pair_families if (f.stratum, f.score, f.output) == key}
-        columns = [
-            {
+        columns = {
+            f"{h:g} s": {
                 f"{test.tracker} less {test.other}": pair_text(test, decimals)
-                for test in found.get(step, ())
+                for test in found[step]
                 if {test.tracker, test.other} <= set(labels)
             }
-            for step in self.horizons.values()
-        ]
-        pairs = dict.fromkeys(pair for column in columns for pair in column)
-        rows = [[pair, *(column.get(pair, NONE) for column in columns)] for pair in pairs]
-        return measured_table((corner, *(f"{h:g} s" for h in self.horizons)), rows)
+            for h, step in self.horizons.items()
+            if step in found
+        }
+        pairs = dict.fromkeys(pair for column in columns.values() for pair in column)
+        rows = [[pair, *(column.get(pair, NONE) for column in columns.values())] for pair in pairs]
+        return measured_table((corner, *columns), rows)
 
     def difference_table(self, stratum: str) -> ResultTable:
         """F1 of each row less the reference's in one stratum; marked if not significant."""
