@@ -148,9 +148,9 @@ class _Decision:
             return
         tested = {words: self._weakest(rows) for words, rows in rows_of.items()}
         if all(test is None for test in tested.values()):
-            named = ", and than ".join(tested)
+            named = ", or than ".join(tested)
             who = "it" if len(self._top) == 1 else "each"
-            yield f"Whether {who} is better than {named}, cannot be decided here: {self._why_untested()}."
+            yield f"This run cannot decide whether {who} is better than {named}: {self._why_untested()}."
             return
         found = [(words, rows_of[words], test) for words, test in tested.items() if test is not None]
         yield from self._decided(found)

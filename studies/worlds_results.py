@@ -4,8 +4,8 @@
 of data/worlds/test, and writes the numbers and the chart of docs/results/worlds. The worlds whose poses come from the
 wheels of a robot are compared once more with refined poses (`recording import --ego-motion refined`, which knows the
 scans and the odometry alone), and the networks with the weights of an equal budget (studies/recipes/equal-budget).
-Forecasts are always scored by the true poses, at the thresholds of the cards, which were
-chosen on the validation worlds. An interrupted comparison resumes with the same rows; `--out` takes another folder for
+Forecasts are always scored by the true poses, at the thresholds of the cards, which were chosen on the validation
+worlds. An interrupted comparison resumes with the same rows; `--out` takes another folder for
 others. On one idle core a network needs a minute per world, the pipeline half of that, the floors seconds.
 """
 

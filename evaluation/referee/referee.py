@@ -296,7 +296,9 @@ class KeptMoments:
         room = MOST_KEPT_BYTES
         for number, moment in enumerate(moments(self.stream, self.regions)):
             size = _size_of(moment)
-            room -= size if number else size * (len(self.stream) if size * len(self.stream) > room else 1)
+            if number == 0 and size * len(self.stream) > room:
+                room = 0
+            room -= size
             if room >= 0:
                 kept.append(moment)
             else:

@@ -272,7 +272,7 @@ def with_pr_auc_in_motion(run, target, **pr_auc):
 
 
 UNDECIDED = (
-    ", cannot be decided here: too short for an interval: 1 unit, blocks of at least 100 s, and 20 are needed: 19 more"
+    ": too short for an interval: 1 unit, blocks of at least 100 s, and 20 are needed: 19 more"
     " recordings, or about 32 more minutes."
 )
 
@@ -282,8 +282,8 @@ UNDECIDED = (
     [
         (
             {"good": 0.61234, "fair": 0.5, "persistence": 0.2},
-            "good has the highest PR-AUC on in-motion cells 1 s ahead, 0.612. Whether it is better than the floor,"
-            f" persistence (0.200), and than the next tracker, fair (0.500){UNDECIDED}",
+            "good has the highest PR-AUC on in-motion cells 1 s ahead, 0.612. This run cannot decide whether it is"
+            f" better than the floor, persistence (0.200), or than the next tracker, fair (0.500){UNDECIDED}",
         ),
         (
             {"good": 0.6},
@@ -291,8 +291,8 @@ UNDECIDED = (
         ),
         (
             {"good": 0.60001, "fair": 0.6, "blank": 0.0, "persistence": 0.0},
-            "good and fair have the highest PR-AUC on in-motion cells 1 s ahead, 0.600 each. Whether each is better"
-            f" than the best floor, blank and persistence (0.000){UNDECIDED}",
+            "good and fair have the highest PR-AUC on in-motion cells 1 s ahead, 0.600 each. This run cannot decide"
+            f" whether each is better than the best floor, blank and persistence (0.000){UNDECIDED}",
         ),
         (
             {"good": 0.0, "fair": 0.0002, "blank": 0.0},
@@ -302,13 +302,13 @@ UNDECIDED = (
         (
             {"good": 0.2001, "fair": 0.1, "persistence": 0.2},
             "No tracker beats the floors: persistence has a PR-AUC of 0.200 on in-motion cells 1 s ahead; the best"
-            " tracker, good, has 0.200. Whether it is better than the floor, persistence (0.200), and than the next"
-            f" tracker, fair (0.100){UNDECIDED}",
+            " tracker, good, has 0.200. This run cannot decide whether it is better than the floor, persistence"
+            f" (0.200), or than the next tracker, fair (0.100){UNDECIDED}",
         ),
         (
             {"good": 0.0, "persistence": 0.2},
             "No tracker beats the floors: persistence has a PR-AUC of 0.200 on in-motion cells 1 s ahead; good has"
-            f" 0.000. Whether it is better than the floor, persistence (0.200){UNDECIDED}",
+            f" 0.000. This run cannot decide whether it is better than the floor, persistence (0.200){UNDECIDED}",
         ),
     ],
 )

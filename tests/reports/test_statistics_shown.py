@@ -193,7 +193,7 @@ MISSING = "(about [0-9]+ more recordings?|more than ten times as much data) of t
         ({"<b>even": UNTESTED}, "It is better than FLOOR. NEXT was not tested against it. CAN_SHOW"),
         (
             {"persistence": UNTESTED, "<b>even": UNTESTED},
-            "Whether it is better than FLOOR, and than NEXT, cannot be decided here: these rows were not tested against"
+            "This run cannot decide whether it is better than FLOOR, or than NEXT: these rows were not tested against"
             " each other.",
         ),
     ],
