@@ -44,6 +44,8 @@ SURVEY_COUNTS = (
     "farthest",
     "labelled",
     "with_truth",
+    "with_people",
+    "people_ns",
 )
 POSE_JUMPS = tuple(field.name for field in fields(PoseJumps) if not field.name.startswith("_"))
 FIRST_SCAN = ("stamp_ns", "angle_min", "angle_increment", "range_min", "range_max", "sensor", "time_increment_s")

@@ -28,7 +28,6 @@ from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, chosen_ru
 from gridtrack.reports.run_description import changes_of, provenance_of, run_facts, title_of
 from gridtrack.reports.score_figures import score_figures
 from gridtrack.reports.scripts import data_in_page, joined_script, json_in_page, policy_of
-from gridtrack.reports.strata_tables import StrataTable, strata_tables
 from gridtrack.reports.styles import TEMPLATES, page_css, styles_of
 from gridtrack.reports.table import HeadlineTable, headline_tables, main_tables
 
@@ -133,7 +132,6 @@ class Section:
     table: HeadlineTable
     differences: DifferenceTable | None
     trainings: TrainingsTable | None
-    strata: tuple[StrataTable, ...]
 
 
 def section_of(runs: Sequence[ReportedRun], table: HeadlineTable) -> Section:
@@ -143,7 +141,6 @@ def section_of(runs: Sequence[ReportedRun], table: HeadlineTable) -> Section:
         table=table,
         differences=difference_table(run, table.recording) if run else None,
         trainings=trainings_table(run, table.recording) if run else trainings_across(runs, table),
-        strata=tuple(strata_tables(table, run)),
     )
 
 

@@ -211,16 +211,11 @@ class HeadlineTable:
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
         """The headings of the groups of columns, and the number of columns in each."""
-        return grouped(self.columns)
+        return tuple((group, len(list(own))) for group, own in groupby(self.columns, key=lambda column: column.group))
 
     def rows_in(self, group: RowGroup) -> tuple[TableRow, ...]:
         """The rows of one group."""
         return tuple(row for row in self.rows if row.group == group)
-
-
-def grouped(columns: Sequence[TableColumn]) -> tuple[tuple[str, int], ...]:
-    """The headings of the groups of columns, and the number of columns in each."""
-    return tuple((group, len(list(own))) for group, own in groupby(columns, key=lambda column: column.group))
 
 
 def headline_tables(runs: Sequence[ReportedRun]) -> tuple[HeadlineTable, ...]:

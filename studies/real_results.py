@@ -28,6 +28,8 @@ from gridtrack.recordings.recording_info import RecordingInfo
 
 from studies.support.results_file import ResultSection, ResultTable, measured_table
 from studies.support.unseen_places import (
+    CONTACTS,
+    CONTACTS_FORESEEN,
     SKILL,
     STRATA,
     PlaceScores,
@@ -149,39 +151,34 @@ def contents(scores: PlaceScores) -> ResultTable:
     return measured_table(columns, rows)
 
 
-def by_recording(scores: PlaceScores) -> ResultTable:
-    """PR-AUC and F1 of dynamic cells on each recording, MIDDLE_S ahead."""
+def by_recording(scores: PlaceScores, heading: str, stratum: str, score: str) -> ResultTable:
+    """A score MIDDLE_S ahead on each recording, and on all of them: a column each."""
     rows = [
-        [
-            f"{name}, {label}",
-            *(scores.text(label, "dynamic", one, MIDDLE_S, name) for one in ("pr_auc", "f1", "fss.5_cells")),
-        ]
-        for name in scores.described
+        [label, *(scores.text(label, stratum, score, MIDDLE_S, name) for name in (*scores.described, ""))]
         for label in scores.labels
-        if any(trial.record.recording == name for trial in scores.trials_of(label))
     ]
-    return measured_table((f"dynamic, {MIDDLE_S:g} s", "PR-AUC", "F1", "FSS, 5 cells"), rows)
+    return measured_table((f"{heading}, {MIDDLE_S:g} s", *scores.described, "all"), rows)
 
 
 def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
     """The sections of the results file."""
+    near_s = (0.5, 1.0)
     pooled = [
         (f"{title} {STRATA[stratum]}, {h:g} s", stratum, score, h)
         for title, score in (("PR-AUC", "pr_auc"), ("F1", "f1"))
         for stratum in ("in-motion", "dynamic")
-        for h in (0.5, 1.0)
+        for h in near_s
     ]
-    near = [
-        (f"{h:g} s, {scale} cells", "dynamic", f"fss.{scale}_cells", h) for h in (0.5, 1.0) for scale in (1, 3, 5, 9)
-    ]
+    near = [(f"{h:g} s, {scale} cells", "dynamic", f"fss.{scale}_cells", h) for h in near_s for scale in (1, 3, 5, 9)]
+    contacts = [(f"{STRATA[one]}, {h:g} s", one, CONTACTS, h) for one in ("dynamic", "in-motion") for h in near_s]
     tables = {
+        "contacts": scores.table(CONTACTS_FORESEEN, contacts),
+        "contacts by recording": by_recording(scores, CONTACTS_FORESEEN, "dynamic", CONTACTS),
+        "PR-AUC by recording": by_recording(scores, "PR-AUC in motion", "in-motion", "pr_auc"),
         "pooled": scores.table("together", pooled),
         "visible": scores.over_horizons("F1, visible", "visible", "f1"),
         SKILL: scores.table("FSS, dynamic", near),
         "recordings": contents(scores),
-        "by recording": by_recording(scores),
-        "trainings": scores.training_table(),
-        **{f"difference, {STRATA[one]}": scores.difference_table(one) for one in SHOWN_STRATA},
     }
     measured = [one.name for one in REAL if one.name in scores.described]
     values = {

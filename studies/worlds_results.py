@@ -17,7 +17,7 @@ from pathlib import Path
 from gridtrack.recordings import open_recording
 
 from studies.support.comparison import gridtrack
-from studies.support.results_file import NONE, ResultSection, ResultTable, measured_table
+from studies.support.results_file import ResultSection, ResultTable, measured_table
 from studies.support.unseen_places import (
     CONTACTS,
     CONTACTS_FORESEEN,
@@ -38,7 +38,6 @@ from studies.support.unseen_places import (
 
 RESULTS = Path("docs/results/worlds/worlds.json")
 COMMAND = "python -m studies.worlds_results"
-PARTS = ("indoors", "outdoors")
 FEWEST_POOLED = 2
 """Fewer worlds are not pooled."""
 STANDS, DRIVES, ODOMETRY = "stands", "drives", "drives, odometry"
@@ -53,13 +52,11 @@ FLOOR = "stationary"
 EQUAL_BUDGET = "equal-budget"
 """The folder, among the further trainings, of the weights that had the same hour of a core."""
 CONTENDER_SCORES = {
-    "contacts": (CONTACTS, 3),
-    "F1": ("f1", 3),
-    "PR-AUC": ("pr_auc", 3),
-    "log loss": ("log_loss", 4),
-    "soft IoU": ("soft_iou", 3),
+    "contacts": CONTACTS,
+    "F1": "f1",
+    "PR-AUC": "pr_auc",
 }
-"""The scores in which they are compared, and the decimals of a difference: log losses are small."""
+"""The scores in which they are compared."""
 
 
 def aim_met(difference: float | None, low: float | None) -> str:
@@ -84,22 +81,11 @@ def aim_table(scores: PlaceScores) -> ResultTable:
     return measured_table(("F1, dynamic", "difference", "at least 0.10"), rows)
 
 
-def part_table(parts: Mapping[str, PlaceScores], labels: list[str]) -> ResultTable:
-    """F1 a second ahead indoors and outdoors; ten worlds each are too few for intervals."""
-    strata = ("in-motion", "dynamic", "visible", "occluded")
-    rows = [
-        [label, *(part.text(label, stratum, "f1", 1.0) for part in parts.values() for stratum in strata)]
-        for label in labels
-    ]
-    columns = (f"{part}, {STRATA[stratum]}" for part in parts for stratum in strata)
-    return measured_table(("F1, 1 s", *columns), rows)
-
-
 def pair_tables(scores: PlaceScores) -> dict[str, ResultTable]:
     """The contenders in pairs on dynamic cells, a table for each score."""
     return {
-        name: scores.pair_table(f"{name}, dynamic", "dynamic", score, CONTENDERS, decimals=decimals)
-        for name, (score, decimals) in CONTENDER_SCORES.items()
+        name: scores.pair_table(f"{name}, dynamic", "dynamic", score, CONTENDERS)
+        for name, score in CONTENDER_SCORES.items()
     }
 
 
@@ -128,15 +114,8 @@ def network_section(scores: PlaceScores) -> ResultSection:
 
 def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
     """The sections of the results file."""
-    names = {part: [name for name in scores.described if name.startswith(part)] for part in PARTS}
-    parts = {part: scores.of(found) for part, found in names.items() if len(found) >= FEWEST_POOLED}
     near = [
         (f"{h:g} s, {scale} cells", "dynamic", f"fss.{scale}_cells", h) for h in (0.5, 1.0) for scale in (1, 3, 5, 9)
-    ]
-    along = [
-        (f"{h:g} s, {name}", stratum, score, h)
-        for h in (0.5, 1.0)
-        for name, stratum, score in (("soft IoU", "dynamic", "soft_iou"), ("beam error, m", "in-motion", "beam_error"))
     ]
     contacts = [(f"{h:g} s", "dynamic", CONTACTS, h) for h in AIM_HORIZONS_S]
     return {
@@ -148,10 +127,7 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
                 ),
                 **{name: scores.over_horizons(f"F1, {name}", stratum, "f1") for stratum, name in STRATA.items()},
                 "PR-AUC": scores.over_horizons("PR-AUC, dynamic", "dynamic", "pr_auc"),
-                "indoors and outdoors": part_table(parts, scores.labels),
                 SKILL: scores.table("FSS, dynamic", near),
-                "along beams": scores.table("", along),
-                "trainings": scores.training_table(),
             },
             values={
                 "forecasts": str(sum(scores.forecasts.values())),
@@ -159,13 +135,7 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
             },
         ),
         "shipped weights": network_section(scores),
-        "differences": ResultSection(
-            command=COMMAND,
-            tables={
-                **{name: scores.difference_table(stratum) for stratum, name in STRATA.items()},
-                "aim": aim_table(scores),
-            },
-        ),
+        "differences": ResultSection(command=COMMAND, tables={"aim": aim_table(scores)}),
         "pairs": ResultSection(
             command=COMMAND,
             tables={
@@ -195,51 +165,24 @@ def refined_world(world: Path, folder: Path) -> Path:
     return path
 
 
-def drift_text(path: Path) -> str:
-    """Apparent motion of a wall in a second, metres, as `recording info` measures it."""
-    (sensor,) = open_recording(path).overview().sensors.values()
-    return NONE if sensor.pose_drift_m is None else f"{sensor.pose_drift_m:.3f}"
-
-
-def by_laser(groups: Mapping[str, PlaceScores], corner: str, score: str) -> ResultTable:
-    """A score of dynamic cells by the motion of the laser; too few worlds each for intervals."""
+def by_laser(groups: Mapping[str, PlaceScores]) -> ResultTable:
+    """Contacts foreseen by the motion of the laser; too few worlds each for intervals."""
     rows = [
-        [label, *(scores.text(label, "dynamic", score, h) for scores in groups.values() for h in AIM_HORIZONS_S)]
+        [label, *(scores.text(label, "dynamic", CONTACTS, h) for scores in groups.values() for h in AIM_HORIZONS_S)]
         for label in next(iter(groups.values())).labels
     ]
     columns = (f"{name}, {h:g} s" for name in groups for h in AIM_HORIZONS_S)
-    return measured_table((corner, *columns), rows)
+    return measured_table((CONTACTS_FORESEEN, *columns), rows)
 
 
-def both_poses(recorded: PlaceScores, refined: PlaceScores) -> ResultTable:
-    """F1 a second ahead in the same worlds, with the poses of the wheels and with refined ones."""
-    both = {"odometry": recorded, "refined": refined}
-    shown = [(stratum, kind) for stratum in ("in-motion", "visible", "occluded") for kind in both]
-    rows = [
-        [label, *(both[kind].text(label, stratum, "f1", 1.0) for stratum, kind in shown)] for label in recorded.labels
-    ]
-    return measured_table(("F1, 1 s", *(f"{STRATA[stratum]}, {kind}" for stratum, kind in shown)), rows)
-
-
-def drift_table(drivers: Mapping[str, Path], refined: Mapping[str, Path]) -> ResultTable:
-    """Apparent motion of a wall in a second with each kind of poses, metres."""
-    rows = [[name, drift_text(path), drift_text(refined[name])] for name, path in drivers.items()]
-    return measured_table(("a wall moves in a second, m", "odometry", "refined"), rows)
-
-
-def poses_section(
-    recorded: PlaceScores, refined: PlaceScores, lasers: Mapping[str, str], drift: ResultTable
-) -> ResultSection:
+def poses_section(recorded: PlaceScores, refined: PlaceScores, lasers: Mapping[str, str]) -> ResultSection:
     """The cost of wheel odometry: `recorded` are the scores on all worlds, `refined` on worlds with odometry."""
     names = {kind: [name for name, laser in lasers.items() if laser == kind] for kind in (STANDS, DRIVES, ODOMETRY)}
     groups = {kind: recorded.of(found) for kind, found in names.items() if len(found) >= FEWEST_POOLED}
     counted = {f"{kind} ({len(names[kind])})": scores for kind, scores in groups.items()}
     tables = {
-        "contacts by laser": by_laser({**counted, "drives, refined": refined}, CONTACTS_FORESEEN, CONTACTS),
-        "by laser": by_laser({**counted, "drives, refined": refined}, "F1, dynamic", "f1"),
-        "F1": both_poses(groups[ODOMETRY], refined),
+        "contacts by laser": by_laser({**counted, "drives, refined": refined}),
         "aim": aim_table(recorded.with_places(refined)),
-        "drift": drift,
     }
     return ResultSection(command=COMMAND, tables=tables)
 
@@ -269,8 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             scores["recorded"].with_rows(equal).of_rows((REFERENCE, FLOOR, *NETWORKS))
         )
     if refined:
-        drift = drift_table(drivers, refined)
-        sections["poses"] = poses_section(scores["recorded"], scores["refined"], lasers, drift)
+        sections["poses"] = poses_section(scores["recorded"], scores["refined"], lasers)
     write_places(given.results, sections)
 
 

@@ -467,7 +467,7 @@ CONTACT_FORESIGHT = ScoreDefinition(
     " disc that drives straight on at a constant speed; the risk of its path is the largest probability on its cells."
     " It is a ranking score: it needs no threshold and says nothing of calibration, and the world does not react to the"
     " robot. Paths on which a cell was not seen before a contact are left out, except with ground truth. Contacts are"
-    " counted within 0.5, 1 and 2 s. In a crowd, one in 200 of the visible cells off static ones is occupied.",
+    " counted within 0.5, 1 and 2 s.",
     strata=contact_strata,
     steps=counted_steps,
     parts=lambda facts: _PARTS,

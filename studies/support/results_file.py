@@ -106,11 +106,9 @@ def measured_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Res
     )
 
 
-def score_text(
-    value: float, low: float | None = None, high: float | None = None, *, signed: bool = False, decimals: int = 3
-) -> str:
+def score_text(value: float, low: float | None = None, high: float | None = None, *, signed: bool = False) -> str:
     """A score or difference: `0.693 [.670, .713]`, `-0.012 [-.020, -.004]`; no interval if that is None or NaN."""
-    shown = f"{'+' if signed else ''}.{decimals}f"
+    shown = "+.3f" if signed else ".3f"
     text = format(value, shown)
     if low is None or high is None or math.isnan(low):
         return text

@@ -26,7 +26,6 @@ from gridtrack.evaluation.runs.summary import (
     RunSummary,
     ScopeSummary,
     TrackerDifference,
-    TrackerTrainings,
     read_summary,
 )
 from gridtrack.evaluation.scores.f1 import F1
@@ -109,17 +108,17 @@ def further_training(label: str) -> bool:
     return " " in label
 
 
-def pair_text(test: PairTest, decimals: int = 3) -> str:
+def pair_text(test: PairTest) -> str:
     """The difference of a tested pair, marked if it is not significant."""
-    text = point_text(test.difference, signed=True, decimals=decimals)
+    text = point_text(test.difference, signed=True)
     return chance_marked(text, test.verdict not in TOLD_APART)
 
 
-def point_text(found: PointEstimate, *, signed: bool = False, decimals: int = 3) -> str:
+def point_text(found: PointEstimate, *, signed: bool = False) -> str:
     """A value with its interval if it has one; NONE where it is undefined."""
     if found.value is None:
         return NONE
-    return score_text(found.value, found.low, found.high, signed=signed, decimals=decimals)
+    return score_text(found.value, found.low, found.high, signed=signed)
 
 
 class PlaceScores:
@@ -256,27 +255,14 @@ class PlaceScores:
         run = RunTrials(self.described, rows, REFERENCE)
         return Comparisons(run, built_in(), find_output(F1.name, built_in())).families()
 
-    @cached_property
-    def may_be_chance(self) -> frozenset[tuple[str, str, int]]:
-        """(row, stratum, step) of the F1 that does not differ significantly from the reference's."""
-        tests = ((family, test) for family in self.pair_families if family.output == "f1" for test in family.pairs)
-        return frozenset(
-            (label, family.stratum, family.step)
-            for family, test in tests
-            for label, other in ((test.tracker, test.other), (test.other, test.tracker))
-            if other == REFERENCE and test.verdict not in TOLD_APART
-        )
-
-    def pair_table(
-        self, corner: str, stratum: str, score: str, labels: Collection[str], *, decimals: int = 3
-    ) -> ResultTable:
+    def pair_table(self, corner: str, stratum: str, score: str, labels: Collection[str]) -> ResultTable:
         """The differences in a score between each two of `labels`, where tested; marked if not significant."""
         one, output = find_output(score, built_in())
         key = stratum, one.name, output.name
         found = {f.step: f.pairs for f in self.pair_families if (f.stratum, f.score, f.output) == key}
         columns = {
             f"{h:g} s": {
-                f"{test.tracker} less {test.other}": pair_text(test, decimals)
+                f"{test.tracker} less {test.other}": pair_text(test)
                 for test in found[step]
                 if {test.tracker, test.other} <= set(labels)
             }
@@ -286,38 +272,6 @@ class PlaceScores:
         pairs = dict.fromkeys(pair for column in columns.values() for pair in column)
         rows = [[pair, *(column.get(pair, NONE) for column in columns.values())] for pair in pairs]
         return measured_table((corner, *columns), rows)
-
-    def difference_table(self, stratum: str) -> ResultTable:
-        """F1 of each row less the reference's in one stratum; marked if not significant."""
-        rows = []
-        for label in self.labels:
-            if label in self.differences:
-                texts = [self._difference_text(label, stratum, horizon_s) for horizon_s in self.horizons]
-                rows.append([f"{label} less {REFERENCE}", *texts])
-        return measured_table((f"F1, {STRATA[stratum]}", *(f"{h:g} s" for h in self.horizons)), rows)
-
-    def _difference_text(self, label: str, stratum: str, horizon_s: float) -> str:
-        found = self.difference(label, stratum, horizon_s)
-        chance = (label, stratum, self.horizons[horizon_s]) in self.may_be_chance
-        return NONE if found.value is None else chance_marked(point_text(found, signed=True), chance)
-
-    @cached_property
-    def trainings(self) -> list[TrackerTrainings]:
-        """The trackers with several trainings."""
-        return [one for one in self.summary.trainings if len(one.labels) > 1]
-
-    def training_table(self) -> ResultTable:
-        """F1 of each training of a tracker, their mean and standard deviation."""
-        rows = [
-            [
-                f"{one.tracker}, {STRATA[score.stratum]}, {score.horizon_s:g} s",
-                ", ".join(NONE if value is None else f"{value:.3f}" for value in score.values),
-                *(NONE if value is None else f"{value:.3f}" for value in (score.mean, score.spread)),
-            ]
-            for one in self.trainings
-            for score in one.scores
-        ]
-        return measured_table(("F1", "of each training", "mean", "standard deviation"), rows)
 
 
 WORLDS = Path("data/worlds/test")

@@ -86,7 +86,6 @@ LONG = {
     "studies.kept_summary": "test_results.py runs it",
     "studies.kill_points": "compares three times for one kill: half a minute",
     "studies.moving": DRAWN,
-    "studies.real_drives": "needs recordings that do not ship",
     "studies.real_results": DRAWN,
     "studies.report_screenshots": A_RUN,
     "studies.same_sums": A_RUN,

@@ -18,7 +18,7 @@ from gridtrack.evaluation.runs.stretch_files import (
     surveyed,
 )
 from gridtrack.evaluation.runs.train import train_tracker
-from gridtrack.recordings import open_recording
+from gridtrack.recordings import import_recording, open_recording
 from gridtrack.recordings.formats.native import NativeRecording
 from gridtrack.recordings.stream import GridStream, frame_digest, open_stream
 from gridtrack.trackers.training.progress import Progress
@@ -142,7 +142,7 @@ def test_a_training_reports_a_damaged_entry_and_makes_it_again(record, cache, tm
     assert sum("damaged; made again" in line for line in lines) == 4
 
 
-@pytest.mark.parametrize("kind", ["room", "truth", "drive", "cut off"])
+@pytest.mark.parametrize("kind", ["room", "truth", "drive", "people", "cut off"])
 def test_a_kept_survey_equals_the_recordings(kind, record, cache, tmp_path):
     path = tmp_path / "one.mcap"
     if kind == "truth":
@@ -151,6 +151,9 @@ def test_a_kept_survey_equals_the_recordings(kind, record, cache, tmp_path):
         drive.write_recording(path, 4, pose_noise=(0.6, 0.2))
     else:
         path = record()
+    if kind == "people":
+        (tmp_path / "people.csv").write_text("time_s,id,x,y\n1,1,2,1\n2,1,2.2,1\n")
+        path = import_recording(path, tmp_path / "people.mcap", people=str(tmp_path / "people.csv")).path
     if kind == "cut off":
         path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     expected = open_recording(path)
@@ -160,7 +163,8 @@ def test_a_kept_survey_equals_the_recordings(kind, record, cache, tmp_path):
         assert found.overview() == expected.overview()
         assert (found.damage, found.survey.moves) == (expected.damage, expected.survey.moves)
         assert found.survey.poses == expected.survey.poses
-    assert bool(expected.warnings) == (kind in ("drive", "cut off"))
+        assert GridStream(found).has_people == GridStream(expected).has_people == (kind == "people")
+    assert bool(expected.warnings) == (kind in ("drive", "people", "cut off"))
 
 
 def test_equal_frames_and_regions_have_the_same_version(cache, tmp_path):
