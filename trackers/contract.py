@@ -254,7 +254,6 @@ class Tracker(ABC):
         Optional. Raises ConfigurationError.
         """
         kinds = "networks with a latent state, and trackers with tuned settings, have one"
-        kinds = "networks with a latent state, and trackers with tuned settings, have one"
         raise ConfigurationError(f"{type(self).__name__} has no export: {kinds}")
 
     @classmethod

@@ -43,8 +43,6 @@ class ModelFreeTracker(CalibratedTracker):
     moving_sensor: ClassVar[bool] = True
     estimator: ClassVar[staticmethod[[Array, Array, MotionModel], MotionEstimator]]
     """Makes the motion estimator of a track: the only difference between the subclasses."""
-    pipeline: ClassVar[type[Pipeline]] = Pipeline
-    """The stages; a study may replace one in a subclass, to measure its contribution."""
 
     def __init__(self, stream: StreamSpec, options: PipelineSettings) -> None:
         """Raises WeightsError without a fitted background for the stream's site, grid and period."""
@@ -71,14 +69,14 @@ class ModelFreeTracker(CalibratedTracker):
 
     def reset(self, seed: int) -> None:
         """Delete every track and its class evidence; the pipeline has no randomness."""
-        kind, stream = type(self), self.stream
-        self._pipeline = kind.pipeline(
+        stream = self.stream
+        self._pipeline = Pipeline(
             stream.grid,
             stream.period_s,
             self._background,
             self._residence,
             self._settings,
-            kind.estimator,
+            type(self).estimator,
             self._world_T_map,
         )
         self._filter = None if self._model is None else ClassFilter(self._model, stream.grid, self._world_T_map)
