@@ -24,7 +24,7 @@ ENGINES := tests/evaluation/engines
 GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
 new = $(foreach tracker,$(1),--tracker new-$(tracker)=$(tracker):card=general)
-# studies/trainings/seed-2/kalman/junction.toml: another training of kalman, as the row "kalman 2"
+# studies/trainings/seed-2/simvp/junction.toml: another training of simvp, as the row "simvp 2"
 folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
 trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))
@@ -39,7 +39,7 @@ demo: $(VENV)/.installed-demo ## compare trackers on twenty places that none has
 	$(COMPARE) $(HALL)@100s-124s $(call chosen,$(DEMO_TRACKERS)) --every 0.5s --latency --out runs/demo-hall
 	$(COMPARE) $(WORLDS) $(call chosen,$(DEMO_TRACKERS)) --warm-up 2s --every 0.5s --out runs/demo
 
-demo-junction: $(VENV)/.installed-demo ## compare eight trackers on twenty minutes at a simulated junction
+demo-junction: $(VENV)/.installed-demo ## compare five trackers and the floors on twenty minutes at a simulated junction
 	rm -rf runs/junction
 	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS)) --out runs/junction
 

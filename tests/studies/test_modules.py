@@ -41,7 +41,7 @@ QUICK = {
     "benchmarks.scale": "--engine local --recordings 1 --out TMP/scale.json",
     "benchmarks.scoring": "--runs 1",
     "benchmarks.stone_soup": "--people 3 --frames 24 --seeds 1 --out TMP/model-free.json",
-    "studies.cards": "--out TMP",
+    "studies.cards": "--out TMP/model-cards.json",
     "studies.contact_truth": "--recordings 1 --stretch 0s-8s --tracker kalman --out TMP/contact.json",
     "studies.defined_pages": "--check",
     "studies.coverage": "--draws 10 --out TMP/statistics.json",
