@@ -147,7 +147,7 @@ clean: ## remove what the other targets made
 	mkdir -p .link && ln -sfn .. $@
 
 $(VENV)/.installed-demo: pyproject.toml constraints.txt | $(VENV)
-	$(INSTALL) '.[deep,model-free]'
+	$(INSTALL) '.[deep,model-free,advection]'
 	touch $@
 
 $(VENV)/.installed-sim: pyproject.toml constraints.txt | $(VENV)
