@@ -41,8 +41,9 @@ def open_recording(path: Path | str, *, growth: Growth | None = None, **options:
     recording_format = registry.recognising(path, _head(path, registry))
     if recording_format is None:
         raise RecordingError(f"{path}: {_why_unknown(path, registry)}")
+    default = dict(ReadOptions())
     for name, purpose in OPTION_PURPOSE.items():
-        if name in given.model_fields_set and name not in recording_format.options:
+        if getattr(given, name) != default[name] and name not in recording_format.options:
             raise RecordingError(f"{path}: {purpose}; a {recording_format.name} has no use for it: leave it out")
     if growth is not None:
         _require_growing(path, recording_format)

@@ -371,6 +371,7 @@ def test_a_format_without_frames_has_no_pose_topic_and_no_mounts(tmp_path: Path)
     (tmp_path / "a.clf").write_text("# CARMEN\n")
     with pytest.raises(RecordingError, match=r"--pose-topic is for recordings with poses on separate topics"):
         open_recording(tmp_path / "a.clf", pose_topic="/odom")
+    open_recording(tmp_path / "a.clf", pose_topic=None, mounts=())  # the defaults ask for nothing
     with pytest.raises(RecordingError, match=r"--mount is for recordings with frames in their scans"):
         open_recording(tmp_path / "a.clf", mounts=[parse_mount("scan=0,0,0")])
 
