@@ -11,8 +11,9 @@ HALL := data/leg_tracker/leg_tracker.mcap
 WORLDS := $(addsuffix @0s-24.5s,$(wildcard data/worlds/test/*.tracks))
 JUNCTION := $(wildcard data/junction/test-*.tracks) --validation data/junction/validation.tracks
 DEMO_TRACKERS := kalman factor-graph dilated-convgru
-HALL_TRACKERS := persistence static-map blank kalman factor-graph dogma deep-tracking-rnn dilated-convgru
-JUNCTION_TRACKERS := persistence static-map blank kalman factor-graph dogma dilated-convgru one-shot
+# floors are compared without being named
+HALL_TRACKERS := kalman factor-graph dogma deep-tracking-rnn dilated-convgru
+JUNCTION_TRACKERS := kalman factor-graph dogma dilated-convgru one-shot
 COMPARE := $(BIN)/gridtrack compare
 INSTALL := $(BIN)/pip install --constraint constraints.txt $(if $(TORCH_CPU),--extra-index-url https://download.pytorch.org/whl/cpu )--editable
 # with bytecode, whatever the environment says, because hundreds of processes import the package
@@ -20,9 +21,8 @@ PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest
 # a worker more makes its fixtures and imports once more, which costs as much as it gains
 WORKERS := -n $(shell nproc) --dist worksteal --durations=10
 ENGINES := tests/evaluation/engines
-# with general weights: they have seen no recording of a site
-GENERAL := static-map kalman factor-graph dogma deep-tracking-rnn dilated-convgru
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
+# with general weights: they have seen no recording of a site
 new = $(foreach tracker,$(1),--tracker new-$(tracker)=$(tracker):card=general)
 # studies/trainings/seed-2/simvp/junction.toml: another training of simvp, as the row "simvp 2"
 folders = $(subst /, ,$(1))
@@ -85,9 +85,9 @@ bench: $(VENV)/.installed-dev ## measure the speed of everything that `make test
 
 results: $(VENV)/.installed-dev ## compare every tracker at the junction and in the hall: the numbers of docs/results/junction and leg_tracker
 	rm -rf runs/results runs/hall
-	$(COMPARE) $(HALL) $(call chosen,$(HALL_TRACKERS)) $(call new,$(filter-out static-map,$(GENERAL))) --every 0.5s --latency --out runs/hall
+	$(COMPARE) $(HALL) $(call chosen,$(HALL_TRACKERS)) $(call new,$(HALL_TRACKERS)) --every 0.5s --latency --out runs/hall
 	$(BIN)/python -m studies.kept_summary runs/hall leg_tracker
-	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS) deep-tracking-rnn) $(trainings) --reference dilated-convgru --out runs/results
+	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS) deep-tracking-rnn conv-lstm simvp pool) $(trainings) --reference dilated-convgru --out runs/results
 	$(BIN)/python -m studies.kept_summary runs/results junction
 	$(BIN)/python -m studies.static_memory
 

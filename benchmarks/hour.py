@@ -1,9 +1,8 @@
 """One hour of frames through a tracker: memory, times of updates and forecasts, and recoveries.
 
-`python -m benchmarks.hour [TRACKER...] [--moving] [--out FILE]` (default: MINUTES; forty minutes on an idle core). One
-minute of the junction is repeated without a reset, so that every moving body jumps at each repetition; with `--moving`
-a delivery robot carries the laser, which jumps too. A forecast of 20 steps is made every two seconds. Each tracker runs
-in a process of its own.
+`python -m benchmarks.hour [TRACKER...] [--out FILE]` (default: MINUTES; forty minutes on an idle core). One minute of
+the junction is repeated without a reset, so that every moving body jumps at each repetition. A forecast of 20 steps is
+made every two seconds. Each tracker runs in a process of its own.
 """
 
 from __future__ import annotations
@@ -14,18 +13,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 import psutil
 
-from gridtrack.evaluation.runs.learned import find_weights, weights_in
+from gridtrack.evaluation.runs.learned import find_weights
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import Tracker, stream_of
 
 from benchmarks.timing import p50_p95
 from studies.support.results_file import ResultTable, measured_table, study_parser, write_table
-from studies.support.shipped import DATA, JUNCTION, STEPS
+from studies.support.shipped import JUNCTION, STEPS
 
 PART_MINUTES, FORECAST_EVERY = 10, 16
 MINUTES = {
@@ -36,7 +34,6 @@ MINUTES = {
     "dilated-convgru": 20,
     "deep-tracking-rnn": 20,
 }
-DRIVE_WEIGHTS = Path("studies/trainings/drives")
 COLUMNS = ("tracker", "minutes", "MiB", "update, ms", "forecast, ms", "recoveries")
 
 
@@ -51,23 +48,20 @@ class Part:
     recoveries: int
 
 
-def tracker_on(name: str, stream: GridStream, moving: bool) -> Tracker:
-    """The tracker with its weights for the site; for a moving laser weights of drives, else general ones."""
-    found = find_weights(name, stream.site, None, "general" if moving else "any")
-    if moving and list((DRIVE_WEIGHTS / name).glob("*.toml")):
-        found = weights_in(DRIVE_WEIGHTS, name, stream.site)
+def tracker_on(name: str, stream: GridStream) -> Tracker:
+    """The tracker with its weights for the site."""
+    found = find_weights(name, stream.site, None)
     kind = registry.load(name)
     tracker = kind(stream_of(stream, found.path if found else None), kind.Options())
     tracker.reset(0)
     return tracker
 
 
-def stream_frames(name: str, minutes: int, moving: bool, parts: Connection) -> None:
+def stream_frames(name: str, minutes: int, parts: Connection) -> None:
     """Stream these minutes and send each Part."""
-    recording = DATA / "drives" / "robot-203.tracks" if moving else JUNCTION / "test-101.tracks"
-    stream = open_stream(recording)
+    stream = open_stream(JUNCTION / "test-101.tracks")
     frames = list(stream)
-    tracker, process = tracker_on(name, stream, moving), psutil.Process()
+    tracker, process = tracker_on(name, stream), psutil.Process()
     for first in range(0, minutes, PART_MINUTES):
         updates, forecasts = [], []
         repeats = min(PART_MINUTES, minutes - first)
@@ -85,11 +79,11 @@ def stream_frames(name: str, minutes: int, moving: bool, parts: Connection) -> N
     parts.close()
 
 
-def parts_of(name: str, minutes: int, moving: bool) -> list[Part]:
+def parts_of(name: str, minutes: int) -> list[Part]:
     """The parts of a tracker; each is printed when it ends."""
     context, found = multiprocessing.get_context("spawn"), []
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=stream_frames, args=(name, minutes, moving, sender))
+    process = context.Process(target=stream_frames, args=(name, minutes, sender))
     process.start()
     sender.close()
     try:
@@ -117,13 +111,11 @@ def table_of(parts: dict[str, list[Part]]) -> ResultTable:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = study_parser(__doc__, "docs/results/robustness.json")
     parser.add_argument("trackers", nargs="*", help="default: all")
-    parser.add_argument("--moving", action="store_true", help="a laser that moves")
     parser.add_argument("--minutes", type=int, help="of frames; default: an hour, for networks twenty minutes")
     given = parser.parse_args(arguments)
     names = given.trackers or MINUTES
-    parts = {name: parts_of(name, given.minutes or MINUTES[name], given.moving) for name in names}
-    command = f"python -m benchmarks.hour{' --moving' if given.moving else ''}"
-    write_table(given.out, "frames, moving" if given.moving else "frames", table_of(parts), command)
+    parts = {name: parts_of(name, given.minutes or MINUTES[name]) for name in names}
+    write_table(given.out, "frames", table_of(parts), "python -m benchmarks.hour")
 
 
 if __name__ == "__main__":

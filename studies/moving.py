@@ -1,34 +1,34 @@
 """Drives with perfect poses, wheel odometry, kiss-icp and ignored ego-motion, beside a laser that stands.
 
-`python -m studies.moving` (hours) compares the trackers on the twenty drives of data/drives, with each kind of poses in
-a folder below `--out`, and writes `--results`. An interrupted comparison resumes. Thresholds are chosen on the
-validation drives of `python -m studies.drive_recordings`, with poses of the same kind. The weights are those in
-studies/trainings/drives; a tracker without weights there is left out and named. `--pictures TRACKER` (some seconds)
-draws forecasts of the finished comparisons, with perfect and with ignored poses.
+`python -m studies.moving` (two hours on an idle core) compares trackers with general weights on the twenty drives of
+data/drives, with each kind of poses in a folder below `--out`, and writes `--results`. An interrupted comparison
+resumes. Forecasts are always scored by the true poses, at the thresholds of the cards. `--pictures TRACKER` (some
+seconds) draws forecasts of the finished comparisons, with perfect and with ignored poses.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.files import atomic_write
 from gridtrack.common.geometry import SE2, wrap_angle
+from gridtrack.common.scan import Scan
 from gridtrack.evaluation.referee.samples import SAMPLES, Sample, read_samples
-from gridtrack.evaluation.referee.splits import ORACLE
-from gridtrack.evaluation.runs.sums import ScoredFrames
-from gridtrack.evaluation.scores.definition import Ratio, Sums
-from gridtrack.evaluation.scores.f1 import F1
-from gridtrack.evaluation.statistics.jackknife import IntervalEstimate, Replicates, difference, ratio_replicates
-from gridtrack.recordings import open_recording
+from gridtrack.evaluation.runs.finished import FinishedTrial
+from gridtrack.evaluation.scores.definition import Sums
+from gridtrack.evaluation.scores.registry import built_in, find_output
+from gridtrack.evaluation.statistics.jackknife import IntervalEstimate, Replicates, difference, replicates
+from gridtrack.recordings import import_recording, open_recording
+from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.observation import reference_pose
 from gridtrack.simulation.junction.drives import CARRIERS
 
-from studies.drive_recordings import KINDS, drives_in, joined_recording, recording_of
 from studies.support.comparison import compare
 from studies.support.drawings import draw_pictures, forecast_pictures
 from studies.support.results_file import (
@@ -39,24 +39,62 @@ from studies.support.results_file import (
     study_parser,
     write_section,
 )
-from studies.support.unseen_places import HORIZONS_S, STRATA, PlaceScores, pair_text
+from studies.support.unseen_places import (
+    CONTACTS,
+    CONTACTS_FORESEEN,
+    REFERENCE,
+    TRAININGS,
+    WEIGHTS,
+    PlaceScores,
+    general_rows,
+)
 
-DRIVES, VALIDATION = Path("data/drives"), Path("runs/drives/validation")
-WEIGHTS = Path("studies/trainings/drives")
-OUT = Path("runs/moving")
+DRIVES, OUT = Path("data/drives"), Path("runs/moving")
 RESULTS, PICTURES = Path("docs/results/moving/drives.json"), Path("docs/results/moving/drives.svg")
-FLOOR = "persistence"
-TRACKERS = ("kalman", "factor-graph", "dogma", "dilated-convgru", "deep-tracking-rnn")
-EVERY_S = 2.0
-"""Between two scored forecasts: twice as long as usual, because there are five comparisons."""
-TABLE_S = 1.0
-"""The horizon of the scores by carrier, of the differences between trackers, and of the pictures."""
+RECORDED = {"perfect": "", "odometry": "-odometry", "beside": "-beside"}
+"""Suffix of the file name, by kind of poses, of the drives that are simulated with them."""
+KINDS = ("perfect", "odometry", "kiss-icp", "ignored", "beside")
+"""Kinds of poses; beside: of a laser that stands beside the drive in the same minute."""
+TRACKERS = (REFERENCE, "stationary", "kalman", "dogma", "dilated-convgru")
+SCORES = {CONTACTS: CONTACTS_FORESEEN, "f1": "F1"}
+"""The scores, and their headings."""
+STRATUM, EVERY_S, AHEAD_S = "dynamic", 2.0, 1.0
+"""The scored cells, the time between two scored forecasts, and the horizon of the tables and pictures."""
 APART = 20
 """Scans between two poses with a measured relative error: 2.5 s, the longest forecast."""
 COMMAND = "python -m studies.moving"
 MOMENTS = (("car-202", 46.0), ("robot-201", 30.0))
 """A drive, and seconds since its beginning; the nearest of the kept forecasts is drawn."""
 DRAWN_KINDS = ("perfect", "ignored")
+
+
+def drives_in(folder: Path) -> list[str]:
+    """The names of the drives in a folder, such as `car-202`."""
+    return sorted(path.stem for path in folder.glob("*.tracks") if path.stem.count("-") == 1)
+
+
+def recording_of(kind: str, drive: str, out: Path) -> Path:
+    """The recording of a drive with one of KINDS of poses; derived ones are written below `out`."""
+    if kind in RECORDED:
+        return DRIVES / f"{drive}{RECORDED[kind]}.tracks"
+    path, source = out / kind / f"{drive}.mcap", DRIVES / f"{drive}.tracks"
+    if not path.exists() and kind == "kiss-icp":
+        import_recording(source, path, ego_motion="kiss-icp")
+    elif not path.exists():
+        recording = open_recording(source)
+        described = {"poses": "ignored", "source": recording.name, "source_sha256": recording.sha256}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as file:
+            write_native(file, recording.info.model_copy(update=described), standing(recording.scans()))
+    return path
+
+
+def standing(scans: Iterable[Scan]) -> Iterator[Scan]:
+    """`scans` as if the sensor stood at its first pose; the recorded poses become the reference poses."""
+    first: SE2 | None = None
+    for scan in scans:
+        first = scan.world_T_sensor if first is None else first
+        yield replace(scan, world_T_sensor=first, reference_T_sensor=scan.reference_T_sensor or scan.world_T_sensor)
 
 
 @dataclass(frozen=True)
@@ -66,67 +104,49 @@ class Comparison:
     kind: str
     scores: PlaceScores
 
-    @classmethod
-    def read(cls, kind: str, folder: Path) -> Comparison:
-        """The comparison in `folder`. Raises SystemExit if it is not complete."""
-        return cls(kind, PlaceScores.read(folder))
-
-    def less(self, other: Comparison, tracker: str) -> dict[str, IntervalEstimate]:
-        """F1 of a tracker less its F1 with `other` poses, by stratum and step; a drive is a statistical unit.
+    def less(self, other: Comparison, tracker: str, score: str) -> IntervalEstimate:
+        """A score of a tracker less the same with `other` poses; a drive is a statistical unit.
 
         Both have the same scored stamps but other frames, in windows about other poses: drives are paired, cells are
-        not.
+        not. Raises SystemExit for other stamps.
         """
-        own, others = self._by_drive((self, tracker), (other, tracker))
-        return {stratum: difference(own[stratum], others[stratum]) for stratum in STRATA}
+        return difference(*self._paired(other, tracker, score))
 
-    def less_beyond_floor(self, other: Comparison, tracker: str) -> dict[str, IntervalEstimate]:
-        """The same, less the loss of FLOOR, which knows nothing but the view."""
-        rows = self._by_drive(*((kind, row) for kind in (self, other) for row in (tracker, FLOOR)))
-        own, floor, others, others_floor = rows
-        return {
-            stratum: difference(own[stratum].minus(floor[stratum]), others[stratum].minus(others_floor[stratum]))
-            for stratum in STRATA
-        }
+    def less_beyond(self, floor: str, other: Comparison, tracker: str, score: str) -> IntervalEstimate:
+        """The same, less the loss of `floor`, which knows nothing but the view."""
+        (own, others), (lost, others_lost) = (self._paired(other, row, score) for row in (tracker, floor))
+        return difference(own.minus(lost), others.minus(others_lost))
 
-    def _by_drive(self, *rows: tuple[Comparison, str]) -> list[dict[str, Replicates]]:
-        """F1 (S,) of each row, a tracker in a comparison, by stratum; its units are drives."""
-        frames: list[list[ScoredFrames]] = []
-        found = []
-        for kind, tracker in rows:
-            run = kind.scores.run
-            trials = sorted(kind.scores.trials_of(tracker), key=lambda trial: trial.record.recording)
-            frames.append([run.frames(trial) for trial in trials])
-            paired = zip(frames[-1], frames[0], strict=True)
-            if not all(np.array_equal(one.stamps_ns, first.stamps_ns) for one, first in paired):
-                raise SystemExit(f"{tracker}: {kind.kind} and {self.kind} are scored at different times: run it again")
-            by_drive = [run.sums(trial).by_frame("f1", trial.steps, tuple(STRATA), ()) for trial in trials]
-            sums = Sums(np.stack([one.values.sum(axis=0) for one in by_drive]), by_drive[0].parts)
-            f1 = F1.value(sums)["f1"]
-            assert isinstance(f1, Ratio)
-            found.append(
-                {
-                    stratum: ratio_replicates(Ratio(f1.part[..., k], f1.whole[..., k], counted=True))
-                    for k, stratum in enumerate(STRATA)
-                }
-            )
-        return found
+    def _paired(self, other: Comparison, tracker: str, score: str) -> tuple[Replicates, Replicates]:
+        if self._stamps(tracker) != other._stamps(tracker):
+            raise SystemExit(f"{tracker}: {self.kind} and {other.kind} are scored at different times: run it again")
+        return self._by_drive(tracker, score), other._by_drive(tracker, score)
 
+    def _trials(self, tracker: str) -> list[FinishedTrial]:
+        return sorted(self.scores.trials_of(tracker), key=lambda trial: trial.record.recording)
 
-def selections() -> dict[str, str]:
-    """The trackers that can run, as values of `--tracker` by label."""
-    trained = [name for name in TRACKERS if list((WEIGHTS / name).glob("*.toml"))]
-    return {FLOOR: FLOOR} | {name: f"{name}={name}:weights={WEIGHTS}" for name in trained}
+    def _stamps(self, tracker: str) -> list[list[int]]:
+        return [self.scores.run.frames(trial).stamps_ns.tolist() for trial in self._trials(tracker)]
+
+    def _by_drive(self, tracker: str, score: str) -> Replicates:
+        """The score AHEAD_S ahead in STRATUM; its units are drives."""
+        definition, output = find_output(score, built_in())
+        at, found = self.scores.horizons[AHEAD_S], []
+        for trial in self._trials(tracker):
+            of_frames = self.scores.run.sums(trial).by_frame(definition.name, [trial.steps[at]], [STRATUM], ())
+            found.append(Sums(of_frames.values.sum(axis=0), of_frames.parts))
+        drives = Sums(np.stack([one.values for one in found])[:, 0, 0], found[0].parts)
+        total = Sums(drives.values.sum(axis=0), drives.parts)
+        return replicates(definition.value, lambda: iter([drives]), total)[output.name]
 
 
 def run(drives: Sequence[str], trackers: Sequence[str], out: Path, jobs: str) -> None:
     """Compare on all drives with each kind of poses."""
-    made = out / "recordings"
-    chosen = [selections()[tracker] for tracker in trackers]
+    rows = general_rows(WEIGHTS, TRAININGS)
     options = ("--every", f"{EVERY_S:g}s", "--resume", "--jobs", jobs)
     for kind in KINDS:
-        recordings = [recording_of(kind, drive, DRIVES, made) for drive in drives]
-        compare(recordings, joined_recording(kind, VALIDATION, made), chosen, out / kind, *options)
+        recordings = [recording_of(kind, drive, out / "recordings") for drive in drives]
+        compare(recordings, None, [rows[tracker] for tracker in trackers], out / kind, *options)
 
 
 def pose_errors(drives: Sequence[str], made: Path) -> ResultTable:
@@ -134,7 +154,7 @@ def pose_errors(drives: Sequence[str], made: Path) -> ResultTable:
     rows = []
     for kind in ("odometry", "kiss-icp"):
         for carrier in CARRIERS:
-            found = [errors_of(recording_of(kind, drive, DRIVES, made)) for drive in drives if carrier in drive]
+            found = [errors_of(recording_of(kind, drive, made)) for drive in drives if carrier in drive]
             position_m, heading_deg = np.concatenate([apart for apart, _ in found]).T
             ends_m = [end_m for _, end_m in found]
             last = f"{np.percentile(heading_deg, 95):.2f}", f"{np.median(ends_m):.1f}", f"{max(ends_m):.1f}"
@@ -157,73 +177,44 @@ def motions(poses: Sequence[SE2]) -> list[SE2]:
     return [one.inverse() @ later for one, later in zip(poses[:-APART], poses[APART:], strict=True)]
 
 
-def score_tables(compared: Sequence[Comparison], trackers: Sequence[str]) -> dict[str, ResultTable]:
-    """F1 by stratum: a row for each tracker and kind of poses, after the oracle's."""
-    return {
-        name: f1_table(
-            name,
-            [
-                [f"{row}, {one.kind}", *(one.scores.text(row, stratum, "f1", horizon_s) for horizon_s in HORIZONS_S)]
-                for row in (ORACLE, *trackers)
-                for one in compared
-            ],
-        )
-        for stratum, name in STRATA.items()
-    }
+def score_table(compared: Sequence[Comparison], score: str) -> ResultTable:
+    """A score in STRATUM, AHEAD_S ahead: a row for each tracker and the oracle, a column for each kind of poses."""
+    rows = [
+        [label, *(one.scores.text(label, STRATUM, score, AHEAD_S) for one in compared)]
+        for label in compared[0].scores.labels
+    ]
+    return measured_table((heading_of(score), *(one.kind for one in compared)), rows)
 
 
-def f1_table(stratum: str, rows: Sequence[Sequence[str]]) -> ResultTable:
-    return measured_table((f"F1, {stratum}", *(f"{horizon_s:g} s" for horizon_s in HORIZONS_S)), rows)
-
-
-def carrier_table(compared: Sequence[Comparison], trackers: Sequence[str]) -> ResultTable:
-    """F1 by carrier; half of the drives each are too few for intervals."""
-    strata = ("dynamic", "occluded")
-    texts: dict[str, list[str]] = {}
-    for one in compared:
-        for carrier in CARRIERS:
-            of_carrier = one.scores.of([name for name in one.scores.described if carrier in name])
-            for tracker in trackers:
-                cells = (of_carrier.text(tracker, stratum, "f1", TABLE_S) for stratum in strata)
-                texts.setdefault(f"{tracker}, {one.kind}", []).extend(cells)
-    rows = [f"{tracker}, {one.kind}" for tracker in trackers for one in compared]
-    columns = [f"{carrier}, {STRATA[stratum]}" for carrier in CARRIERS for stratum in strata]
-    return measured_table((f"F1, {TABLE_S:g} s", *columns), [[row, *texts[row]] for row in rows])
-
-
-def difference_section(compared: Sequence[Comparison], trackers: Sequence[str]) -> ResultSection:
-    """The loss of each tracker with other poses than perfect ones, and against standing."""
+def difference_table(compared: Sequence[Comparison], score: str) -> ResultTable:
+    """The gain of each tracker with perfect poses, the first of `compared`, over each other kind."""
     perfect, *others = compared
-    found = {
-        f"{tracker}, {perfect.kind} less {other.kind}": perfect.less(other, tracker)
-        for tracker in trackers
-        for other in others
-    }
-    return _differences(found, perfect)
+    rows = [
+        [label, *(difference_text(perfect.less(other, label, score)) for other in others)]
+        for label in trackers_of(perfect)
+    ]
+    return measured_table((heading_of(score), *(f"perfect less {one.kind}" for one in others)), rows)
 
 
-def view_section(compared: Sequence[Comparison], trackers: Sequence[str]) -> ResultSection:
-    """The loss of each tracker against standing beyond the loss of FLOOR."""
-    perfect, *_, standing = compared
-    lost = {tracker: perfect.less_beyond_floor(standing, tracker) for tracker in trackers if tracker != FLOOR}
-    return _differences(lost, perfect)
+def view_table(compared: Sequence[Comparison]) -> ResultTable:
+    """The gain of each tracker over standing, the last of `compared`, beyond the gain of REFERENCE."""
+    perfect, *_, beside = compared
+    rows = [
+        [label, *(difference_text(perfect.less_beyond(REFERENCE, beside, label, score)) for score in SCORES)]
+        for label in trackers_of(perfect)
+        if label != REFERENCE
+    ]
+    return measured_table(("perfect less beside", *map(heading_of, SCORES)), rows)
 
 
-def _differences(found: Mapping[str, Mapping[str, IntervalEstimate]], perfect: Comparison) -> ResultSection:
-    """A table for each stratum with a row for each of `found`, and each cell as a value."""
-    steps = perfect.scores.horizons
-    texts = {
-        name: [[row, *(difference_text(of[stratum].at(step)) for step in steps.values())] for row, of in found.items()]
-        for stratum, name in STRATA.items()
-    }
-    values = {
-        f"{row}, {name}, {horizon_s:g} s": text
-        for name, rows in texts.items()
-        for row, *cells in rows
-        for horizon_s, text in zip(steps, cells, strict=True)
-    }
-    tables = {name: f1_table(name, rows) for name, rows in texts.items()}
-    return ResultSection(command=COMMAND, tables=tables, values=values)
+def heading_of(score: str) -> str:
+    """The heading of a table of a score."""
+    return f"{SCORES[score]}, {STRATUM}, {AHEAD_S:g} s"
+
+
+def trackers_of(comparison: Comparison) -> list[str]:
+    """The rows of a comparison that have differences: the oracle has none."""
+    return [label for label in comparison.scores.labels if label in TRACKERS]
 
 
 def difference_text(found: IntervalEstimate) -> str:
@@ -231,41 +222,21 @@ def difference_text(found: IntervalEstimate) -> str:
     return score_text(*map(float, (found.value, found.low, found.high)), signed=True)
 
 
-def pair_section(perfect: Comparison) -> ResultSection:
-    """Differences in F1 between trackers with perfect poses, by stratum, TABLE_S ahead."""
-    step = perfect.scores.horizons[TABLE_S]
-    chosen = {
-        one.stratum: one
-        for one in perfect.scores.pair_families
-        if (one.score, one.output, one.step) == ("f1", "f1", step)
-    }
-    rows: dict[str, list[str]] = {}
-    for family in chosen.values():
-        for one in family.pairs:
-            rows.setdefault(f"{one.tracker} less {one.other}", []).append(pair_text(one))
-    columns = (f"F1, {TABLE_S:g} s", *(STRATA[stratum] for stratum in chosen))
-    table = measured_table(columns, [[pair, *texts] for pair, texts in rows.items()])
-    return ResultSection(command=COMMAND, tables={"pairs": table})
-
-
-def collect(drives: Sequence[str], trackers: Sequence[str], out: Path, results: Path) -> None:
-    """Write the results of the comparisons in `out`."""
-    compared = [Comparison.read(kind, out / kind) for kind in KINDS]
-    missing = ", ".join(f"`{name}`" for name in TRACKERS if name not in trackers) or "none"
-    sections = {
-        "poses": ResultSection(command=COMMAND, tables={"errors": pose_errors(drives, out / "recordings")}),
+def sections_of(compared: Sequence[Comparison], poses: ResultTable) -> Mapping[str, ResultSection]:
+    """The sections of the results file."""
+    return {
+        "poses": ResultSection(command=COMMAND, tables={"errors": poses}),
         "scores": ResultSection(
             command=COMMAND,
-            tables={**score_tables(compared, trackers), "by carrier": carrier_table(compared, trackers)},
-            values={"drives": str(len(drives)), "not measured": missing},
+            tables={heading: score_table(compared, score) for score, heading in SCORES.items()},
+            values={"drives": str(len(compared[0].scores.described))},
         ),
-        "differences": difference_section(compared, trackers),
-        "beyond the view": view_section(compared, trackers),
-        "tracker pairs": pair_section(compared[0]),
+        "differences": ResultSection(
+            command=COMMAND,
+            tables={heading: difference_table(compared, score) for score, heading in SCORES.items()},
+        ),
+        "beyond the view": ResultSection(command=COMMAND, tables={"differences": view_table(compared)}),
     }
-    for name, section in sections.items():
-        write_section(results, name, section)
-        print(section.text(), end="\n\n")
 
 
 def draw_moments(tracker: str, out: Path, picture: Path) -> None:
@@ -275,7 +246,7 @@ def draw_moments(tracker: str, out: Path, picture: Path) -> None:
         for kind in DRAWN_KINDS:
             sample = min(read_samples(out / kind / f"{tracker}@{drive}" / SAMPLES), key=_distance_from(at_s))
             title = f"{drive}, {sample.stamp_ns / 1e9:.1f} s, {kind}"
-            rows.append(forecast_pictures(title, {tracker: sample}, TABLE_S))
+            rows.append(forecast_pictures(title, {tracker: sample}, AHEAD_S))
     draw_pictures(rows, picture)
 
 
@@ -285,7 +256,7 @@ def _distance_from(at_s: float) -> Callable[[Sample], float]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = study_parser(__doc__)
-    parser.add_argument("--tracker", action="append", help="such as kalman; default: all trackers that can run")
+    parser.add_argument("--tracker", action="append", help=f"such as kalman; default: {', '.join(TRACKERS)}")
     parser.add_argument("--drive", action="append", help="such as car-202; default: all twenty")
     parser.add_argument("--out", type=Path, default=OUT, help="folder of the comparisons, default: %(default)s")
     parser.add_argument("--results", type=Path, default=RESULTS, help="results file, default: %(default)s")
@@ -296,10 +267,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.pictures:
         draw_moments(given.pictures, given.out, PICTURES)
         return
-    drives, trackers = given.drive or drives_in(DRIVES), given.tracker or list(selections())
+    drives = given.drive or drives_in(DRIVES)
     if not given.collect:
-        run(drives, trackers, given.out, given.jobs)
-    collect(drives, trackers, given.out, given.results)
+        run(drives, given.tracker or TRACKERS, given.out, given.jobs)
+    compared = [Comparison(kind, PlaceScores.read(given.out / kind)) for kind in KINDS]
+    for name, section in sections_of(compared, pose_errors(drives, given.out / "recordings")).items():
+        write_section(given.results, name, section)
+        print(section.text(), end="\n\n")
 
 
 if __name__ == "__main__":

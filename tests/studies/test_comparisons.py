@@ -16,10 +16,12 @@ import pytest
 from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.runs.run_record import RecordingDescription
 from gridtrack.evaluation.runs.summarise import summarise
+from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT
+from gridtrack.evaluation.scores.definition import ScoreDefinition
 
 from docs.test_commands import problem_of
 from scenes import drive, truth_scene
-from scenes.synthetic_run import description, write_trial
+from scenes.synthetic_run import SCORES, description, write_trial
 from studies import moving, real_results, variants
 from studies.real_results import REAL
 from studies.real_results import sections_of as sections_of_real
@@ -40,6 +42,7 @@ from studies.worlds_results import (
 
 ROOT = Path(__file__).parents[2]
 PERIODS_S = (0.25, 0.26, 0.166667)
+WITH_CONTACTS = (*SCORES, CONTACT_FORESIGHT)
 SKILLS = {"oracle": 1.0, "persistence": 0.5, "kalman": 0.8, "dogma": 0.4995, "dilated-convgru": 0.7995}
 
 
@@ -53,6 +56,7 @@ def trials_of(
     longest_s: float = 1.0,
     delivered: str = "",
     start_s: int = 10,
+    scores: Sequence[ScoreDefinition] = SCORES,
 ) -> tuple[dict[str, RecordingDescription], list[FinishedTrial]]:
     """A comparison on recordings of these periods in turns, two forecasts on each; counts are random.
 
@@ -74,6 +78,8 @@ def trials_of(
             tracker=label.partition(" ")[0],
             delivered=delivered,
             start_s=start_s,
+            period_s=period_s[name],
+            scores=scores,
         )
         for name in names
         for label, skill in skills.items()
@@ -252,7 +258,7 @@ def drives(
     carriers = ["car"] * cars + ["robot"] * robots
     names = [f"{carrier}-{200 + k}-{kind}" for k, carrier in enumerate(carriers)]
     skills = {"kalman": skill, "persistence": floor, "oracle": 1.0}
-    how = {"periods_s": (0.125,), "delivered": kind, "start_s": start_s}
+    how = {"periods_s": (0.125,), "delivered": kind, "start_s": start_s, "scores": WITH_CONTACTS}
     return moving.Comparison(kind, scores_of(folder / f"{kind}-{skill}", names, skills, **how))
 
 
@@ -267,20 +273,21 @@ def ends_of(text: str) -> list[float]:
     return [float(one.strip("[],")) for one in text.split()]
 
 
-def test_the_loss_without_ego_motion_is_paired_over_twenty_drives(perfect: moving.Comparison, tmp_path: Path) -> None:
-    section = moving.difference_section([perfect, drives(tmp_path, "ignored", 0.3, cars=20)], ["kalman"])
-    value, low, high = ends_of(section.values["kalman, perfect less ignored, dynamic, 1 s"])
+@pytest.mark.parametrize("score", moving.SCORES)
+def test_the_loss_without_ego_motion_is_paired_over_twenty_drives(
+    score: str, perfect: moving.Comparison, tmp_path: Path
+) -> None:
+    table = moving.difference_table([perfect, drives(tmp_path, "ignored", 0.3, cars=20)], score)
+    assert [row[0] for row in table.rows] == ["persistence", "kalman"]
+    value, low, high = ends_of(table.rows[1][1])
     assert 0.1 < low < value < high < 0.4
-    assert set(section.tables) == {"in motion", "dynamic", "visible", "hidden"}
 
 
 def test_a_loss_that_persistence_has_too_is_one_of_the_view(perfect: moving.Comparison, tmp_path: Path) -> None:
     text = {}
     for kind, floor in (("both-lose", 0.5), ("kalman-loses", 0.3)):
-        standing = drives(tmp_path, kind, 0.8, floor, cars=20)
-        section = moving.view_section([perfect, standing], ["persistence", "kalman"])
-        assert [row[0] for row in section.tables["dynamic"].rows] == ["kalman"]
-        text[kind] = section.values["kalman, dynamic, 1 s"]
+        ((label, _, text[kind]),) = moving.view_table([perfect, drives(tmp_path, kind, 0.8, floor, cars=20)]).rows
+        assert label == "kalman"
     value, low, high = ends_of(text["kalman-loses"])
     assert -0.4 < low < value < high < -0.05
     value, low, high = ends_of(text["both-lose"])
@@ -288,28 +295,19 @@ def test_a_loss_that_persistence_has_too_is_one_of_the_view(perfect: moving.Comp
     assert abs(value) < 0.1
 
 
-def test_scores_have_a_row_for_each_kind_and_tracker_after_the_oracle(tmp_path: Path) -> None:
+def test_scores_have_a_row_for_each_tracker_and_a_column_for_each_kind(tmp_path: Path) -> None:
     both = [drives(tmp_path, kind, 0.8, cars=2, robots=2) for kind in ("perfect", "beside")]
-    rows = moving.score_tables(both, ["kalman"])["dynamic"].rows
-    assert [row[0] for row in rows] == ["oracle, perfect", "oracle, beside", "kalman, perfect", "kalman, beside"]
-    assert all(len(row) == 4 for row in rows)
-    by_carrier = moving.carrier_table(both, ["kalman"])
-    assert by_carrier.columns[1:3] == ("car, dynamic", "car, hidden")
-    assert [(row[0], len(row)) for row in by_carrier.rows] == [("kalman, perfect", 5), ("kalman, beside", 5)]
+    sections = moving.sections_of(both, measured_table(("poses",), []))
+    assert sections["scores"].tables["F1"].columns == ("F1, dynamic, 1 s", "perfect", "beside")
+    for score in moving.SCORES:
+        table = moving.score_table(both, score)
+        assert [row[0] for row in table.rows] == ["oracle", "persistence", "kalman"]
 
 
 def test_drives_that_were_scored_at_other_times_are_not_paired(tmp_path: Path) -> None:
     first, later = (drives(tmp_path, f"from-{start_s}", 0.8, cars=2, start_s=start_s) for start_s in (10, 11))
     with pytest.raises(SystemExit, match="scored at different times"):
-        first.less(later, "kalman")
-
-
-def test_trackers_differ_significantly_if_the_drives_show_it(perfect: moving.Comparison, tmp_path: Path) -> None:
-    for found, significant in ((perfect, True), (drives(tmp_path, "equal", 0.4, 0.4, cars=20), False)):
-        table = moving.pair_section(found).tables["pairs"]
-        (row,) = table.rows
-        assert (table.columns[1:], row[0]) == (("in motion", "dynamic", "visible"), "kalman less persistence")
-        assert ["°" not in text for text in row[1:]] == [significant] * 3
+        first.less(later, "kalman", "f1")
 
 
 def test_poses_are_measured_by_the_true_ones_over_two_and_a_half_seconds_and_at_the_end(tmp_path: Path) -> None:
@@ -346,7 +344,7 @@ def gridtrack(*words: str | Path) -> None:
     chosen = [after for word, after in pairwise(rest) if word == "--tracker"]
     labels = [text.partition("=")[0] if "=" in text.partition(":")[0] else text.partition(":")[0] for text in chosen]
     skills = {label: 0.5 + 0.05 * k for k, label in enumerate(labels)} | {"oracle": 1.0}
-    described, trials = trials_of(out, names, skills, periods_s=(0.5,), longest_s=2.5)
+    described, trials = trials_of(out, names, skills, periods_s=(0.5,), longest_s=2.5, scores=WITH_CONTACTS)
     summarise(described, trials, [], interrupted=False).write(out)
 
 
@@ -359,7 +357,6 @@ def test_a_study_compares_with_valid_commands_and_writes_its_results(
     monkeypatch.setattr("studies.worlds_results.laser_of", lambda _: STANDS)
     monkeypatch.setattr(real_results, "imported", lambda chosen, *_: [Path(f"{one.name}.mcap") for one in chosen])
     monkeypatch.setattr(moving, "recording_of", lambda kind, drive, *_: Path(f"{drive}.mcap"))
-    monkeypatch.setattr(moving, "joined_recording", lambda kind, *_: Path("validation.mcap"))
     monkeypatch.setattr(moving, "errors_of", lambda _: (np.ones((2, 2)), 1.0))
     monkeypatch.setattr(moving, "KINDS", ("perfect", "ignored", "beside"))
     words = [word.replace("TMP", str(tmp_path)) for word in RUNS[name].split()]

@@ -56,7 +56,7 @@ def test_there_is_a_recipe_of_general_weights_for_every_tracker_that_learns_them
     assert {r.tracker for r in map(read_recipe, recipes("weights")) if r.general} == learning
 
 
-@pytest.mark.parametrize("path", recipes("weights", "ablations", "drives", "equal-budget", "published"), ids=named)
+@pytest.mark.parametrize("path", recipes("weights", "ablations", "equal-budget", "published"), ids=named)
 def test_every_recipe_is_one_training_that_its_tracker_accepts(path):
     recipe = complete_recipe(read_recipe(path), {})
     assert set(recipe.options) <= set(options_of(recipe).model_fields_set)
