@@ -43,7 +43,6 @@ from studies.support.unseen_places import (
     CONTACTS,
     CONTACTS_FORESEEN,
     REFERENCE,
-    TRAININGS,
     WEIGHTS,
     PlaceScores,
     general_rows,
@@ -142,7 +141,7 @@ class Comparison:
 
 def run(drives: Sequence[str], trackers: Sequence[str], out: Path, jobs: str) -> None:
     """Compare on all drives with each kind of poses."""
-    rows = general_rows(WEIGHTS, TRAININGS)
+    rows = general_rows(WEIGHTS)
     options = ("--every", f"{EVERY_S:g}s", "--resume", "--jobs", jobs)
     for kind in KINDS:
         recordings = [recording_of(kind, drive, out / "recordings") for drive in drives]

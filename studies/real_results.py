@@ -193,6 +193,7 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = place_parser(__doc__, Path("runs/real-results"), RESULTS)
     parser.add_argument("data", type=Path)
+    parser.set_defaults(every="2s")
     parser.add_argument("--recording", action="append", help="such as aces; default: all of them")
     given = parser.parse_args(arguments)
     if not given.collect:

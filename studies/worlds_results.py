@@ -1,12 +1,12 @@
 """Trackers with general weights on the twenty test worlds: places that they have not learned.
 
-`python -m studies.worlds_results` compares every tracker with general weights, and its further trainings, on the worlds
-of data/worlds/test, and writes the numbers and the chart of docs/results/worlds. The worlds whose poses come from the
-wheels of a robot are compared once more with refined poses (`recording import --ego-motion refined`, which knows the
-scans and the odometry alone), and the networks with the weights of an equal budget (studies/recipes/equal-budget).
-Forecasts are always scored by the true poses, at the thresholds of the cards, which were chosen on the validation
-worlds. An interrupted comparison resumes with the same rows; `--out` takes another folder for
-others. On one idle core a network needs a minute per world, the pipeline half of that, the floors seconds.
+`python -m studies.worlds_results` compares every tracker with general weights on the worlds of data/worlds/test, and
+writes the numbers and the chart of docs/results/worlds. The worlds whose poses come from the wheels of a robot are
+compared once more with refined poses (`recording import --ego-motion refined`, which knows the scans and the odometry
+alone), and the networks with the weights of an equal budget (studies/recipes/equal-budget). Forecasts are always scored
+by the true poses, at the thresholds of the cards, which were chosen on the validation worlds. An interrupted comparison
+resumes with the same rows; `--out` takes another folder for others. On one idle core a network needs a minute per
+world, the pipeline half of that, the floors seconds.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ CONTENDERS = ("kalman", "factor-graph", "dogma", "dilated-convgru", "pool")
 """The trackers that forecast motion and have similar scores, for comparisons in pairs."""
 NETWORKS = (*FAMILIES["networks of 2016"], *FAMILIES["learned peers"])
 FLOOR = "stationary"
-EQUAL_BUDGET = "equal-budget"
-"""The folder, among the further trainings, of the weights that had the same hour of a core."""
+EQUAL_BUDGET = Path("studies/trainings/equal-budget")
+"""The weights that had the same hour of a core."""
 CONTENDER_SCORES = {
     "contacts": CONTACTS,
     "F1": "f1",
@@ -198,17 +198,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if len(drivers) >= FEWEST_POOLED:
         refined = {name: refined_world(path, given.out / "refined-recordings") for name, path in drivers.items()}
         folders["refined"] = list(refined.values())
-    budget_rows = rows_of(given.trainings / EQUAL_BUDGET)
+    budget_rows = rows_of(EQUAL_BUDGET)
     if not given.collect:
         for name, recordings in folders.items():
             compare_places(given, recordings, given.out / name)
         if budget_rows:
-            compare_rows(given, list(worlds.values()), list(budget_rows.values()), given.out / EQUAL_BUDGET)
+            compare_rows(given, list(worlds.values()), list(budget_rows.values()), given.out / EQUAL_BUDGET.name)
     scores = {name: PlaceScores.read(given.out / name) for name in folders}
     sections = sections_of(scores["recorded"])
     if budget_rows:
-        equal = PlaceScores.read(given.out / EQUAL_BUDGET)
-        sections[EQUAL_BUDGET] = network_section(
+        equal = PlaceScores.read(given.out / EQUAL_BUDGET.name)
+        sections[EQUAL_BUDGET.name] = network_section(
             scores["recorded"].with_rows(equal).of_rows((REFERENCE, FLOOR, *NETWORKS))
         )
     if refined:

@@ -46,7 +46,7 @@ from studies.support.results_file import (
     write_section,
 )
 
-WEIGHTS, TRAININGS = Path("data/weights"), Path("studies/trainings")
+WEIGHTS = Path("data/weights")
 REFERENCE = "persistence"
 FAMILIES = {
     "floors": ("static-map", "blank", "stationary", "advection"),
@@ -70,42 +70,25 @@ def trackers() -> list[str]:
     return [REFERENCE, *(name for family in FAMILIES.values() for name in family)]
 
 
-def general_rows(weights: Path, trainings: Path) -> dict[str, str]:
-    """The rows that can run, as values of `--tracker` by label.
-
-    They are the trackers that need no weights, those with general ones in `weights`, and their further trainings in
-    `trainings`/seed-N.
-    """
-    rows, with_weights = {}, rows_of(weights)
-    for name in trackers():
-        if name in WITHOUT_WEIGHTS:
-            rows[name] = name
-        elif name in with_weights:
-            rows[name] = with_weights[name]
-            for card in sorted(trainings.glob(f"seed-*/{name}/{GENERAL}.toml")):
-                folder = card.parents[1]
-                label = f"{name} {folder.name.removeprefix('seed-')}"
-                rows[label] = _row(label, name, folder)
-    return rows
+def general_rows(weights: Path) -> dict[str, str]:
+    """The rows that can run, as values of `--tracker` by label: of trackers without weights, and those of `rows_of`."""
+    with_weights = rows_of(weights)
+    known = (name for name in trackers() if name in with_weights or name in WITHOUT_WEIGHTS)
+    return {name: with_weights.get(name, name) for name in known}
 
 
 def rows_of(weights: Path) -> dict[str, str]:
     """The rows of the trackers with general weights in the folder `weights`, as `general_rows`."""
-    return {name: _row(name, name, weights) for name in trackers() if (weights / name / f"{GENERAL}.toml").is_file()}
-
-
-def _row(label: str, name: str, weights: Path) -> str:
-    return f"{label}={name}:weights={weights},card={GENERAL}"
+    return {
+        name: f"{name}={name}:weights={weights},card={GENERAL}"
+        for name in trackers()
+        if (weights / name / f"{GENERAL}.toml").is_file()
+    }
 
 
 def not_measured(labels: Iterable[str]) -> str:
     """The trackers without a row, as text."""
     return ", ".join(f"`{name}`" for name in trackers() if name not in labels) or "none"
-
-
-def further_training(label: str) -> bool:
-    """Whether a row is another training of a tracker: `dilated-convgru 2`."""
-    return " " in label
 
 
 def pair_text(test: PairTest) -> str:
@@ -168,8 +151,8 @@ class PlaceScores:
 
     @property
     def labels(self) -> list[str]:
-        """The rows: the oracle if there is one, then the trackers in their order, without further trainings."""
-        known = [label for label in self.run.labels if label != ORACLE and not further_training(label)]
+        """The rows: the oracle if there is one, then the trackers in their order."""
+        known = [label for label in self.run.labels if label != ORACLE]
         ceiling = [label for label in self.run.labels if label == ORACLE]
         return [*ceiling, *(name for name in trackers() if name in known), *(n for n in known if n not in trackers())]
 
@@ -249,7 +232,7 @@ class PlaceScores:
     def pair_families(self) -> list[PairFamily]:
         """All pairs of `labels`, each family corrected by Holm's method; empty with too few units for a test.
 
-        Further trainings and the oracle are in no pair: they would add tests that answer no question.
+        The oracle is in no pair.
         """
         rows = [trial for trial in self._trials if trial.record.label in self.labels]
         run = RunTrials(self.described, rows, REFERENCE)
@@ -288,7 +271,6 @@ def place_parser(documentation: str | None, out: Path, results: Path) -> argpars
     parser = study_parser(documentation)
     parser.add_argument("--tracker", action="append", help="the label of a row; default: all rows that can run")
     parser.add_argument("--weights", type=Path, default=WEIGHTS, help="folder of the general weights")
-    parser.add_argument("--trainings", type=Path, default=TRAININGS, help="folder of seed-2, seed-3, ...")
     parser.add_argument("--every", default="1s", help="between two scored forecasts")
     parser.add_argument("--out", type=Path, default=out, help="folder of the run, default: %(default)s")
     parser.add_argument("--results", type=Path, default=results, help="results file, default: %(default)s")
@@ -307,7 +289,7 @@ def worlds_called(names: Sequence[str] | None) -> list[Path]:
 
 def compare_places(given: argparse.Namespace, recordings: Sequence[Path], out: Path) -> None:
     """Compare the rows of `--tracker` on `recordings`, with the thresholds of the cards, in the folder `out`."""
-    rows = general_rows(given.weights, given.trainings)
+    rows = general_rows(given.weights)
     if unknown := [label for label in given.tracker or () if label not in rows]:
         raise SystemExit(f"--tracker {', '.join(unknown)}: no row that can run; there are {', '.join(rows)}")
     compare_rows(given, recordings, [rows[label] for label in given.tracker or rows], out)

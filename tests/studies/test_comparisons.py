@@ -98,9 +98,9 @@ def scores_of(folder: Path, names: Sequence[str], skills: Mapping[str, float], *
 
 @pytest.fixture(scope="module")
 def worlds(tmp_path_factory: pytest.TempPathFactory) -> PlaceScores:
-    """Twenty worlds, with a further training of a tracker."""
+    """Twenty worlds."""
     names = [f"{part}-{k}" for k in range(10) for part in ("indoors", "outdoors")]
-    return scores_of(tmp_path_factory.mktemp("worlds"), names, SKILLS | {"dilated-convgru 2": 0.5})
+    return scores_of(tmp_path_factory.mktemp("worlds"), names, SKILLS)
 
 
 @pytest.fixture(scope="module")
@@ -226,16 +226,13 @@ def test_rows_have_no_weights_or_general_ones(tmp_path: Path) -> None:
     cards = [
         "weights/kalman/general.toml",
         "weights/dogma/hall.toml",
-        "trainings/seed-2/kalman/general.toml",
-        "trainings/seed-2/dogma/general.toml",
     ]
     for card in cards:
         (tmp_path / card).parent.mkdir(parents=True)
         (tmp_path / card).touch()
-    rows = general_rows(tmp_path / "weights", tmp_path / "trainings")
-    assert list(rows) == ["persistence", "blank", "advection", "kalman", "kalman 2"]
+    rows = general_rows(tmp_path / "weights")
+    assert list(rows) == ["persistence", "blank", "advection", "kalman"]
     assert rows["kalman"] == f"kalman=kalman:weights={tmp_path / 'weights'},card=general"
-    assert rows["kalman 2"].startswith(f"kalman 2=kalman:weights={tmp_path / 'trainings' / 'seed-2'},")
     assert "`dogma`" in not_measured(rows)
 
 
