@@ -358,4 +358,4 @@ def draw_family(
     axes.set(title=name, ylim=(0.0, 1.0), xticks=(1, 3, 5, 9), yticks=(0.0, 0.5, 1.0))
     axes.grid(axis="y", color="#ddd")
     if members:
-        axes.legend(loc="lower right")
+        axes.legend(loc="best")
