@@ -24,7 +24,7 @@ ENGINES := tests/evaluation/engines
 chosen = $(foreach tracker,$(1),--tracker $(tracker))
 # with general weights: they have seen no recording of a site
 new = $(foreach tracker,$(1),--tracker new-$(tracker)=$(tracker):card=general)
-# studies/trainings/seed-2/simvp/junction.toml: another training of simvp, as the row "simvp 2"
+# studies/trainings/seed-2/dilated-convgru/junction.toml: another training, as the row "dilated-convgru 2"
 folders = $(subst /, ,$(1))
 training = --tracker '$(word 4,$(folders)) $(patsubst seed-%,%,$(word 3,$(folders)))=$(word 4,$(folders)):weights=studies/trainings/$(word 3,$(folders))'
 trainings = $(foreach card,$(wildcard studies/trainings/seed-*/*/junction.toml),$(call training,$(card)))

@@ -45,7 +45,6 @@ SURVEY_COUNTS = (
     "labelled",
     "with_truth",
     "with_people",
-    "people_ns",
 )
 POSE_JUMPS = tuple(field.name for field in fields(PoseJumps) if not field.name.startswith("_"))
 FIRST_SCAN = ("stamp_ns", "angle_min", "angle_increment", "range_min", "range_max", "sensor", "time_increment_s")
@@ -339,6 +338,7 @@ def _values(sensor: SensorSurvey) -> dict[str, Any]:
         "reference": first.reference_T_sensor and asdict(first.reference_T_sensor),
         "beams": sorted(sensor.beams),
         "longest_rest_ns": sensor.longest_rest_ns,
+        "people_ns": sensor.people_ns,
         "counts": {name: getattr(sensor, name) for name in SURVEY_COUNTS},
         "jumps": {name: getattr(sensor.jumps, name) for name in POSE_JUMPS},
         "drift": sensor.drift.displacements_m.tolist(),
@@ -361,6 +361,7 @@ def _sensor(values: Mapping[str, Any], stamps_ns: NDArray[np.int64], ranges: NDA
         stamps=array("q", stamps_ns.tolist()),
         beams=set(values["beams"]),
         longest_rest_ns=tuple(values["longest_rest_ns"]),
+        people_ns=tuple(values["people_ns"]),
         jumps=PoseJumps(**values["jumps"]),
         drift=PoseDrift(
             displacements_m=array("d", values["drift"]),

@@ -20,6 +20,7 @@ from gridtrack.common.files import atomic_write
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.referee.samples import SAMPLES, Sample, read_samples
+from gridtrack.evaluation.referee.splits import ORACLE
 from gridtrack.evaluation.runs.finished import FinishedTrial
 from gridtrack.evaluation.scores.definition import Sums
 from gridtrack.evaluation.scores.registry import built_in, find_output
@@ -29,26 +30,24 @@ from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.observation import reference_pose
 from gridtrack.simulation.junction.drives import CARRIERS
 
-from studies.support.comparison import compare
 from studies.support.drawings import draw_pictures, forecast_pictures
 from studies.support.results_file import (
     ResultSection,
     ResultTable,
     measured_table,
     score_text,
-    study_parser,
     write_section,
 )
 from studies.support.unseen_places import (
     CONTACTS,
     CONTACTS_FORESEEN,
     REFERENCE,
-    WEIGHTS,
     PlaceScores,
-    general_rows,
+    compare_places,
+    place_parser,
 )
 
-DRIVES, OUT = Path("data/drives"), Path("runs/moving")
+DRIVES = Path("data/drives")
 RESULTS, PICTURES = Path("docs/results/moving/drives.json"), Path("docs/results/moving/drives.svg")
 RECORDED = {"perfect": "", "odometry": "-odometry", "beside": "-beside"}
 """Suffix of the file name, by kind of poses, of the drives that are simulated with them."""
@@ -57,8 +56,8 @@ KINDS = ("perfect", "odometry", "kiss-icp", "ignored", "beside")
 TRACKERS = (REFERENCE, "stationary", "kalman", "dogma", "dilated-convgru")
 SCORES = {CONTACTS: CONTACTS_FORESEEN, "f1": "F1"}
 """The scores, and their headings."""
-STRATUM, EVERY_S, AHEAD_S = "dynamic", 2.0, 1.0
-"""The scored cells, the time between two scored forecasts, and the horizon of the tables and pictures."""
+STRATUM, AHEAD_S = "dynamic", 1.0
+"""The scored cells, and the horizon of the tables and pictures."""
 APART = 20
 """Scans between two poses with a measured relative error: 2.5 s, the longest forecast."""
 COMMAND = "python -m studies.moving"
@@ -139,15 +138,6 @@ class Comparison:
         return replicates(definition.value, lambda: iter([drives]), total)[output.name]
 
 
-def run(drives: Sequence[str], trackers: Sequence[str], out: Path, jobs: str) -> None:
-    """Compare on all drives with each kind of poses."""
-    rows = general_rows(WEIGHTS)
-    options = ("--every", f"{EVERY_S:g}s", "--resume", "--jobs", jobs)
-    for kind in KINDS:
-        recordings = [recording_of(kind, drive, out / "recordings") for drive in drives]
-        compare(recordings, None, [rows[tracker] for tracker in trackers], out / kind, *options)
-
-
 def pose_errors(drives: Sequence[str], made: Path) -> ResultTable:
     """Errors of the poses under test by carrier: between scans APART, and after the whole drive."""
     rows = []
@@ -213,7 +203,7 @@ def heading_of(score: str) -> str:
 
 def trackers_of(comparison: Comparison) -> list[str]:
     """The rows of a comparison that have differences: the oracle has none."""
-    return [label for label in comparison.scores.labels if label in TRACKERS]
+    return [label for label in comparison.scores.labels if label != ORACLE]
 
 
 def difference_text(found: IntervalEstimate) -> str:
@@ -254,21 +244,18 @@ def _distance_from(at_s: float) -> Callable[[Sample], float]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = study_parser(__doc__)
-    parser.add_argument("--tracker", action="append", help=f"such as kalman; default: {', '.join(TRACKERS)}")
+    parser = place_parser(__doc__, Path("runs/moving"), RESULTS)
+    parser.set_defaults(every="2s")
     parser.add_argument("--drive", action="append", help="such as car-202; default: all twenty")
-    parser.add_argument("--out", type=Path, default=OUT, help="folder of the comparisons, default: %(default)s")
-    parser.add_argument("--results", type=Path, default=RESULTS, help="results file, default: %(default)s")
-    parser.add_argument("--jobs", default="1", help="trials at the same time")
-    parser.add_argument("--collect", action="store_true", help="run nothing; write the results of finished comparisons")
     parser.add_argument("--pictures", metavar="TRACKER", help=f"run nothing; draw {PICTURES}")
     given = parser.parse_args(arguments)
     if given.pictures:
         draw_moments(given.pictures, given.out, PICTURES)
         return
-    drives = given.drive or drives_in(DRIVES)
-    if not given.collect:
-        run(drives, given.tracker or TRACKERS, given.out, given.jobs)
+    drives, given.tracker = given.drive or drives_in(DRIVES), given.tracker or TRACKERS
+    for kind in () if given.collect else KINDS:
+        recordings = [recording_of(kind, drive, given.out / "recordings") for drive in drives]
+        compare_places(given, recordings, given.out / kind)
     compared = [Comparison(kind, PlaceScores.read(given.out / kind)) for kind in KINDS]
     for name, section in sections_of(compared, pose_errors(drives, given.out / "recordings")).items():
         write_section(given.results, name, section)

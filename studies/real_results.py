@@ -169,7 +169,6 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
         for stratum in ("in-motion", "dynamic")
         for h in near_s
     ]
-    near = [(f"{h:g} s, {scale} cells", "dynamic", f"fss.{scale}_cells", h) for h in near_s for scale in (1, 3, 5, 9)]
     contacts = [(f"{STRATA[one]}, {h:g} s", one, CONTACTS, h) for one in ("dynamic", "in-motion") for h in near_s]
     tables = {
         "contacts": scores.table(CONTACTS_FORESEEN, contacts),
@@ -177,7 +176,7 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
         "PR-AUC by recording": by_recording(scores, "PR-AUC in motion", "in-motion", "pr_auc"),
         "pooled": scores.table("together", pooled),
         "visible": scores.over_horizons("F1, visible", "visible", "f1"),
-        SKILL: scores.table("FSS, dynamic", near),
+        SKILL: scores.skill_table(),
         "recordings": contents(scores),
     }
     measured = [one.name for one in REAL if one.name in scores.described]

@@ -114,9 +114,6 @@ def network_section(scores: PlaceScores) -> ResultSection:
 
 def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
     """The sections of the results file."""
-    near = [
-        (f"{h:g} s, {scale} cells", "dynamic", f"fss.{scale}_cells", h) for h in (0.5, 1.0) for scale in (1, 3, 5, 9)
-    ]
     contacts = [(f"{h:g} s", "dynamic", CONTACTS, h) for h in AIM_HORIZONS_S]
     return {
         "scores": ResultSection(
@@ -127,7 +124,7 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
                 ),
                 **{name: scores.over_horizons(f"F1, {name}", stratum, "f1") for stratum, name in STRATA.items()},
                 "PR-AUC": scores.over_horizons("PR-AUC, dynamic", "dynamic", "pr_auc"),
-                SKILL: scores.table("FSS, dynamic", near),
+                SKILL: scores.skill_table(),
             },
             values={
                 "forecasts": str(sum(scores.forecasts.values())),

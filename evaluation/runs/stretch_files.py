@@ -27,7 +27,9 @@ from gridtrack.trackers.training.progress import Progress
 from gridtrack.trackers.wire import Fill, Message, WireError, encode, receive
 
 STRETCHES_VERSION = 4
-"""Increases with every change to the survey, the frames or the labels of the same recording."""
+"""Increases with every change to the frames or the labels of the same recording."""
+SURVEY_VERSION = 2
+"""Increases with every change to the survey of the same recording."""
 KINDS_VERSION = 3
 """Increases with every change to the kinds of cells, or the returns in motion, of the same frames."""
 MAX_CACHE_BYTES = 10 << 30
@@ -42,7 +44,7 @@ def stretch_cache(report: Callable[[str], None]) -> FileCache:
 def surveyed(recording: Recording, cache: FileCache) -> Recording:
     """The `recording` with its survey from the cache, where it is made if missing. Raises RecordingError, OSError."""
     with TemporaryDirectory(prefix="gridtrack-survey-") as folder:
-        key = {"survey": _recording_key(recording)}
+        key = {"survey": _recording_key(recording), "version": SURVEY_VERSION}
         path = cache.fetch(key, Path(folder) / "survey", lambda made: write_survey(recording, made))
         recall_survey(recording, path)
     return recording

@@ -219,6 +219,13 @@ class PlaceScores:
         """One score in one stratum."""
         return self.table(corner, [(f"{h:g} s", stratum, score, h) for h in HORIZONS_S])
 
+    def skill_table(self) -> ResultTable:
+        """Fractions skill of dynamic cells by the side of a neighbourhood, for `draw_skill`."""
+        columns = [
+            (f"{h:g} s, {side} cells", "dynamic", f"fss.{side}_cells", h) for h in (0.5, 1.0) for side in (1, 3, 5, 9)
+        ]
+        return self.table("FSS, dynamic", columns)
+
     @cached_property
     def differences(self) -> dict[str, TrackerDifference]:
         """Paired differences of F1 from the reference, by label."""
