@@ -14,6 +14,7 @@ from gridtrack.evaluation.scores.registry import built_in, scores
 from gridtrack.recordings import packaged_recording
 
 from scenes.command_line import gridtrack
+from scenes.report_page import data_of
 
 pytestmark = pytest.mark.usefixtures("trackers_here")
 
@@ -90,7 +91,10 @@ def test_a_score_of_another_package_is_in_table_page_exports_and_gate(tmp_path, 
     assert Path("absolute_error was imported").exists()
     trial = summary.trackers["blank"].recordings["leg_tracker@114s-120s"]
     assert trial.at("visible", "absolute_error", "mean", 5).value > 0
-    assert "Absolute error" in (tmp_path / "run" / "report" / "index.html").read_text("utf-8")
+    data = data_of((tmp_path / "run" / "report" / "index.html").read_text("utf-8"))
+    assert "Absolute error" in [score["title"] for score in data["scores"]]
+    (row,) = [row for row in data["recordings"][0]["rows"] if row["label"] == "blank"]
+    assert row["strata"]["visible"]["absolute_error"]["mean"]["value"][5] > 0
     table = gridtrack("report", "run", "--format", "csv", "--columns", "absolute_error visible 0.5s").stdout
     assert "absolute_error" in table
     gate = ("--baseline", "baseline.json", "--score", "absolute_error")

@@ -50,8 +50,7 @@ THEMES = {
     "training": (
         *("docs/weights.md", "docs/weights.md 3", "docs/scale.md 4", "docs/trackers/floor.md"),
         "docs/trackers/pool.md",
-        *("docs/trackers/model-free.md", "docs/trackers/one-shot.md", "docs/drives.md 2", "docs/onnx.md"),
-        "docs/results/moving/drives.md",
+        *("docs/trackers/model-free.md", "docs/trackers/one-shot.md", "docs/onnx.md"),
     ),
     "outputs": ("docs/recorded-bags.md", "docs/recorded-bags.md 2"),
     "simulation": (
@@ -122,7 +121,7 @@ SMALLER = (
 )  # fmt: skip
 """Texts of the pages and their replacements: the same commands on seconds, each on a file of its own."""
 
-LONG = ("gridtrack simulate drive-set", "gridtrack train --recipe")
+LONG = ("gridtrack simulate drive-set",)
 """Commands that take an hour and cannot be made shorter."""
 
 

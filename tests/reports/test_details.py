@@ -24,9 +24,8 @@ def test_details_are_named_and_open_by_keyboard_at_the_width_of_the_page(page):
     page.set_viewport_size({"width": 800, "height": 900})
     details.locator("summary").focus()
     page.keyboard.press("Enter")
-    widths = [drawing.bounding_box()["width"] for drawing in details.locator("svg.figure-drawing").all()]
-    shown = page.locator("#curves svg.figure-drawing").bounding_box()["width"]
-    assert set(widths) == {shown}
+    drawings = "[...document.querySelectorAll(':is(#curves, #details) svg.figure-drawing')]"
+    page.wait_for_function(f"new Set({drawings}.map((one) => one.getBoundingClientRect().width)).size === 1")
 
 
 def test_a_link_and_paper_open_them(page):
