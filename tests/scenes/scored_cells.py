@@ -16,10 +16,14 @@ from gridtrack.trackers.contract import Forecast
 STATIC_CELL, DYNAMIC_CELL = (CELL_KINDS.index(name) for name in ("static", "dynamic"))
 
 
-def frame(visible, occupied, stamp_ns=0):
+ORIGIN = SE2()
+
+
+def frame(visible, occupied, stamp_ns=0, window=ORIGIN):
+    """A frame of these cells (M, M), without points."""
     nothing = np.zeros((0, 2), np.float32)
     visible, occupied = np.array(visible, bool), np.array(occupied, bool)
-    return GridFrame(stamp_ns, visible, occupied & visible, SE2(), nothing, nothing, np.zeros(0, np.uint8))
+    return GridFrame(stamp_ns, visible, occupied & visible, window, nothing, nothing, np.zeros(0, np.uint8))
 
 
 def region_maps(cell_kinds, strata=STRATA):

@@ -6,12 +6,11 @@ import pytest
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.referee.strata import CELL_KINDS
 from gridtrack.evaluation.referee.targets import SEEN_OCCUPIED, Target, crossing_beams, target_of
 from gridtrack.evaluation.scores.beam_error import BEAM_ERROR, EDGES_M, expected_ranges, median_size
 from gridtrack.recordings.observation import Observation
 
-from scenes.scored_cells import counted, frame, region_maps, scored
+from scenes.scored_cells import DYNAMIC_CELL, counted, frame, region_maps, scored
 
 SIZE = 40
 GRID = GridSpec(SIZE, 0.5, (-5.0, -10.0))
@@ -56,14 +55,10 @@ def test_a_hand_computed_beam():
         "three cells": row_of([0.1, 0.2, 1.0], [11, 12, 13]),
         "nothing: to where the beam leaves the window": row_of(0.0, 0),
         "behind the sensor, and beside the beam": row_of(1.0, 9) + np.roll(row_of(1.0, 16), 1, axis=0),
+        "the sensor's own cell: half of the way out of it": row_of(1.0, 10),
     }
     ranges = [ends_in(p, beams)[0] for p in found.values()]
-    assert ranges == pytest.approx([6.0, 7.0, 0.1 * 1.0 + 0.18 * 2.0 + 0.72 * 3.0, 29.5, 29.5])
-
-
-def test_the_sensors_own_cell_is_the_first():
-    beams = crossing_beams(ALONG_X, GRID)
-    assert ends_in(row_of(1.0, 10), beams)[0] == pytest.approx(0.25), "half of the way out of it"
+    assert ranges == pytest.approx([6.0, 7.0, 0.1 * 1.0 + 0.18 * 2.0 + 0.72 * 3.0, 29.5, 29.5, 0.25])
 
 
 def test_a_beam_that_would_go_on_ends_at_the_sensors_maximum_range():
@@ -139,7 +134,7 @@ def test_errors_are_summed_over_all_beams_of_the_visible_cells():
     scans = observed(*((scan_of([range_m]), pose) for range_m, pose in zip([4.25, 2.0, np.inf], poses, strict=True)))
     target = target_of(scans, GRID, (), np.zeros(GRID.shape, np.uint8))
     forecast = sum(np.roll(row_of(1.0, column), rows, axis=0) for column, rows in ((16, 0), (20, 4), (26, 8)))
-    maps = region_maps(np.full(GRID.shape, CELL_KINDS.index("dynamic")))
+    maps = region_maps(np.full(GRID.shape, DYNAMIC_CELL))
     strata, errors = counted(BEAM_ERROR, scored(forecast[None], [target], maps), cell_m=GRID.cell_m)
     assert strata == ("visible",)
     assert errors["early"][0] == pytest.approx([1.25 + 14.75 - 8.0])

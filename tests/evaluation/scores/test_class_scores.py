@@ -4,20 +4,17 @@ import numpy as np
 import pytest
 from sklearn.metrics import balanced_accuracy_score, confusion_matrix, log_loss
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame
-from gridtrack.evaluation.referee.strata import CELL_KINDS, STRATA_WITH_TRUTH
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
 from gridtrack.evaluation.referee.targets import HIDDEN_OCCUPIED, SEEN_OCCUPIED, Target
 from gridtrack.evaluation.scores.class_log_loss import CLASS_LOG_LOSS, confusion_of, count_classes, match_classes
 from gridtrack.evaluation.scores.class_recall import CLASS_RECALL
 from gridtrack.evaluation.scores.definition import Sums
 from gridtrack.evaluation.scores.thresholds import Thresholds, bins_of
 
-from scenes.scored_cells import counted, facts_of, region_maps, scored, values
+from scenes.scored_cells import DYNAMIC_CELL, STATIC_CELL, counted, facts_of, frame, region_maps, scored, values
 
 NAMES = ("pedestrian", "cyclist", "car", "static")
 SIZE, STEPS = 20, 2
-NOTHING = np.zeros((0, 2), np.float32)
 
 
 def random_targets(rng):
@@ -25,9 +22,8 @@ def random_targets(rng):
     for _ in range(STEPS + 1):
         state = rng.integers(0, 4, (SIZE, SIZE)).astype(np.uint8)
         cells = rng.permutation(np.flatnonzero(state % 2 == 1))[:120]
-        frame = GridFrame(0, state < 2, state == 1, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8))
         labels = rng.integers(0, len(NAMES), cells.size).astype(np.uint8)
-        found.append(Target(frame, state, np.zeros_like(state), cells, labels))
+        found.append(Target(frame(state < 2, state == 1), state, np.zeros_like(state), cells, labels))
     return found
 
 
@@ -39,9 +35,8 @@ def case():
 
 
 def forecast_of(semantics, targets):
-    kinds = np.full((SIZE, SIZE), CELL_KINDS.index("dynamic"))
-    occupancy = np.zeros((len(targets), SIZE, SIZE), np.float32)
-    return scored(occupancy, targets, region_maps(kinds, STRATA_WITH_TRUTH), semantics=semantics)
+    maps = region_maps(np.full((SIZE, SIZE), DYNAMIC_CELL), STRATA_WITH_TRUTH)
+    return scored(np.zeros((len(targets), SIZE, SIZE), np.float32), targets, maps, semantics=semantics)
 
 
 def test_confusion_log_loss_and_balanced_accuracy_agree_with_scikit_learn(case):
@@ -104,12 +99,12 @@ def test_a_class_that_only_one_side_has_is_the_last_column_or_costs_the_clip(cas
 def test_recall_counts_dynamic_cells_of_a_class_at_the_threshold_of_their_stratum():
     state = np.full((4, 4), SEEN_OCCUPIED, np.uint8)
     state[2:] = HIDDEN_OCCUPIED
-    cell_kinds = np.full((4, 4), CELL_KINDS.index("dynamic"), np.uint8)
-    cell_kinds[:, 0] = CELL_KINDS.index("static")
+    cell_kinds = np.full((4, 4), DYNAMIC_CELL)
+    cell_kinds[:, 0] = STATIC_CELL
     occupancy = np.full((1, 4, 4), 0.4, np.float32)
     occupancy[0, :, 3] = 0.6
-    frame = GridFrame(0, state < 2, state == 1, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8))
-    target = Target(frame, state, np.zeros_like(state), np.arange(16), np.repeat([0, 1, 0, 1], 4).astype(np.uint8))
+    labels = np.repeat([0, 1, 0, 1], 4).astype(np.uint8)
+    target = Target(frame(state < 2, state == 1), state, np.zeros_like(state), np.arange(16), labels)
     strata = ("visible", "dynamic", "static", "occluded")
     bins = bins_of(np.array([[0.5, 0.125, 0.5, 0.75]]))  # dynamic from below 0.4 on, occluded only above 0.6
     forecast = scored(occupancy, [target], region_maps(cell_kinds, strata))

@@ -6,31 +6,23 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH, region_maps_of
+from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH
 from gridtrack.evaluation.referee.targets import HIDDEN_OCCUPIED, NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED, Target
 from gridtrack.evaluation.scores.energy import ENERGY, ENERGY_STRATA, distance_and_spread
 
-from scenes.scored_cells import counted, scored
+from scenes.scored_cells import counted, frame, region_maps, scored
 
-GRID = GridSpec(6, 1.0, (0.0, 0.0))
-NOTHING = np.zeros((0, 2), np.float32)
+SHAPE = (6, 6)
 
 
 def target(state, part):
-    frame = GridFrame(0, state < 2, state == SEEN_OCCUPIED, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8))
-    return Target(frame, state, part)
-
-
-def maps(kinds):
-    return region_maps_of(kinds, GRID, np.zeros((1, 2), np.float32), STRATA_WITH_TRUTH)
+    return Target(frame(state < 2, state == SEEN_OCCUPIED), state, part)
 
 
 def energy_sums(futures, targets, kinds):
     """Forecasts, distance and spread (S, K, 3)."""
-    occupancy = np.zeros((len(targets), *GRID.shape), np.float32)
-    strata, sums = counted(ENERGY, scored(occupancy, targets, maps(kinds), futures=futures))
+    occupancy, maps = np.zeros((len(targets), *SHAPE), np.float32), region_maps(kinds, STRATA_WITH_TRUTH)
+    strata, sums = counted(ENERGY, scored(occupancy, targets, maps, futures=futures))
     assert strata == ENERGY_STRATA
     return sums.values
 
@@ -61,12 +53,12 @@ def test_two_futures_of_one_cell_by_hand():
 @pytest.mark.parametrize("dtype", [np.bool_, np.float16])
 def test_terms_agree_with_the_definition_in_loops(dtype):
     rng = np.random.default_rng(0)
-    futures = rng.random((5, 3, *GRID.shape))
+    futures = rng.random((5, 3, *SHAPE))
     futures = futures < 0.4 if dtype == np.bool_ else futures.astype(np.float16)
-    kinds, targets = rng.integers(0, 3, GRID.shape).astype(np.uint8), []
+    kinds, targets = rng.integers(0, 3, SHAPE).astype(np.uint8), []
     for _ in range(3):
-        state = rng.choice([SEEN_FREE, SEEN_OCCUPIED, HIDDEN_OCCUPIED, NOT_SCORED], GRID.shape).astype(np.uint8)
-        targets.append(target(state, np.where(kinds == 2, rng.integers(0, 3, GRID.shape), 0).astype(np.uint8)))
+        state = rng.choice([SEEN_FREE, SEEN_OCCUPIED, HIDDEN_OCCUPIED, NOT_SCORED], SHAPE).astype(np.uint8)
+        targets.append(target(state, np.where(kinds == 2, rng.integers(0, 3, SHAPE), 0).astype(np.uint8)))
     found = energy_sums(futures, targets, kinds)
     for n, one in enumerate(targets):
         visible, dynamic = one.state <= SEEN_OCCUPIED, kinds == 2
@@ -78,20 +70,21 @@ def test_terms_agree_with_the_definition_in_loops(dtype):
 
 
 def test_a_stratum_without_cells_has_no_score():
-    unseen = target(np.full(GRID.shape, NOT_SCORED, np.uint8), np.zeros(GRID.shape, np.uint8))
-    futures = np.zeros((2, 1, *GRID.shape), bool)
-    assert not energy_sums(futures, [unseen], np.full(GRID.shape, 2, np.uint8)).any()
-
-
-def mean_score(draw, came, count=8, times=4000):
-    rng = np.random.default_rng(1)
-    terms = [terms_of(draw(rng, count), came(rng)) for _ in range(times)]
-    return np.subtract(*np.mean(terms, axis=0))
+    unseen = target(np.full(SHAPE, NOT_SCORED, np.uint8), np.zeros(SHAPE, np.uint8))
+    futures = np.zeros((2, 1, *SHAPE), bool)
+    assert not energy_sums(futures, [unseen], np.full(SHAPE, 2, np.uint8)).any()
 
 
 def together(rng, count):
     """Both cells are occupied, or none is."""
     return np.repeat(rng.random((count, 1)) < 0.5, 2, axis=1).astype(float)
+
+
+def mean_score(draw, count=8, times=4000):
+    """Of futures that `draw` gives, where two cells are occupied together."""
+    rng = np.random.default_rng(1)
+    terms = [terms_of(draw(rng, count), together(rng, 1)[0]) for _ in range(times)]
+    return np.subtract(*np.mean(terms, axis=0))
 
 
 def apart(rng, count):
@@ -100,15 +93,9 @@ def apart(rng, count):
 
 
 def test_futures_that_know_which_cells_go_together_score_better_than_their_marginal_probabilities():
-    def came(rng):
-        return together(rng, 1)[0]
-
-    assert mean_score(together, came) < mean_score(apart, came) - 0.02
-    assert mean_score(together, came) < mean_score(lambda rng, count: np.full((count, 2), 0.5), came) - 0.1
+    assert mean_score(together) < mean_score(apart) - 0.02
+    assert mean_score(together) < mean_score(lambda rng, count: np.full((count, 2), 0.5)) - 0.1
 
 
 def test_the_expected_score_does_not_depend_on_the_number_of_futures():
-    def came(rng):
-        return together(rng, 1)[0]
-
-    assert mean_score(together, came, count=2) == pytest.approx(mean_score(together, came, count=32), abs=0.02)
+    assert mean_score(together, count=2) == pytest.approx(mean_score(together, count=32), abs=0.02)

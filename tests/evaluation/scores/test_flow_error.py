@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.evaluation.referee.motion import FollowedBodies
-from gridtrack.evaluation.referee.strata import STRATA_WITH_TRUTH, region_maps_of
+from gridtrack.evaluation.referee.strata import PARTS, STRATA_WITH_TRUTH
 from gridtrack.evaluation.referee.targets import (
     HIDDEN_OCCUPIED,
     SEEN_FREE,
@@ -23,12 +23,11 @@ from gridtrack.evaluation.referee.targets import (
 from gridtrack.evaluation.scores.flow_error import FLOW_ERROR, FLOW_STRATA
 from gridtrack.recordings.observation import Observation
 
-from scenes.scored_cells import counted, facts_of, scored
+from scenes.scored_cells import DYNAMIC_CELL, counted, facts_of, frame, region_maps, scored
 
 GRID = GridSpec(8, 1.0, (0.0, 0.0))
-NOTHING = np.zeros((0, 2), np.float32)
 POST = np.array([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)], np.float32)
-DYNAMIC = np.full(GRID.shape, 2, np.uint8)
+MAPS = region_maps(np.full(GRID.shape, DYNAMIC_CELL), STRATA_WITH_TRUTH)
 
 
 def scene(*bodies):
@@ -43,13 +42,9 @@ def motions(*scenes, period_ns=500_000_000):
 def flow_sums(velocity, targets):
     """Cells, cells with a velocity, errors and true speeds (S, K)."""
     occupancy = np.zeros((len(targets), *GRID.shape), np.float32)
-    strata, sums = counted(FLOW_ERROR, scored(occupancy, targets, maps(), velocity=velocity), has_truth=True)
+    strata, sums = counted(FLOW_ERROR, scored(occupancy, targets, MAPS, velocity=velocity), has_truth=True)
     assert strata == FLOW_STRATA
     return tuple(sums[name] for name in ("cells", "given", "error", "speed"))
-
-
-def maps():
-    return region_maps_of(DYNAMIC, GRID, np.zeros((1, 2), np.float32), STRATA_WITH_TRUTH)
 
 
 def test_a_body_that_turns_moves_each_of_its_points_differently():
@@ -78,12 +73,10 @@ def observed_target():
     visible, occupied = np.zeros((2, *GRID.shape), bool)
     visible[:4], visible[6, 0] = True, True
     occupied[1, 2] = occupied[3, 7] = occupied[6, 0] = True
-    frame = GridFrame(0, visible, occupied, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8))
     scan = Scan(0, np.zeros(0, np.float32), 0.0, 0.1, 0.0, 9.0, scene=scene(*now))
-    bodies = motions(scene(*then), scan.scene)
-    return target_of(
-        Observation(frame, (scan,), (SE2(),)), GRID, ("pedestrian",), np.full(GRID.shape, 2, np.uint8), bodies
-    )
+    observation = Observation(frame(visible, occupied), (scan,), (SE2(),))
+    in_motion = np.full(GRID.shape, PARTS.index("in-motion"), np.uint8)
+    return target_of(observation, GRID, ("pedestrian",), in_motion, motions(scene(*then), scan.scene))
 
 
 def test_the_true_flow_has_the_occupied_cells_of_bodies_that_were_there_before():
@@ -119,7 +112,7 @@ def test_velocities_of_step_0_alone_say_nothing_of_later_steps():
 def test_cells_count_from_the_first_forecast_with_velocities_on():
     targets, occupancy = [observed_target()] * 2, np.zeros((2, *GRID.shape), np.float32)
     without, with_ = (
-        scored(occupancy, targets, maps(), velocity=one) for one in (None, np.zeros((2, *GRID.shape), np.float32))
+        scored(occupancy, targets, MAPS, velocity=one) for one in (None, np.zeros((2, *GRID.shape), np.float32))
     )
     facts = facts_of(without, has_truth=True)
     memory = FLOW_ERROR.new_memory(facts)
@@ -129,8 +122,7 @@ def test_cells_count_from_the_first_forecast_with_velocities_on():
 
 
 def test_without_ground_truth_no_cell_has_a_velocity():
-    frame = GridFrame(0, *np.ones((2, *GRID.shape), bool), SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8))
-    assert Target.of_frame(frame).flow().cells.size == 0
+    assert Target.of_frame(frame(*np.ones((2, *GRID.shape)))).flow().cells.size == 0
 
 
 def test_random_flows_agree_with_a_loop_over_every_cell():
@@ -144,10 +136,9 @@ def test_random_flows_agree_with_a_loop_over_every_cell():
         part = rng.integers(0, 3, GRID.shape).astype(np.uint8)
         cells = np.flatnonzero((state.ravel() != SEEN_FREE) & (rng.random(state.size) < 0.7))
         truth = rng.normal(size=(len(cells), 2))
-        visible = state <= SEEN_OCCUPIED
-        frame = GridFrame(0, visible, state == SEEN_OCCUPIED, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8))
         flow = TrueFlow(cells, truth)
-        targets.append(replace(Target(frame, state, part), flow=lambda flow=flow: flow))
+        observed = frame(state <= SEEN_OCCUPIED, state == SEEN_OCCUPIED)
+        targets.append(replace(Target(observed, state, part), flow=lambda flow=flow: flow))
         for cell, (vx, vy) in zip(cells.tolist(), truth.tolist(), strict=True):
             row, column = divmod(cell, 8)
             hidden, standing = state[row, column] == HIDDEN_OCCUPIED, part[row, column] == 1

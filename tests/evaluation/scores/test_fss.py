@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gridtrack.evaluation.referee.strata import CELL_KINDS, PARTS, STRATA, STRATA_WITH_TRUTH
-from gridtrack.evaluation.referee.targets import HIDDEN_FREE, NOT_SCORED, Target
+from gridtrack.evaluation.referee.targets import NOT_SCORED, Target
 from gridtrack.evaluation.scores.fss import FSS
 from gridtrack.evaluation.scores.neighbourhoods import NEIGHBOURHOOD_STRATA, SCALES
 from gridtrack.evaluation.scores.soft_iou import SOFT_IOU
@@ -120,10 +120,8 @@ def test_a_perfect_forecast_has_the_score_1_at_every_scale_also_at_the_edge_of_t
 
 
 def test_a_frame_without_scored_cells_has_sums_of_zero():
-    state = np.full((10, 10), NOT_SCORED, np.uint8)
-    target = Target(frame(state < HIDDEN_FREE, state < HIDDEN_FREE), state, np.zeros_like(state))
-    fss, squares, both, either, _ = found_of(
-        np.ones((1, 10, 10), np.float32), [target], np.full((10, 10), DYNAMIC, np.uint8)
-    )
+    unseen = Target.of_frame(frame(*np.zeros((2, 10, 10))))
+    kinds = np.full((10, 10), DYNAMIC, np.uint8)
+    fss, squares, both, either, _ = found_of(np.ones((1, 10, 10), np.float32), [unseen], kinds)
     assert np.isnan(fss).all()
     assert not any(sums.any() for sums in (squares, both, either))

@@ -40,14 +40,18 @@ def cells(rows, mark):
 
 def observation(rows, people, window=None):
     """A frame as text: # occupied, . free, blank unseen; with people as (track, x, y, speed)."""
-    drawn = frame(~cells(rows, " "), cells(rows, "#"))
+    seen = frame(~cells(rows, " "), cells(rows, "#"), window=window or SE2())
     scan = Scan(0, np.zeros(1, np.float32), 0.0, 0.0, 0.1, 5.0, people=people and tuple(Person(*one) for one in people))
-    return Observation(replace(drawn, world_T_grid=window or SE2()), (scan,), (SE2(),))
+    return Observation(seen, (scan,), (SE2(),))
 
 
 def near(rows, people, window=None):
-    found = people_in(observation(rows, people, window), GRID, np.ones((5, 5), bool))
-    return ["".join(".P"[int(one)] for one in row) for row in found.near[::-1]]
+    return drawn(people_in(observation(rows, people, window), GRID, np.ones((5, 5), bool)).near)
+
+
+def drawn(mask):
+    """The cells as text, the upper row first: P near a person."""
+    return ["".join(".P"[int(one)] for one in row) for row in mask[::-1]]
 
 
 EMPTY = ["....."] * 5
@@ -94,14 +98,9 @@ def test_a_moment_gives_the_people_of_a_later_frame_in_the_window_of_the_forecas
     ]
     now, later = moments
     assert now.target.people is None
-    assert np.argwhere(later.target_in(now.window, now.region_maps).people.near).tolist() == [
-        [1, 2],
-        [2, 1],
-        [2, 2],
-        [2, 3],
-        [3, 2],
-    ]
-    assert np.argwhere(later.target.people.near).tolist() == [[1, 0], [2, 0], [2, 1], [3, 0]]
+    in_window_of_now = later.target_in(now.window, now.region_maps).people.near
+    assert drawn(in_window_of_now) == [".....", "..P..", ".PPP.", "..P..", "....."]
+    assert drawn(later.target.people.near) == [".....", "P....", "PP...", "P....", "....."]
 
 
 # a person who walks and is seen (left), and one who stands behind a wall (right); # a wall, W its column
@@ -130,14 +129,13 @@ def people_counts(forecast):
 
 def test_a_person_is_found_by_one_cell_hidden_or_seen():
     of = people_counts(forecast_of([".....", ".....", "..o..", ".....", "....."]))
-    assert [of[name]["persons"] for name in ("people", "people in motion", "people seen", "people hidden")] == [
-        2,
-        1,
-        1,
-        1,
-    ]
-    assert [of[name]["found"] for name in ("people", "people in motion", "people seen")] == [0.5, 1.0, 1.0]
-    assert of["people hidden"]["found"] == 0.0
+    found = {name: (own["persons"], own["found"]) for name, own in of.items()}
+    assert found == {
+        "people": (2, 0.5),
+        "people in motion": (1, 1.0),
+        "people seen": (1, 1.0),
+        "people hidden": (1, 0.0),
+    }
     assert people_counts(forecast_of([*EMPTY[:4], "....o"]))["people hidden"]["found"] == 1.0
 
 

@@ -61,11 +61,6 @@ def test_a_blurred_forecast_gets_a_low_threshold():
     assert 0.02 <= best_thresholds(tally_of(blurred, free), "v").values[0, VISIBLE] <= 0.2
 
 
-def test_without_a_validation_stretch_thresholds_are_one_half():
-    assert (half(2).values == 0.5).all()
-    assert half(2).chosen_on == ""
-
-
 def cells_of(p, occupied):
     """A tally of step 0 with these cells (N,) in the dynamic stratum."""
     tally = Tally.empty(0)
