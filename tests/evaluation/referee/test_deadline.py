@@ -16,6 +16,8 @@ from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
 from gridtrack.evaluation.referee.referee import Delivery, Schedule, moments, scored_forecasts
 from gridtrack.trackers.contract import Forecast
 
+from scenes import scored_cells
+
 PERIOD_MS = 100.0
 GRID = GridSpec(2, 1.0)
 
@@ -44,19 +46,6 @@ def test_a_tracker_that_needs_one_and_a_half_periods_misses_every_second_frame()
     assert busy.accepted.tolist() == [True, False] * 4 + [True]
     # the forecast made from frame 0 is there at 1.5 periods, that from frame 2 at 3.5, ...
     assert busy.newest.tolist() == [-1, -1, 0, 0, 2, 2, 4, 4, 6]
-
-
-def test_accepted_frames_take_the_measured_durations_in_order() -> None:
-    slow_first = timeline(6, PERIOD_MS, Costs((250.0, 10.0), (0.0, 10.0)))
-    # 0 is busy to 2.5, 3 to 3.2, 4 to 6.5: the second forecast is the one of frame 3
-    assert slow_first.accepted.tolist() == [True, False, False, True, True, False]
-    assert slow_first.newest.tolist() == [-1, -1, -1, 0, 3, 3]
-
-
-def test_the_same_tracker_at_half_the_rate_misses_no_frame() -> None:
-    costs = Costs((150.0,), (0.0,))
-    assert timeline(9, PERIOD_MS, costs).missed == 4
-    assert timeline(9, 2 * PERIOD_MS, costs).missed == 0
 
 
 @given(
@@ -96,9 +85,7 @@ def test_the_spare_steps_cover_the_age_of_the_oldest_forecast() -> None:
 
 
 def frame(index: int, x: float = 0.0) -> GridFrame:
-    nothing = np.zeros((0, 2), np.float32)
-    empty = np.zeros(GRID.shape, bool)
-    return GridFrame(index * 100_000_000, empty, empty, SE2(x), nothing, nothing, np.zeros(0, np.uint8))
+    return scored_cells.frame(*np.zeros((2, *GRID.shape)), index * 100_000_000, SE2(x))
 
 
 class Frames:

@@ -8,18 +8,15 @@ from scipy.ndimage import binary_dilation
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.referee import kinds
 from gridtrack.evaluation.referee.kinds import BLOCK_NS, TILE_CELLS, ObservedCounts, WorldCells, observed_kinds
 from gridtrack.evaluation.referee.strata import CELL_KINDS
 from gridtrack.recordings.observation import Observation
 
+from scenes.scored_cells import frame
+
 GRID = GridSpec(7, 1.0)
-NOTHING = np.zeros((0, 2), np.float32)
-
-
-def frame(visible, occupied, pose=SE2(), stamp_ns=0):  # noqa: B008
-    return GridFrame(stamp_ns, visible, occupied & visible, pose, NOTHING, NOTHING, np.zeros(0, np.uint8))
 
 
 def kinds_of(frames, window=SE2(), stamp_ns=0):  # noqa: B008
@@ -78,7 +75,7 @@ def wall_seen_from(x, wall_x, block=0):
         occupied[:, column] = True
     visible = np.ones(GRID.shape, bool)
     visible[:, column + 1 :] = False
-    return frame(visible, occupied, SE2(float(x)), block * BLOCK_NS)
+    return frame(visible, occupied, block * BLOCK_NS, SE2(float(x)))
 
 
 def test_a_wall_that_stays_is_static_in_every_window_that_moves_past_it():

@@ -5,17 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.referee.deadline import Timeline
 from gridtrack.evaluation.referee.live_timeline import Delivered, ForecastStore, LiveTimeline, StoredForecasts
 from gridtrack.trackers.contract import Forecast
 
+from scenes.scored_cells import frame
 
-def frame(stamp_ns: int = 0) -> GridFrame:
-    cells = np.zeros((4, 4), np.bool_)
-    none = np.zeros((0, 2), np.float32), np.zeros(0, np.uint8)
-    return GridFrame(stamp_ns, cells, cells, SE2(), np.zeros((1, 2), np.float32), *none)
+FRAME = frame(*np.zeros((2, 4, 4)))
 
 
 def forecast(value: float) -> Forecast:
@@ -25,7 +21,7 @@ def forecast(value: float) -> Forecast:
 def test_a_busy_tracker_misses_frames_and_a_forecast_is_in_time_before_the_next_frame() -> None:
     live = LiveTimeline()
     for number, delivers in enumerate([0, 1, None, None, 2, None]):
-        live.present(frame(), has_deadline=number > 0)
+        live.present(FRAME, has_deadline=number > 0)
         if number in (0, 1, 2, 5):
             taken = live.take()
             assert taken is not None
@@ -42,7 +38,7 @@ def test_a_busy_tracker_misses_frames_and_a_forecast_is_in_time_before_the_next_
 
 def test_a_deadline_is_closed_once_and_a_tracker_that_left_is_given_nothing() -> None:
     live = LiveTimeline()
-    live.present(frame(), has_deadline=True)
+    live.present(FRAME, has_deadline=True)
     live.deliver(0, forecast(0.5))
     first = live.close(0)
     live.deliver(0, forecast(0.7))
@@ -50,7 +46,7 @@ def test_a_deadline_is_closed_once_and_a_tracker_that_left_is_given_nothing() ->
     assert live.frames == 1
     live.leave()
     assert live.wait_until_free(0.0)
-    live.present(frame(), has_deadline=True)
+    live.present(FRAME, has_deadline=True)
     live.end()
     live.take()
     assert live.take() is None
@@ -69,13 +65,13 @@ def test_all_forecasts_before_the_failure_are_stored(tmp_path) -> None:
     timeline = Timeline(np.array([True, False, True, True]), np.array([0, 0, 2, 2]))
     stored = StoredForecasts(store, timeline, (3, ValueError("died")))
     stored.reset(0)
-    stored.update(frame())
+    stored.update(FRAME)
     assert (stored.predict(2).occupancy == 0.25).all()
-    stored.update(frame())
+    stored.update(FRAME)
     np.testing.assert_array_equal(stored.predict(2).occupancy, with_classes.occupancy)
     np.testing.assert_array_equal(stored.predict(2).semantics, with_classes.semantics)
     with pytest.raises(ValueError, match="died"):
-        stored.update(frame())
+        stored.update(FRAME)
     store.close()
 
 

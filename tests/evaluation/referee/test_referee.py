@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
 from gridtrack.evaluation.referee.referee import (
     WARM_UP,
@@ -27,6 +27,8 @@ from gridtrack.evaluation.scores.f1 import f1_of
 from gridtrack.evaluation.scores.thresholds import half
 from gridtrack.trackers.contract import Forecast
 
+from scenes.scored_cells import frame
+
 GRID = GridSpec(8, 1.0)
 NOTHING = np.zeros((0, 2), np.float32)
 STEPS = 4
@@ -35,22 +37,19 @@ LOOKBACK = 10
 ALL_DYNAMIC = Regions(GRID, KindsOfWindow(np.full(GRID.shape, CELL_KINDS.index("dynamic"), np.uint8)))
 
 
-def random_frame(index, pose):
-    rng = np.random.default_rng(index)
-    occupied = rng.random(GRID.shape) < 0.3
-    return GridFrame(
-        index * 100_000_000, np.ones(GRID.shape, bool), occupied, pose, NOTHING, NOTHING, np.zeros(0, np.uint8)
-    )
+def random_frame(index):
+    occupied = np.random.default_rng(index).random(GRID.shape) < 0.3
+    return frame(np.ones(GRID.shape), occupied, index * 100_000_000)
 
 
 class FakeStream:
     name, sha256, grid, period_s, site, classes = "fake.mcap", "0" * 64, GRID, 0.1, "nowhere", ()
 
-    def __init__(self, frames, pose_of=lambda _: SE2()):
-        self.frames, self.pose_of = frames, pose_of
+    def __init__(self, frames):
+        self.frames = frames
 
     def __iter__(self):
-        return (random_frame(index, self.pose_of(index)) for index in range(self.frames))
+        return map(random_frame, range(self.frames))
 
     def __len__(self):
         return self.frames
@@ -97,9 +96,7 @@ def test_a_tracker_that_knows_the_future_scores_one_at_every_step():
 
 @pytest.mark.parametrize("late", [-1, 1])
 def test_a_tracker_that_is_a_frame_off_scores_less(late):
-    stream = FakeStream(60)
-    stream_and_beyond = FakeStream(61)
-    assert (f1_per_step(stream, Seer(stream_and_beyond, late)) < 0.5).all()
+    assert (f1_per_step(FakeStream(60), Seer(FakeStream(61), late)) < 0.5).all()
 
 
 def test_only_the_step_with_the_correct_frame_scores_one():

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.referee.strata import (
     AGES_S,
     CELL_KINDS,
@@ -15,12 +14,7 @@ from gridtrack.evaluation.referee.strata import (
     region_maps_of,
 )
 
-GRID = GridSpec(7, 1.0)
-NOTHING = np.zeros((0, 2), np.float32)
-
-
-def frame(visible, occupied, pose=SE2()):  # noqa: B008
-    return GridFrame(0, visible, occupied & visible, pose, NOTHING, NOTHING, np.zeros(0, np.uint8))
+from scenes.scored_cells import frame
 
 
 def test_strata_without_truth_are_first_so_their_indices_agree():
@@ -64,11 +58,9 @@ def test_the_range_of_a_cell_is_that_to_the_nearest_sensor():
 
 def test_a_cells_age_is_the_time_since_it_was_last_seen():
     last_seen = LastSeen()
-    seen = np.zeros(GRID.shape, bool)
-    seen[0, :5] = True
     for stamp_ns, columns in ((0, 5), (2_000_000_000, 4), (3_000_000_000, 3), (4_000_000_000, 2), (4_500_000_000, 1)):
-        now = seen.copy()
-        now[0, columns:] = False
-        last_seen.add(GridFrame(stamp_ns, now, now, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8)), 1.0)
+        seen = np.zeros((7, 7))
+        seen[0, :columns] = True
+        last_seen.add(frame(seen, seen, stamp_ns), 1.0)
     bands = last_seen.bands(5_000_000_000)
     assert bands[0, :6].tolist() == [0, 1, 2, 3, 4, 4], "ages 0.5, 1, 2, 3 and 5 s, and never"

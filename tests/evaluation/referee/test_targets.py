@@ -7,7 +7,7 @@ import pytest
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.evaluation.referee.targets import (
@@ -22,15 +22,11 @@ from gridtrack.evaluation.referee.targets import (
 from gridtrack.recordings.observation import Observation
 
 from scenes.drives import box
+from scenes.scored_cells import frame
 
 GRID = GridSpec(5, 1.0, (0.0, 0.0))
 NAMES = ("pedestrian", "static")
 NO_MOTION = np.zeros(GRID.shape, np.uint8)
-NOTHING = np.zeros((0, 2), np.float32)
-
-
-def frame(visible, occupied):
-    return GridFrame(0, visible, occupied, SE2(), NOTHING, NOTHING, np.zeros(0, np.uint8))
 
 
 def test_without_truth_only_visible_cells_are_scored():
@@ -56,11 +52,18 @@ def test_with_truth_hidden_outlines_are_occupied_interiors_not_scored_and_visibl
     assert set(target.labels.tolist()) == {1}
 
 
-def fan(labels, distance=2.2):
+def fan(labels):
     """As many beams as there are labels, all ending in cell [2, 4] of the grid, seen from [2, 2]."""
-    angles = 0.01 * np.arange(len(labels))
-    ranges = np.full(angles.size, distance, np.float32)
+    ranges = np.full(len(labels), 2.2, np.float32)
     return Scan(0, ranges, 0.0, 0.01, 0.0, 9.0, labels=np.array(labels, np.uint8))
+
+
+def seen_by(*fans):
+    """The target of a frame in which cell [2, 4] alone is occupied."""
+    occupied = np.zeros((5, 5))
+    occupied[2, 4] = True
+    observation = Observation(frame(np.ones((5, 5)), occupied), fans, (SE2(2.5, 2.1),) * len(fans))
+    return target_of(observation, GRID, NAMES, NO_MOTION)
 
 
 @pytest.mark.parametrize(
@@ -68,23 +71,15 @@ def fan(labels, distance=2.2):
     [([1, 1, 0], [1]), ([0, 1], [0]), ([255, 255, 1], []), ([255, 1, 1], [1]), ([255, 255], [])],
 )
 def test_a_cell_has_the_class_of_most_beams_that_end_in_it(labels, found):
-    occupied = np.zeros((5, 5), bool)
-    occupied[2, 4] = True
-    observation = Observation(frame(np.ones((5, 5), bool), occupied), (fan(labels),), (SE2(2.5, 2.1),))
-    target = target_of(observation, GRID, NAMES, NO_MOTION)
+    target = seen_by(fan(labels))
     assert target.labels.tolist() == found
     assert target.cells.tolist() == [2 * 5 + 4] * len(found)
 
 
 def test_beams_of_all_sensors_vote_together():
-    occupied = np.zeros((5, 5), bool)
-    occupied[2, 4] = True
-    scans = (fan([0, 0]), replace(fan([1, 1, 1]), sensor="rear"))
-    observation = Observation(frame(np.ones((5, 5), bool), occupied), scans, (SE2(2.5, 2.1), SE2(2.5, 2.1)))
-    assert target_of(observation, GRID, NAMES, NO_MOTION).labels.tolist() == [1]
+    assert seen_by(fan([0, 0]), replace(fan([1, 1, 1]), sensor="rear")).labels.tolist() == [1]
 
 
 def test_a_label_without_a_class_is_refused():
-    observation = Observation(frame(np.ones((5, 5), bool), np.ones((5, 5), bool)), (fan([2]),), (SE2(2.5, 2.1),))
     with pytest.raises(RecordingError, match=r"is class 2 at 0\.000 s, but the recording has 2 classes"):
-        target_of(observation, GRID, NAMES, NO_MOTION)
+        seen_by(fan([2]))
