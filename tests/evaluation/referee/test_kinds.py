@@ -23,20 +23,8 @@ def kinds_of(frames, window=SE2(), stamp_ns=0):  # noqa: B008
     return observed_kinds(map(Observation, frames), GRID).at(window, stamp_ns)
 
 
-def frames_with_cell_occupied(times, of, cell=(3, 3)):
-    for i in range(of):
-        occupied = np.zeros(GRID.shape, bool)
-        occupied[cell] = i < times
-        yield frame(np.ones(GRID.shape, bool), occupied)
-
-
 def names(cell_kinds):
     return np.array(CELL_KINDS)[cell_kinds]
-
-
-def test_static_is_occupied_in_more_than_half_of_the_frames():
-    assert names(kinds_of(frames_with_cell_occupied(3, 5)))[3, 3] == "static"
-    assert (names(kinds_of(frames_with_cell_occupied(2, 4))) == "dynamic").all()
 
 
 def test_the_half_is_of_the_frames_in_which_the_cell_is_visible():
@@ -44,18 +32,6 @@ def test_the_half_is_of_the_frames_in_which_the_cell_is_visible():
     seen_once[3, 3] = True
     frames = [frame(seen_once, seen_once), *(frame(~seen_once, ~np.ones(GRID.shape, bool)) for _ in range(9))]
     assert names(kinds_of(frames))[3, 3] == "static"
-
-
-def test_the_ring_is_the_eight_neighbours():
-    kind_names = names(kinds_of(frames_with_cell_occupied(1, 1)))
-    assert (kind_names[2:5, 2:5] != "ring").sum() == 1
-    assert (kind_names == "ring").sum() == 8
-    assert (kind_names == "dynamic").sum() == 49 - 9
-
-
-def test_the_ring_does_not_wrap_round_the_grids_edge():
-    kind_names = names(kinds_of(frames_with_cell_occupied(1, 1, cell=(0, 0))))
-    assert (kind_names == "ring").sum() == 3
 
 
 @given(st.lists(st.lists(st.booleans(), min_size=49, max_size=49), min_size=1, max_size=5))

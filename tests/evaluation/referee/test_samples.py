@@ -7,16 +7,16 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.referee import samples as samples_module
 from gridtrack.evaluation.referee.referee import Schedule, ScoredForecast
 from gridtrack.evaluation.referee.samples import SAMPLES, SamplesError, SampleWriter, kept_forecasts, read_samples
-from gridtrack.evaluation.referee.strata import CELL_KINDS, region_maps_of
+from gridtrack.evaluation.referee.strata import PARTS, region_maps_of
 from gridtrack.evaluation.referee.targets import Target
 from gridtrack.trackers.contract import Forecast, TrackedObject
 
 from scenes.drawn_samples import write_samples
+from scenes.scored_cells import frame
 
 GRID = GridSpec(12, 0.25, (-1.0, 2.0))
 STEPS, PERIOD_S = 15, 0.1
@@ -24,20 +24,21 @@ ORIGINS = np.array([[0.5, 2.25], [-0.75, 3.0]], np.float32)
 
 
 def random_forecast(seed):
+    """With states of hidden cells, cells in motion and an object."""
     rng = np.random.default_rng(seed)
-    nothing = np.zeros((0, 2), np.float32)
-    frames = []
+    targets = []
     for n in range(STEPS + 1):
-        visible = rng.random(GRID.shape) < 0.6
-        occupied = visible & (rng.random(GRID.shape) < 0.3)
         stamp_ns = seed * 1_000_000_000 + n * 100_000_000
-        frames.append(GridFrame(stamp_ns, visible, occupied, SE2(), ORIGINS, nothing, np.zeros(0, np.uint8)))
+        seen = frame(rng.random(GRID.shape) < 0.6, rng.random(GRID.shape) < 0.3, stamp_ns)
+        target = Target.of_frame(replace(seen, origins=ORIGINS))
+        hidden, motion = rng.integers(2, 5, GRID.shape), rng.integers(0, 3, GRID.shape).astype(np.uint8)
+        state = np.where(seen.visible, target.state, hidden).astype(np.uint8)
+        targets.append(replace(target, state=state, motion=motion))
     box, velocity = rng.uniform(-3, 3, 5).astype(np.float32), rng.uniform(-2, 2, 2).astype(np.float32)
     tracked = TrackedObject(17, box, velocity, np.eye(4, dtype=np.float32))
     forecast = Forecast(rng.random((STEPS + 1, *GRID.shape), dtype=np.float32), objects=(tracked,))
-    nowhere = np.zeros(GRID.shape, np.uint8)
-    region_maps = region_maps_of(nowhere, GRID, ORIGINS)
-    return ScoredForecast(forecast, tuple(Target.of_frame(frame) for frame in frames), region_maps, nowhere)
+    region_maps = region_maps_of(rng.integers(0, 3, GRID.shape).astype(np.uint8), GRID, ORIGINS)
+    return ScoredForecast(forecast, tuple(targets), region_maps, np.zeros(GRID.shape, np.uint8))
 
 
 @pytest.fixture
@@ -63,33 +64,14 @@ def test_samples_survive_a_round_trip(written):
             assert np.array_equal(sample.observed_visible[i], scored.frames[step].visible)
             assert np.array_equal(sample.observed_occupied[i], scored.frames[step].occupied)
             assert np.abs(sample.forecast[i] - scored.forecast.occupancy[step]).max() <= 0.5 / 255 + 1e-6
-
-
-def test_states_motion_and_objects_survive_a_round_trip(tmp_path):
-    scored = random_forecast(1)
-    rng = np.random.default_rng(5)
-    kinds = rng.integers(0, 3, GRID.shape).astype(np.uint8)
-    targets = tuple(
-        replace(
-            one,
-            state=np.where(one.frame.visible, one.state, rng.integers(2, 5, GRID.shape)).astype(np.uint8),
-            motion=rng.integers(0, 3, GRID.shape).astype(np.uint8),
-        )
-        for one in scored.targets
-    )
-    scored = replace(scored, targets=targets, region_maps=region_maps_of(kinds, GRID, ORIGINS))
-    with SampleWriter(tmp_path / SAMPLES, GRID, PERIOD_S, STEPS) as writer:
-        writer.add(scored)
-    (sample,) = read_samples(tmp_path / SAMPLES)
-    for i, step in enumerate((5, 10)):
-        target = targets[step]
-        assert np.array_equal(sample.state[i], target.state)
-        expected = target.frame.visible & (kinds == CELL_KINDS.index("dynamic")) & (target.motion != 1)
-        assert np.array_equal(sample.in_motion[i], expected)
-    (kept,), (tracked,) = sample.objects, scored.forecast.objects
-    assert kept.track == 17
-    assert np.allclose(kept.box, tracked.box, atol=1e-5)
-    assert np.allclose(kept.velocity, tracked.velocity, atol=1e-5)
+            target = scored.targets[step]
+            assert np.array_equal(sample.state[i], target.state)
+            expected = target.frame.visible & scored.region_maps.dynamic & (target.motion != PARTS.index("standing"))
+            assert np.array_equal(sample.in_motion[i], expected)
+        (kept,), (tracked,) = sample.objects, scored.forecast.objects
+        assert kept.track == 17
+        assert np.allclose(kept.box, tracked.box, atol=1e-5)
+        assert np.allclose(kept.velocity, tracked.velocity, atol=1e-5)
 
 
 def test_an_earlier_file_has_the_states_of_visible_cells_alone(written, monkeypatch):

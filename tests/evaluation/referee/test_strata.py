@@ -4,11 +4,9 @@ import numpy as np
 
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.referee.strata import (
-    AGES_S,
     CELL_KINDS,
     STRATA,
     STRATA_WITH_TRUTH,
-    SUMS_OF_REGIONS,
     THRESHOLD_OF,
     LastSeen,
     region_maps_of,
@@ -19,24 +17,6 @@ from scenes.scored_cells import frame
 
 def test_strata_without_truth_are_first_so_their_indices_agree():
     assert STRATA_WITH_TRUTH[: len(STRATA)] == STRATA
-
-
-def test_every_cell_is_in_exactly_one_band():
-    def regions(prefix):
-        return SUMS_OF_REGIONS[[i for i, name in enumerate(STRATA_WITH_TRUTH) if name.startswith(prefix)]]
-
-    whole = dict(zip(STRATA_WITH_TRUTH, SUMS_OF_REGIONS, strict=True))
-    ages = [name for name in STRATA_WITH_TRUTH if name.startswith("occluded ") and name.endswith("s")]
-    assert len(ages) == len(AGES_S) + 1
-    assert np.array_equal(sum(whole[name] for name in ages), whole["occluded"])
-    assert np.array_equal(regions("visible ").sum(axis=0), whole["visible"])
-    assert (whole["visible"] + whole["occluded"] == 1).all()
-
-
-def test_open_cells_are_in_the_stratum_in_motion_so_that_false_alarms_anywhere_count_there():
-    whole = dict(zip(STRATA_WITH_TRUTH, SUMS_OF_REGIONS, strict=True))
-    assert np.array_equal(whole["dynamic"], whole["in-motion"] + whole["standing"])
-    assert whole["in-motion"].sum() == 2 * whole["standing"].sum() > 0
 
 
 def test_bands_use_the_threshold_of_the_whole_stratum_all_others_their_own():

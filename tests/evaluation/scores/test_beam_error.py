@@ -6,11 +6,11 @@ import pytest
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
-from gridtrack.evaluation.referee.targets import SEEN_OCCUPIED, Target, crossing_beams, target_of
+from gridtrack.evaluation.referee.targets import crossing_beams, target_of
 from gridtrack.evaluation.scores.beam_error import BEAM_ERROR, EDGES_M, expected_ranges, median_size
 from gridtrack.recordings.observation import Observation
 
-from scenes.scored_cells import DYNAMIC_CELL, counted, frame, region_maps, scored
+from scenes.scored_cells import DYNAMIC_CELL, counted, frame, region_maps, scored, values
 
 SIZE = 40
 GRID = GridSpec(SIZE, 0.5, (-5.0, -10.0))
@@ -140,20 +140,10 @@ def test_errors_are_summed_over_all_beams_of_the_visible_cells():
     assert errors["early"][0] == pytest.approx([1.25 + 14.75 - 8.0])
     assert errors["late"][0] == pytest.approx([3.0])
     assert errors.block("beams")[0].sum(axis=-1).tolist() == [3]
+    found = values(BEAM_ERROR, errors)
+    assert (found["mean"][0], found["bias"][0]) == (pytest.approx([11.0 / 3]), pytest.approx([-5.0 / 3]))
     low, high = (EDGES_M[np.nonzero(errors.block("beams")[0, 0])[0] + end] for end in (0, 1))
     assert ((low <= [1.25, 3.0, 6.75]) & (high > [1.25, 3.0, 6.75])).all()
-
-
-def test_a_forecast_of_walls_everywhere_is_far_from_beams_that_leave_the_window():
-    everywhere = np.ones(GRID.shape, np.float32)
-    beams = crossing_beams(observed((scan_of([2.0, np.inf]), SE2(0.25, 0.25))), GRID)
-    assert ends_in(everywhere, beams) - beams.ranges == pytest.approx([0.25 - 4.0, 0.25 - 29.5])
-
-
-def test_a_target_without_scans_has_no_beams():
-    target = Target(EMPTY, np.full(GRID.shape, SEEN_OCCUPIED, np.uint8), np.zeros(GRID.shape, np.uint8))
-    forecast = scored(np.zeros((1, SIZE, SIZE), np.float32), [target], region_maps(np.zeros(GRID.shape)))
-    assert not counted(BEAM_ERROR, forecast)[1].values.any()
 
 
 @pytest.mark.parametrize("number", [1, 501, 4000])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from sklearn.metrics import average_precision_score, brier_score_loss, f1_score, log_loss, precision_score, recall_score
 
-from gridtrack.evaluation.referee.strata import CELL_KINDS, STRATA, STRATA_WITH_TRUTH
+from gridtrack.evaluation.referee.strata import STRATA, STRATA_WITH_TRUTH
 from gridtrack.evaluation.referee.targets import Target
 from gridtrack.evaluation.scores.brier import BRIER
 from gridtrack.evaluation.scores.calibration import CALIBRATION, POSSIBLY_OCCUPIED
@@ -20,10 +20,19 @@ from gridtrack.evaluation.scores.log_loss import LOG_LOSS
 from gridtrack.evaluation.scores.pr_auc import PR_AUC
 from gridtrack.evaluation.scores.thresholds import Thresholds, half
 
-from scenes.scored_cells import counted, frame, members_of, random_forecast, region_maps, scored, values
+from scenes.scored_cells import (
+    DYNAMIC_CELL,
+    STATIC_CELL,
+    counted,
+    frame,
+    members_of,
+    random_forecast,
+    region_maps,
+    scored,
+    values,
+)
 
 VISIBLE, DYNAMIC, STATIC = (STRATA.index(name) for name in ("visible", "dynamic", "static"))
-RING_CELL, STATIC_CELL, DYNAMIC_CELL = (CELL_KINDS.index(name) for name in ("ring", "static", "dynamic"))
 
 
 def binned_by(edges, p):
@@ -57,18 +66,6 @@ def test_a_hand_computed_forecast():
     assert tally.squared_error[0, :3] == pytest.approx([0.01 + 0.36 + 0.36, 0.36 + 0.36, 0.01], abs=1e-6)
     assert tally.log_loss[0, STATIC] == pytest.approx(-np.log(0.9))
     assert tally.log_loss[0, DYNAMIC] == pytest.approx(-2 * np.log(0.4))
-
-
-def test_a_ring_cell_counts_as_visible_only():
-    tally = count(np.full((1, 1, 1), 0.7, np.float32), [frame([[1]], [[1]])], [[RING_CELL]])
-    assert tally.cells.sum(axis=(0, 2)).tolist() == [1, 0, 0, 0, 0]
-
-
-def test_cells_that_are_hidden_in_the_observed_frame_are_not_scored():
-    nothing_seen = frame(np.zeros((5, 5)), np.zeros((5, 5)))
-    tally = count(np.ones((1, 5, 5), np.float32), [nothing_seen], np.full((5, 5), DYNAMIC_CELL))
-    assert tally.cells.sum() == 0
-    assert tally.squared_error.sum() == tally.log_loss.sum() == 0
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -209,33 +209,26 @@ def hand_drawn(occupied_at, p_at, size=9, steps=3, hidden=()):
     return paths_along(np.array([[1.5, 4.5]]), np.array([[1.0, 0.0]]), 0.6, steps, size), targets, p
 
 
-def test_a_person_who_crosses_before_the_robot_is_no_contact_and_one_who_is_there_in_time_is():
-    paths, targets, _ = hand_drawn([(1, 4, 4), (2, 4, 4)], [])
-    assert events_of(paths, states_of(targets[1:]), has_truth=False).contact == [NEVER]
-    paths, targets, _ = hand_drawn([(3, 4, 4)], [])
+@pytest.mark.parametrize(
+    ("occupied", "hidden", "contact", "unseen"),
+    [
+        pytest.param([(1, 4, 4), (2, 4, 4)], [], NEVER, NEVER, id="somebody crosses before the robot"),
+        pytest.param([(3, 4, 4)], [], 3, NEVER, id="somebody is there in time"),
+        pytest.param([(3, 4, 4)], [(2, 4, 3)], 3, 2, id="a contact after an unseen cell"),
+        pytest.param([], [(2, 4, 3)], NEVER, 2, id="an unseen cell"),
+    ],
+)
+def test_contacts_and_unseen_cells_of_a_path_by_hand(occupied, hidden, contact, unseen):
+    paths, targets, _ = hand_drawn(occupied, [], hidden=hidden)
     events = events_of(paths, states_of(targets[1:]), has_truth=False)
-    assert (events.contact, events.hit) == ([3], [4 * 9 + 4])
-
-
-def test_the_risk_is_the_largest_probability_in_time_and_grows_with_the_horizon():
-    paths, _, p = hand_drawn([], [(1, 4, 4, 0.9), (2, 4, 3, 0.3), (3, 4, 4, 0.2), (3, 4, 8, 1.0)])
-    largest, independent = risks_of(paths, np.array([0]), p[1:])
-    assert largest[0].tolist() == pytest.approx([0.0, 0.3, 0.3])
-    assert independent[0].tolist() == pytest.approx([0.0, 0.3, 1 - 0.7 * 0.8])
+    assert (events.contact, events.unseen) == ([contact], [unseen])
+    assert contact == NEVER or events.hit == [4 * 9 + 4]
 
 
 def test_a_cell_without_a_number_gives_a_path_without_a_risk_from_then_on():
     paths, _, p = hand_drawn([], [(2, 4, 3, np.nan), (2, 4, 2, 0.5), (3, 4, 4, 0.2)])
     for risks in risks_of(paths, np.array([0]), p[1:]):
         assert np.isnan(risks[0]).tolist() == [False, True, True]
-
-
-def test_an_unseen_cell_makes_a_path_unknown_from_then_on_unless_a_contact_came_first():
-    paths, targets, _ = hand_drawn([(3, 4, 4)], [], hidden=[(2, 4, 3)])
-    events = events_of(paths, states_of(targets[1:]), has_truth=False)
-    assert (events.unseen, events.contact) == ([2], [3])
-    paths, targets, _ = hand_drawn([], [], hidden=[(2, 4, 3)])
-    assert events_of(paths, states_of(targets[1:]), has_truth=False).contact == [NEVER]
 
 
 def test_with_truth_hidden_outlines_and_interiors_are_contacts_and_nothing_is_unknown():

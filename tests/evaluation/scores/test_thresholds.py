@@ -53,14 +53,6 @@ def test_a_step_without_occupied_cells_gets_one_half():
     assert best_thresholds(Tally.empty(3), "v").values.tolist() == half(3).values.tolist()
 
 
-def test_a_blurred_forecast_gets_a_low_threshold():
-    blurred = np.zeros(PROBABILITY_BINS, np.int64)
-    blurred[PROBABILITY_EDGES.searchsorted(0.1)] = 7
-    free = np.zeros(PROBABILITY_BINS, np.int64)
-    free[0] = 100
-    assert 0.02 <= best_thresholds(tally_of(blurred, free), "v").values[0, VISIBLE] <= 0.2
-
-
 def cells_of(p, occupied):
     """A tally of step 0 with these cells (N,) in the dynamic stratum."""
     tally = Tally.empty(0)

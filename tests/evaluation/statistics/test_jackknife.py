@@ -232,20 +232,6 @@ def test_a_difference_of_differences_is_the_jackknifes_computed_one_unit_at_a_ti
     assert float(found.high - found.low) == pytest.approx(2 * stats.t.ppf(0.975, freedom) * jackknife_error(without))
 
 
-def test_pairing_cancels_common_difficulty():
-    rng = np.random.default_rng(9)
-    hard = rng.uniform(0.2, 0.9, 20)
-    cells = np.full(20, 400)
-    both = []
-    for better in (0.03, 0.0):
-        tp = rng.binomial(cells, np.minimum(hard + better, 1))
-        both.append(np.stack([tp, 0 * tp, cells - tp, 0 * tp, tp, tp], axis=-1).astype(float))
-    paired, shuffled = differences(*both), differences(both[0], rng.permutation(both[1]))
-    assert float(paired.p) < 0.01
-    assert float(shuffled.p) > 0.3
-    assert float(paired.value) == float(shuffled.value)
-
-
 def test_units_of_different_number_are_not_paired():
     counts = counts_of(np.random.default_rng(10), units=21)
     with pytest.raises(ValueError, match="21 units cannot be paired with 20"):
@@ -303,17 +289,6 @@ def test_the_interval_of_pr_auc_is_the_jackknife_of_its_log_odds_computed_one_un
     found = pr_auc_of(cells, positives)
     assert found.value == pytest.approx(value)
     assert np.ravel(ends_of(found, "odds")) == pytest.approx(ends)
-
-
-def test_the_difference_in_pr_auc_is_paired_and_zero_for_equal_forecasts():
-    rng = np.random.default_rng(6)
-    good, poor = (pr_auc_of(*histograms(rng, skill=skill)) for skill in (2.5, 1.5))
-    found = difference(good, poor)
-    assert found.value == pytest.approx(good.value - poor.value)
-    assert found.low > 0
-    assert found.p < 0.001
-    same = difference(good, good)
-    assert (float(same.value[0]), float(same.p[0])) == (0.0, 1.0)
 
 
 def test_a_pr_auc_that_is_undefined_without_a_unit_has_no_interval():

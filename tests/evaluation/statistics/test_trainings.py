@@ -73,15 +73,6 @@ def test_a_difference_there_is_not_is_found_as_seldom_as_it_should_be_where_unit
     assert 0.03 <= np.mean(p < 0.05) <= 0.08, "with 19 degrees of freedom 0.13"
 
 
-def test_units_alone_would_cover_too_little_of_the_same_draws():
-    rng, covered, draws = np.random.default_rng(0), 0, 200
-    for _ in range(draws):
-        sides = [0.6 + 0.01 * rng.standard_normal((1, 1, 1)) + 0.005 * rng.standard_normal((1, 20, 1)) for _ in "ab"]
-        found = training_differences(*(trainings_of(side, False) for side in sides))
-        covered += bool(found.low[0] <= 0.0 <= found.high[0])
-    assert covered / draws < 0.5
-
-
 def test_trainings_with_equal_counts_do_not_differ_though_their_mean_is_rounded():
     rng = np.random.default_rng(4)
     recalls = 0.6 + 0.1 * rng.standard_normal((1, 20, 400))
