@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from gridtrack.evaluation.regression.baseline import baseline_of as made_of
-from gridtrack.evaluation.regression.baseline import digest_of, write_baseline
+from gridtrack.evaluation.regression.baseline import write_baseline
 from gridtrack.evaluation.regression.measuring import measure_run
 from gridtrack.evaluation.runs.passes import AtStrength, CallTimes, Latency, Robustness
 from gridtrack.evaluation.runs.run_record import RUN_SCHEMA
@@ -222,29 +222,6 @@ def fill_run(
     configuration = {"recordings": {name: split_of(name, source) for name in names}, "trials": trials}
     provenance = {"schema": RUN_SCHEMA, "command": ["gridtrack", "compare"], "versions": {"python": "3"}}
     (run / "run.json").write_text(json.dumps({**provenance, "configuration": configuration, "status": "complete"}))
-
-
-@pytest.fixture
-def edit() -> Callable[[Path, Callable[[Any], Any]], None]:
-    """`edit(file, change)` reads JSON, lets `change` alter it, and writes it back."""
-
-    def edit(path: Path, change: Callable[[Any], Any]) -> None:
-        content = json.loads(path.read_text())
-        change(content)
-        path.write_text(json.dumps(content))
-
-    return edit
-
-
-@pytest.fixture
-def edit_baseline(edit: Callable[[Path, Callable[[Any], Any]], None]) -> Callable[[Path, Callable[[Any], Any]], None]:
-    """`edit_baseline(file, change)` is `edit` with a valid digest, as if gridtrack had written the file."""
-
-    def edit_baseline(path: Path, change: Callable[[Any], Any]) -> None:
-        edit(path, change)
-        edit(path, lambda content: content.update(digest=digest_of(content.get("runs"))))
-
-    return edit_baseline
 
 
 @pytest.fixture

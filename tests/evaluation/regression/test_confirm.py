@@ -19,6 +19,7 @@ from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.settings import CompareSettings
 from tests.evaluation.conftest import RecordedProgress
 
+from scenes.edited_run import edit
 from scenes.programs_here import programs_here
 from scenes.room import write_room
 from studies.support.plugins import write_distribution
@@ -86,9 +87,8 @@ def compared(mood, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patched, programs_here():
         patched.syspath_prepend(str(site))
         for name in ("then", "now"):
-            settings = CompareSettings(
-                recordings=recordings, trackers=trackers, out=made / name, horizon_s=1.0, jobs=1, no_floors=True
-            )
+            how = {"out": made / name, "horizon_s": 1.0, "jobs": 1, "no_floors": True}
+            settings = CompareSettings(recordings=recordings, trackers=trackers, **how)
             run(resolve(settings), ("gridtrack", "compare"), RecordedProgress())
             (mood / "bad").touch()
     return made
@@ -134,15 +134,15 @@ def test_a_fall_in_both_runs_is_worse(runs, folder, regress):
     assert all(look["confirmed"] and look["second"]["fall"] > 0 for look in verdict["second_looks"])
 
 
-def test_a_second_run_that_fails_or_has_other_inputs_is_not_measured(runs, folder, regress, edit, tmp_path):
+def test_a_second_run_that_fails_or_has_other_inputs_is_not_measured(runs, folder, regress):
     now, baseline = runs
     (folder / "broken").touch()
     done = regress(now, "--baseline", baseline, "--confirm")
     assert (done.code, "not measured: moody@one: " in done.err) == (3, True), done.err
-    edit(now / "run.json", lambda record: record["versions"].update(numpy="1.0"))
+    edit(now, lambda record: record["versions"].update(numpy="1.0"), "run.json")
     done = regress(now, "--baseline", baseline, "--confirm")
     assert (done.code, "numpy was 1.0 in the run and is " in done.err) == (3, True)
-    edit(now / "run.json", lambda record: record.pop("settings"))
+    edit(now, lambda record: record.pop("settings"), "run.json")
     done = regress(now, "--baseline", baseline, "--confirm")
     assert (done.code, "its record has no settings, so it cannot be run again" in done.err) == (3, True)
 
@@ -179,25 +179,15 @@ def test_without_a_worse_row_nothing_runs_again(runs, folder, regress, tmp_path)
     assert (done.code, "--confirm: --update judges nothing" in done.err) == (2, True)
 
 
-def test_the_record_of_a_run_starts_no_program(folder, record, progress, regress, tmp_path):
+def test_the_record_of_a_run_starts_no_program(folder, record, compare, regress, tmp_path):
     """The run may come from somebody else: its trackers.toml names an interpreter, which would run as the user."""
-    recording, programs = record("one", seconds=8, stretches={}, wall_m=3.0), tmp_path / "trackers.toml"
+    now, baseline, programs = (tmp_path / name for name in ("now", "baseline.json", "trackers.toml"))
     programs.write_text(f'[mine]\npython = "{sys.executable}"\ntracker = "moody"\n')
-    settings = CompareSettings(
-        recordings=(str(recording),),
-        trackers=(f"mine:folder={folder}", "blank"),
-        trackers_toml=programs,
-        horizon_s=1.0,
-        jobs=1,
-        no_floors=True,
-        out=tmp_path / "then",
-    )
-    run(resolve(settings), ("gridtrack", "compare"), progress)
-    baseline = tmp_path / "baseline.json"
+    how = {"recordings": (str(record("one", seconds=8, stretches={})),), "trackers_toml": programs, "every_s": None}
+    compare(f"mine:folder={folder}", "blank", **how, out=tmp_path / "then")
     assert regress(tmp_path / "then", "--baseline", baseline, "--update").code == 0
     (folder / "bad").touch()
-    now = tmp_path / "now"
-    run(resolve(settings.model_copy(update={"out": now})), ("gridtrack", "compare"), progress)
+    compare(f"mine:folder={folder}", "blank", **how, out=now)
     (folder / "starts").write_text("")
     done = regress(now, "--baseline", baseline, "--confirm")
     assert done.code == 3

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
+
+from gridtrack.evaluation.regression.judging import judged_recordings, judged_row
+from gridtrack.evaluation.regression.rows import PairedRow, row_tests
+from gridtrack.evaluation.regression.settings import GateSettings
+from gridtrack.evaluation.scores.definition import TrialFacts
+from gridtrack.evaluation.scores.f1 import F1
+from gridtrack.evaluation.scores.thresholds import half
 
 FEW = tuple(f"junction-{number:02}" for number in range(4))
 
@@ -109,20 +118,6 @@ def test_more_recoveries_are_worse_and_as_many_are_not(judged, write_run, regres
     assert same.code == 0
 
 
-def test_a_baseline_edited_by_hand_is_not_measured(baseline_of, write_run, regress, edit):
-    path = baseline_of({"net": {}}, recordings=2)
-
-    def lower(content):
-        for unit in content["runs"][0]["trackers"]["net"]["recordings"]["junction-00"]["units"]:
-            unit["sums"]["f1"]["visible"]["short"][0] -= 100
-            unit["sums"]["f1"]["visible"]["short"][2] += 100
-
-    edit(path, lower)
-    done = regress(write_run("now", {"net": {}}, recordings=2), "--baseline", path)
-    assert done.code == 3
-    assert "changed since it was written (its digest does not match its runs)" in done.err
-
-
 def test_a_degradation_of_another_strength_is_not_measured(judged):
     done, _ = judged({"degradations": (0.1, 0.2)}, {"degradations": (0.1, 0.4)}, recordings=2)
     assert done.code == 3
@@ -150,11 +145,7 @@ def test_each_verdict_has_the_smallest_fall_that_would_have_been_found(judged, w
     assert 0.005 <= smallest["visible"] < smallest["dynamic"] < 0.05
     junit, page = tmp_path / "junit.xml", tmp_path / "page.md"
     done = regress(tmp_path / "now", "--baseline", tmp_path / "baseline.json", "--junit", junit, "--markdown", page)
-    (line,) = [line for line in done.out.splitlines() if "could have shown: " in line]
-    size = r"0\.0\d+ \(\w+, [^()]+ s\)"
-    assert re.fullmatch(
-        rf"net: the smallest fall in F1 that this baseline could have shown: {size} at best, {size} at worst", line
-    )
+    assert "net: the smallest fall in F1 that this baseline could have shown: 0.0" in done.out
     assert "| worse by | found from | margin |" in page.read_text()
     cases = ElementTree.parse(junit).findall("testcase/system-out")
     assert len(cases) == len(rows)
@@ -178,8 +169,40 @@ def test_a_fall_of_several_times_the_smallest_is_found_and_a_third_of_it_is_not(
     assert (worse, codes) == ([], [0, 1])
 
 
-def test_an_equal_limit_in_all_places_is_printed_once(baseline_of, write_run, regress):
-    baseline = baseline_of({"net": {"recall": 0.7}})
-    done = regress(write_run("now", {"net": {"recall": 0.7}}), "--baseline", baseline)
-    lines = [line for line in done.out.splitlines() if "could have shown: " in line]
-    assert lines == ["net: the smallest fall in F1 that this baseline could have shown: 0.0050 (visible, 0 to 0.5 s)"]
+UNITS = 20
+
+
+def fallen_row(recalls, now, recordings):
+    """F1 of trainings with these recalls and a run with the recall `now`, alike in all units but for a little noise."""
+    rng = np.random.default_rng(0)
+    tp = 1000 * (np.array([*recalls, now])[:, None] + 0.002 * rng.standard_normal((len(recalls) + 1, UNITS)))
+    parts = F1.parts(TrialFacts(0.2, 1, ("visible",), half(1, ("visible",))))
+    sums = np.stack([tp, 0 * tp, 1000 - tp, *13 * [0 * tp]], axis=-1)
+    return PairedRow(
+        "net", F1, F1.output("f1"), "visible", "middle", parts, sums[:-1], sums[-1], np.arange(UNITS), recordings
+    )
+
+
+@pytest.mark.parametrize(("recalls", "worse"), [((0.3, 0.6, 0.9), False), ((0.6,), True)])
+def test_a_single_recording_is_judged_over_all_units_with_the_test_over_trainings_and_has_no_list(recalls, worse):
+    row = fallen_row(recalls, 0.4, ("one",) * UNITS)
+    (test,) = row_tests([row])
+    found = judged_row(row, test, GateSettings())
+    assert found.fall > 0.1
+    assert (found.verdict == "worse") == worse
+    assert judged_recordings([row], [test], GateSettings()) == ()
+
+
+def test_equal_rows_have_p_1_beside_a_fallen_one():
+    recordings = ("one",) * UNITS
+    equal, fallen = fallen_row((0.6,), 0.6, recordings), fallen_row((0.6,), 0.4, recordings)
+    equal = dataclasses.replace(equal, run=equal.trainings[0])
+    assert [test.p for test in row_tests([equal])] == [1.0]
+    alone, beside = row_tests([fallen])[0].p, row_tests([equal, fallen])[1].p
+    assert alone == beside < 0.01
+
+
+def test_a_collapse_on_either_of_two_recordings_is_listed():
+    row = fallen_row((0.3, 0.6, 0.9), 0.4, ("one", "two") * (UNITS // 2))
+    found = judged_recordings([row], row_tests([row]), GateSettings())
+    assert {(one.recording, one.criterion) for one in found} == {("one", "collapse"), ("two", "collapse")}

@@ -11,6 +11,8 @@ import pytest
 
 from gridtrack.evaluation.regression.history import read_history
 
+from scenes.edited_run import edit
+
 GOOD, FALLEN = {"kalman": {"seed": 1}, "<b>&": {"seed": 2}}, {"kalman": {"seed": 1, "loss": 0.3}, "<b>&": {"seed": 2}}
 
 
@@ -74,12 +76,9 @@ def test_a_score_that_was_worse_has_a_panel_with_a_cross_and_a_line_through_all_
         regress(run, "--baseline", baseline, "--history", tmp_path / "history")
     drawing = (tmp_path / "history" / "history.svg").read_text()
     panels = re.findall(r">([^<>]+, [\d.]+ to [\d.]+ s[^<>]*)</text>", drawing)
-    title = "log loss, dynamic, 0.5 to 1.5 s"
     assert panels[:2] == ["F1, dynamic, 0.5 to 1.5 s", "F1, visible, 0.5 to 1.5 s"]
-    assert f"{title} (lower is better)" in panels
+    assert "log loss, dynamic, 0.5 to 1.5 s (lower is better)" in panels
     assert drawing.count(": worse: kalman in log loss, visible, 0 to 0.5 s") >= len(panels)
-    assert drawing.count(f"{title} and ") >= len(panels)
-    assert {"#55585e", "#1f6fd0"} <= set(re.findall("#[0-9a-f]{6}", drawing)), "the colours of floors and trackers"
 
 
 def test_a_run_that_was_worse_on_one_recording_alone_is_marked_too(baseline_of, write_run, regress, tmp_path):
@@ -89,19 +88,19 @@ def test_a_run_that_was_worse_on_one_recording_alone_is_marked_too(baseline_of, 
     assert ": worse: a tracker on one recording, or its recoveries<" in (history / "history.svg").read_text()
 
 
-def test_a_history_that_was_changed_or_shortened_is_refused(check, tmp_path, edit):
+def test_a_history_that_was_changed_or_shortened_is_refused(check, tmp_path):
     for name in ("one", "two"):
         assert check(name, GOOD).code == 0
     first, second = entries(tmp_path)
     text = first.read_text()
-    edit(first, lambda content: content.update(verdict="worse"))
+    edit(first.parent, lambda content: content.update(verdict="worse"), first.name)
     done = check("three", GOOD)
     assert (done.code, "changed since it was written" in done.err) == (2, True)
     first.unlink()
     done = check("three", GOOD)
     assert (done.code, "the entry before 20" in done.err) == (2, True)
     first.write_text(text)
-    edit(second, lambda content: content.update(schema=9))
+    edit(second.parent, lambda content: content.update(schema=9), second.name)
     done = check("three", GOOD)
     assert (done.code, "schema '9' of a history; this gridtrack reads schema 1" in done.err) == (2, True)
 
@@ -139,12 +138,9 @@ def test_ten_small_falls_with_an_update_after_each_are_worse_than_the_best_entry
     assert history[-1].verdict == "worse"
 
 
-def test_a_fall_since_the_best_entry_within_the_margin_is_no_worse(drift):
-    assert drift(1)[1].code == 0
-
-
-def test_a_fall_since_the_best_entry_within_the_tolerance_is_no_worse(drift):
-    assert drift(4, "--tolerance", "net=0.1")[1].code == 0
+@pytest.mark.parametrize(("updates", "options"), [(1, ()), (4, ("--tolerance", "net=0.1"))])
+def test_a_fall_since_the_best_entry_within_the_margin_or_the_tolerance_is_no_worse(drift, updates, options):
+    assert drift(updates, *options)[1].code == 0
 
 
 def test_a_missing_entry_is_noticed_also_if_it_is_the_newest(drift, regress, tmp_path):

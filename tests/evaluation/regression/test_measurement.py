@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
@@ -23,15 +21,6 @@ def test_sums_come_back_as_they_were(sums):
 def test_names_of_parts_come_back_as_they_were(blocks):
     names = tuple(name for base, size in blocks for name in (base, *(f"{base} {n}" for n in range(size))))
     assert PARTS.validate_json(PARTS.dump_json(names)) == names
-
-
-def test_a_histogram_of_few_counts_is_short():
-    packed = json.loads(SUMS.dump_json((*[0.0] * 700, 3.0, 0.0, 0.5, *[0.0] * 70)))
-    assert packed == ["700*0", 3, 0, 0.5, "70*0"]
-    assert json.loads(PARTS.dump_json((*(f"contacts {n}" for n in range(700)), "seconds"))) == [
-        "contacts 0-699",
-        "seconds",
-    ]
 
 
 def test_the_step_nearest_to_half_a_second_is_in_the_short_band_at_every_rate():

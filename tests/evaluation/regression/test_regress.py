@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import shutil
 from xml.etree import ElementTree
 
 import pytest
 
+from gridtrack.evaluation.regression.baseline import digest_of
 from gridtrack.evaluation.regression.judging import VerdictRow
 from gridtrack.reports.verdict_text import sentence_of
+
+from scenes.edited_run import edit
 
 MIDDLE = slice(5, 13)
 NAMES = {"kalman": {}, "persistence": {"recall": 0.4, "seed": 7}}
@@ -26,14 +30,32 @@ def short_baseline(baseline_of):
     return baseline_of(NAMES, recordings=2)
 
 
-@pytest.mark.parametrize("content", ["not even JSON", '{"schema": 2, "trackers": {}}'])
-def test_a_file_that_is_no_baseline_is_neither_read_nor_replaced(content, write_run, regress, tmp_path):
+@pytest.fixture
+def run(run_of):
+    """A run as the one of `short_baseline`; tests must not change it."""
+    return run_of(NAMES, recordings=2)
+
+
+@pytest.fixture
+def judged(short_baseline, run_of, regress):
+    """`judged(trackers, *options)`: the outcome of a run of these trackers against `short_baseline`."""
+
+    def judged(trackers, *options, recordings=2):
+        return regress(run_of(trackers, recordings=recordings), "--baseline", short_baseline, *options)
+
+    return judged
+
+
+NO_BASELINES = ["", "{", "[1]", "not JSON", "[" * 100_000, '{"schema": 1e999}', "\x00", '{"schema": 2, "trackers": {}}']
+
+
+@pytest.mark.parametrize("content", NO_BASELINES)
+def test_a_file_that_is_no_baseline_is_refused_in_one_line_and_not_replaced(content, run, regress, tmp_path):
     mine = tmp_path / "mine.json"
     mine.write_text(content)
-    run = write_run("now", NAMES, recordings=2)
     for update in ((), ("--update",)):
         done = regress(run, "--baseline", mine, *update)
-        assert done.code == 2
+        assert (done.code, done.err.count("\n")) == (2, 1)
         assert "make it again with --update" not in done.err
         assert mine.read_text() == content
 
@@ -106,62 +128,42 @@ def test_a_small_fall_on_one_recording_of_twenty_is_printed_as_no_collapse(basel
     assert "change on one recording, no collapse: kalman on junction-07, dynamic" in done.out
 
 
-def test_on_too_few_units_any_fall_is_worse_unless_a_tolerance_or_margin_is_given(short_baseline, write_run, regress):
-    run = write_run("now", {**NAMES, "kalman": {"loss": 0.01}}, recordings=2)
-    done = regress(run, "--baseline", short_baseline)
+def test_on_too_few_units_any_fall_is_worse_unless_a_tolerance_or_margin_is_given(judged):
+    fallen = {**NAMES, "kalman": {"loss": 0.01}}
+    done = judged(fallen)
     assert done.code == 1
     assert "2 paired units, too few for significance, which needs 20" in done.out
     assert "persistence: every count is as in the baseline" in done.out
     for tolerated in (("--tolerance", "kalman=0.05"), ("--margin", "0.05")):
-        assert regress(run, "--baseline", short_baseline, *tolerated).code == 0
+        assert judged(fallen, *tolerated).code == 0
 
 
-def test_one_short_recording_has_one_statement_for_each_pair_and_one_rule(baseline_of, write_run, regress, tmp_path):
-    path = baseline_of(NAMES, recordings=1)
-    run = write_run("now", {**NAMES, "kalman": {"loss": 0.05}}, recordings=1)
-    done = regress(run, "--baseline", path, "--markdown", tmp_path / "said.md")
-    sentences = [line for line in done.out.splitlines() if "kalman" in line and ": F1 " in line]
-    assert done.code == 1
-    assert len({line.split(": F1")[0] for line in sentences}) == len(sentences) >= 3
-    assert all(line.startswith("worse: kalman, ") and line.endswith("; any fall is worse") for line in sentences)
-    assert not any(" on one recording" in line for line in done.out.splitlines() if "kalman" in line)
-    assert "On one recording" not in (tmp_path / "said.md").read_text()
-
-
-def test_no_stated_fall_is_larger_than_the_score_itself(baseline_of, write_run, regress, tmp_path):
+def test_no_stated_fall_is_larger_than_the_score_itself(baseline_of, write_run, regress):
     path = baseline_of({"net": {"recall": 0.1}}, recordings=2)
     run = write_run("now", {"net": {"recall": 0.1, "loss": 0.05}}, recordings=2)
-    done = regress(run, "--baseline", path)
-    listed = [line for line in done.out.splitlines() if "on one recording" in line and "net on" in line]
-    assert len(listed) == 2
-    assert all(line.endswith("; no fall on one recording could be found with so few cells") for line in listed)
     rows = json.loads(regress(run, "--baseline", path, "--json").out)["on_recordings"]
     assert [row["smallest"] for row in rows] == [None, None]
-    wide = regress(run, "--baseline", path, "--margin", "0.9", "--junit", tmp_path / "junit.xml")
-    assert wide.code == 0
-    cases = ElementTree.parse(tmp_path / "junit.xml").iterfind("testcase")
-    sentences = {case.findtext("system-out").split("; ")[-1] for case in cases if case.get("name").startswith("F1")}
-    assert sentences == {"no fall is beyond the margin of 0.9000"}
+    assert regress(run, "--baseline", path, "--margin", "0.9").code == 0
 
 
 @pytest.mark.parametrize(
-    ("baseline", "margin", "verdict", "says"),
+    ("recording", "baseline", "margin", "verdict", "says"),
     [
-        (0.2, 0.005, "no worse", "no fall could be found with so few units"),
-        (0.2, 0.3, "no worse", "no fall is beyond the margin of 0.3000"),
-        (0.0, 0.005, "no worse", "no fall is possible"),
-        (0.2, 0.005, "worse", "no fall alike in all units could be found"),
+        ("", 0.2, 0.005, "no worse", "no fall could be found with so few units"),
+        ("", 0.2, 0.3, "no worse", "no fall is beyond the margin of 0.3000"),
+        ("", 0.0, 0.005, "no worse", "no fall is possible"),
+        ("", 0.2, 0.005, "worse", "no fall alike in all units could be found"),
+        ("hall", 0.2, 0.005, "no worse", "no fall on one recording could be found with so few cells"),
     ],
 )
-def test_a_row_says_why_no_fall_is_large_enough(baseline, margin, verdict, says):
-    where = "net", "f1.f1", "F1", "dynamic", "long", ""
+def test_a_row_says_why_no_fall_is_large_enough(recording, baseline, margin, verdict, says):
+    where = "net", "f1.f1", "F1", "dynamic", "long", recording
     row = VerdictRow(*where, baseline, baseline, 0.0, margin, float("inf"), 1.0, None, "", verdict)
     assert sentence_of(row).split("; ")[-1] == says
 
 
-def test_a_new_tracker_and_a_new_recording_are_noted_and_not_judged(short_baseline, write_run, regress):
-    run = write_run("now", {**NAMES, "newcomer": {"recall": 0.1}}, recordings=3)
-    done = regress(run, "--baseline", short_baseline)
+def test_a_new_tracker_and_a_new_recording_are_noted_and_not_judged(judged):
+    done = judged({**NAMES, "newcomer": {"recall": 0.1}}, recordings=3)
     assert done.code == 0
     assert "tracker newcomer is not in the baseline: not judged" in done.out
     assert "recording junction-02 is not in the baseline: not judged" in done.out
@@ -183,30 +185,17 @@ def test_a_change_is_printed_with_digits_that_show_it(then, now, relative, says)
     assert ", p < 0.0001;" in sentence_of(row)
 
 
-def test_worse_rows_are_listed_from_the_worst_down(short_baseline, write_run, regress):
-    trackers = {"kalman": {"recall": 0.58}, "persistence": {**NAMES["persistence"], "recall": 0.1}}
-    said = regress(write_run("now", trackers, recordings=2), "--baseline", short_baseline).out.splitlines()
-    worse = [line for line in said if line.startswith("worse: ") and "F1" in line and " on junction" not in line]
+def test_worse_rows_are_listed_from_the_worst_down(judged):
+    said = judged({"kalman": {"recall": 0.58}, "persistence": {**NAMES["persistence"], "recall": 0.1}}).out
+    worse = [
+        line for line in said.splitlines() if line.startswith("worse: ") and "F1" in line and " on junction" not in line
+    ]
     falls = [float(line.partition("a fall of ")[2].partition(";")[0].split(",")[0]) for line in worse]
     assert (len(falls) > 6, falls) == (True, sorted(falls, reverse=True))
 
 
-def forget(key):
-    def change(run_file):
-        del run_file["configuration"]["trials"][key]
-
-    return change
-
-
-def keep_nothing(run_file):
-    run_file["configuration"]["trials"] = {}
-
-
 def other(key, value):
-    def change(run_file):
-        run_file["configuration"]["recordings"]["junction-01"][key] = value
-
-    return change
+    return lambda run_file: run_file["configuration"]["recordings"]["junction-01"].update({key: value})
 
 
 def drop_recording(run_file):
@@ -220,91 +209,85 @@ def drop_recording(run_file):
     [
         (lambda r: r.update(status="running"), "the run is 'running', not complete"),
         (lambda r: r.update(status="interrupted"), "the run is 'interrupted', not complete"),
-        (keep_nothing, "the run has no trials"),
-        (forget("kalman@junction-01"), "kalman was not measured on every recording"),
-        (drop_recording, "recording junction-01 of the baseline is missing in the run"),
+        (lambda r: r["configuration"].update(trials={}), "the run has no trials"),
         (
-            other("sha256", "another file"),
-            "junction-01: not run as for the baseline (sha256: 'hash of junction-01' in",
+            lambda r: r["configuration"]["trials"].pop("kalman@junction-01"),
+            "kalman was not measured on every recording",
         ),
+        (drop_recording, "recording junction-01 of the baseline is missing in the run"),
+        (other("sha256", "a"), "junction-01: not run as for the baseline (sha256: 'hash of junction-01' in"),
         (other("stretch_s", [0.0, 30.0]), "junction-01: not run as for the baseline (stretch_s: '(0.0, 60.0)' in the"),
         (other("forecast_every_frames", 4), "(forecast_every_frames: '8' in the baseline, '4' in the run)"),
         (other("validation_sha256", ""), "(validation_sha256: 'hash of another' in the baseline, '' in the run)"),
     ],
 )
-def test_a_run_that_is_not_complete_or_not_the_same_never_passes(
-    short_baseline, write_run, regress, edit, change, says
-):
-    run = write_run("now", NAMES, recordings=2)
-    edit(run / "run.json", change)
+def test_a_run_that_is_not_complete_or_not_the_same_never_passes(short_baseline, write_run, regress, change, says):
+    run = edit(write_run("now", NAMES, recordings=2), change, "run.json")
     done = regress(run, "--baseline", short_baseline)
-    assert done.code == 3
-    assert says in done.err
+    assert (done.code, says in done.err) == (3, True)
 
 
 @pytest.mark.parametrize(
     ("made", "says"),
     [
-        ({"outcome": "crashed", "scored": 4}, "kalman@junction-00: crashed"),
-        ({"outcome": "untrained", "scored": 0}, "kalman@junction-00: untrained"),
-        ({"outcome": "ok", "scored": 0}, "kalman@junction-00: nothing was scored"),
-        ({"outcome": "ok", "scored": 7}, "kalman@junction-00: partial, 7 of 8 forecasts were scored"),
+        ({"outcome": "crashed", "scored": 4}, "junction-00: crashed"),
+        ({"outcome": "untrained", "scored": 0}, "junction-00: untrained"),
+        ({"outcome": "ok", "scored": 0}, "junction-00: nothing was scored"),
+        ({"outcome": "ok", "scored": 7}, "junction-00: partial, 7 of 8 forecasts were scored"),
     ],
 )
+@pytest.mark.parametrize("label", ["kalman", "newcomer"])
 def test_a_run_in_which_a_tracker_failed_or_nothing_was_scored_never_passes(
-    short_baseline, write_run, regress, made, says
+    short_baseline, run_of, regress, label, made, says
 ):
-    run = write_run("now", {**NAMES, "kalman": made}, recordings=2)
-    for arguments in (["--baseline", short_baseline], ["--baseline", short_baseline, "--update"]):
-        before = short_baseline.read_bytes()
-        done = regress(run, *arguments)
-        assert done.code == 3
-        assert says in done.err
+    run, before = run_of({**NAMES, label: made}, recordings=2), short_baseline.read_bytes()
+    for update in ((), ("--update",)):
+        done = regress(run, "--baseline", short_baseline, *update)
+        assert (done.code, f"{label}@{says}" in done.err) == (3, True)
         assert short_baseline.read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    ("trackers", "says"),
-    [
-        ({"kalman": {}}, "tracker persistence of the baseline is missing in the run"),
-        ({**NAMES, "newcomer": {"outcome": "timeout", "scored": 3}}, "newcomer@junction-00: timeout"),
-    ],
-)
-def test_a_missing_tracker_and_a_new_one_that_failed_never_pass(short_baseline, write_run, regress, trackers, says):
-    done = regress(write_run("now", trackers, recordings=2), "--baseline", short_baseline)
-    assert (done.code, says in done.err) == (3, True), done.err
+def test_a_run_without_a_tracker_of_the_baseline_never_passes(judged):
+    done = judged({"kalman": {}})
+    assert (done.code, "tracker persistence of the baseline is missing in the run" in done.err) == (3, True)
 
 
-def damage(path):
+def cut(path):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
 
-@pytest.mark.parametrize("file", ["sums.parquet", "outcome.json"])
-@pytest.mark.parametrize("harm", [damage, lambda path: path.unlink()])
-def test_a_trial_with_damaged_or_missing_files_never_passes(short_baseline, write_run, regress, file, harm):
+@pytest.mark.parametrize(
+    ("harm", "says"),
+    [
+        (lambda trial: cut(trial / "sums.parquet"), ""),
+        (lambda trial: cut(trial / "outcome.json"), ""),
+        (lambda trial: (trial / "sums.parquet").unlink(), ""),
+        (lambda trial: (trial / "outcome.json").unlink(), ""),
+        (
+            lambda trial: edit(trial, lambda one: one.update(thresholds={}), "outcome.json"),
+            "its record has no thresholds",
+        ),
+        (
+            lambda trial: shutil.copy(f"{trial.parent}/kalman@junction-00/sums.parquet", trial),
+            "other frames were delivered",
+        ),
+    ],
+)
+def test_a_trial_with_damaged_missing_or_exchanged_files_never_passes(short_baseline, write_run, regress, harm, says):
     run = write_run("now", NAMES, recordings=2)
-    harm(run / "kalman@junction-01" / file)
+    harm(run / "kalman@junction-01")
     done = regress(run, "--baseline", short_baseline)
-    assert done.code == 3
-
-
-def test_a_trial_record_without_thresholds_never_passes(short_baseline, write_run, regress, edit):
-    run = write_run("now", NAMES, recordings=2)
-    edit(run / "kalman@junction-01" / "outcome.json", lambda record: record.update(thresholds={}))
-    done = regress(run, "--baseline", short_baseline)
-    assert (done.code, done.err.count("\n")) == (3, 1)
-    assert "kalman@junction-01: its record has no thresholds" in done.err
+    assert (done.code, "junction-01" in done.err, says in done.err) == (3, True, True)
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError("division\nby zero"), MemoryError(), BrokenPipeError(32, "pipe")])
 @pytest.mark.parametrize("update", [[], ["--update"]])
 def test_a_crash_is_not_measured_in_one_line_and_debug_shows_its_traceback(
-    short_baseline, write_run, regress, monkeypatch, error, update, tmp_path
+    short_baseline, run, regress, monkeypatch, error, update, tmp_path
 ):
     def crash(*_, **__):
         raise error
 
-    run = write_run("now", NAMES, recordings=2)
     monkeypatch.setattr("gridtrack.cli.regress.measure_run", crash)
     asked = update or ["--junit", tmp_path / "junit.xml"]
     done = regress(run, "--baseline", short_baseline, *asked)
@@ -313,15 +296,6 @@ def test_a_crash_is_not_measured_in_one_line_and_debug_shows_its_traceback(
     assert update or "regress failed" in (tmp_path / "junit.xml").read_text()
     debugged = regress("--debug", run, "--baseline", short_baseline, *update)
     assert (debugged.code, "Traceback" in debugged.err) == (3, True)
-
-
-def test_the_scores_of_another_trial_never_pass(short_baseline, write_run, regress):
-    run = write_run("now", NAMES, recordings=2)
-    one, two = (run / f"kalman@junction-0{n}" for n in (0, 1))
-    (two / "sums.parquet").write_bytes((one / "sums.parquet").read_bytes())
-    done = regress(run, "--baseline", short_baseline)
-    assert done.code == 3
-    assert "kalman@junction-01: other frames were delivered" in done.err
 
 
 def kalman_of(baseline):
@@ -359,23 +333,17 @@ def count_others(baseline):
         (lambda b: b["runs"][0].update(scoring_rules=2), 3, "scored by other rules (number 2, the run by number 1)"),
     ],
 )
-def test_a_baseline_that_cannot_be_used_is_one_clear_line(
-    short_baseline, write_run, regress, edit_baseline, change, code, says
-):
-    edit_baseline(short_baseline, change)
-    done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline)
-    assert done.code == code
-    assert says in done.err
-    assert done.err.count("\n") == 1
+def test_a_baseline_that_cannot_be_used_is_one_clear_line(short_baseline, run, regress, change, code, says):
+    edit(short_baseline.parent, change, short_baseline.name)
+    edit(short_baseline.parent, lambda b: b.update(digest=digest_of(b.get("runs"))), short_baseline.name)
+    done = regress(run, "--baseline", short_baseline)
+    assert (done.code, says in done.err, done.err.count("\n")) == (code, True, 1)
 
 
-@pytest.mark.parametrize("content", ["", "{", "[1]", "[" * 100_000, '{"schema": 1e999}', "\x00", '{"schema": 1}'])
-def test_a_corrupted_baseline_is_one_clear_line(content, write_run, regress, tmp_path):
-    path = tmp_path / "baseline.json"
-    path.write_text(content)
-    done = regress(write_run("now", NAMES, recordings=1), "--baseline", path)
-    assert done.code == 2
-    assert done.err.count("\n") == 1
+def test_a_baseline_edited_by_hand_is_not_measured(short_baseline, run, regress):
+    edit(short_baseline.parent, count_others, short_baseline.name)
+    done = regress(run, "--baseline", short_baseline)
+    assert (done.code, "changed since it was written (its digest does not match its runs)" in done.err) == (3, True)
 
 
 BOM = "\ufeff"
@@ -392,14 +360,13 @@ CONFLICT = "{\n<<<<<<< HEAD\n"
     ],
 )
 def test_a_baseline_damaged_by_an_editor_or_git_is_refused_with_the_cause(
-    short_baseline, write_run, regress, before, encoding, says
+    short_baseline, run, regress, before, encoding, says
 ):
-    short_baseline.write_bytes((before + short_baseline.read_text()).encode(encoding))
-    run, spoilt = write_run("now", NAMES, recordings=2), short_baseline.read_bytes()
+    spoilt = (before + short_baseline.read_text()).encode(encoding)
+    short_baseline.write_bytes(spoilt)
     for update in ((), ("--update",)):
         done = regress(run, "--baseline", short_baseline, *update)
-        assert (done.code, done.err.count("\n")) == (2, 1)
-        assert says in done.err
+        assert (done.code, says in done.err, done.err.count("\n")) == (2, True, 1)
     assert short_baseline.read_bytes() == spoilt
 
 
@@ -412,27 +379,25 @@ def test_a_run_without_an_occupied_cell_is_not_measured_and_makes_no_baseline(wr
     assert not (tmp_path / "new.json").exists()
 
 
-def test_the_error_of_a_missing_baseline_names_the_option_that_makes_it(write_run, regress, tmp_path):
-    done = regress(write_run("now", NAMES, recordings=1), "--baseline", tmp_path / "none.json")
+def test_the_error_of_a_missing_baseline_names_the_option_that_makes_it(run, regress, tmp_path):
+    done = regress(run, "--baseline", tmp_path / "none.json")
     assert (done.code, "--update makes one of the run" in done.err) == (2, True)
-    debugged = regress("--debug", tmp_path / "now", "--baseline", tmp_path / "none.json")
+    debugged = regress("--debug", run, "--baseline", tmp_path / "none.json")
     assert (debugged.code, "Traceback" in debugged.err) == (2, True), "wrong use keeps its exit code"
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--tolerance", "kalman"], "--tolerance 'kalman': expected LABEL=F1"),
         (["--tolerance", "kalmann=0.1"], "the baseline has no tracker 'kalmann'; did you mean 'kalman'?"),
         (["--speed-reference", "blank"], "the baseline has no tracker 'blank'"),
         (["--speed-margin", "0.1"], "speed is judged only with --speed-reference LABEL or --speed-base"),
         (["--margin", "nan"], "--margin nan: it should be a finite number"),
     ],
 )
-def test_wrong_use_is_one_clear_line(short_baseline, write_run, regress, arguments, says):
-    done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline, *arguments)
-    assert done.code == 2
-    assert says in done.err
+def test_wrong_use_is_one_clear_line(judged, arguments, says):
+    done = judged(NAMES, *arguments)
+    assert (done.code, says in done.err) == (2, True)
 
 
 def test_a_folder_that_is_no_run_is_wrong_use_and_one_without_results_is_not_measured(
@@ -461,11 +426,10 @@ def test_speed_is_judged_as_a_ratio_so_a_slower_machine_passes_and_a_slower_trac
     assert regress(slower, *asked, "--speed-margin", "0.7").code == 0
 
 
-def test_unmeasured_speed_never_passes_if_requested(short_baseline, write_run, regress):
-    run = write_run("now", NAMES, recordings=2)
-    plain = regress(run, "--baseline", short_baseline)
+def test_unmeasured_speed_never_passes_if_requested(judged):
+    plain = judged(NAMES)
     assert (plain.code, "speed" in plain.out) == (0, False)
-    requested = regress(run, "--baseline", short_baseline, "--speed-reference", "persistence")
+    requested = judged(NAMES, "--speed-reference", "persistence")
     assert (requested.code, "speed cannot be judged" in requested.err) == (3, True)
 
 
@@ -484,16 +448,15 @@ def test_junit_and_markdown_list_worse_rows_and_escape_every_name(write_run, reg
     assert "| worse | a-b.c\\_d e | F1 | dynamic | 0 to 0.5 s |" in page
 
 
-def test_a_device_without_space_is_one_line_with_the_remedy(short_baseline, write_run, regress):
-    done = regress(write_run("now", NAMES, recordings=2), "--baseline", short_baseline, "--markdown", "/dev/full")
+def test_a_device_without_space_is_one_line_with_the_remedy(judged):
+    done = judged(NAMES, "--markdown", "/dev/full")
     assert done.code == 2
     assert "/dev/full: No space left on device: free space there, or write to another disk" in done.err
 
 
-def test_junit_and_markdown_of_a_run_that_was_not_measured_hold_errors(short_baseline, write_run, regress, tmp_path):
+def test_junit_and_markdown_of_a_run_that_was_not_measured_hold_errors(judged, tmp_path):
     junit, markdown = tmp_path / "junit.xml", tmp_path / "page.md"
-    run = write_run("now", {**NAMES, "kalman": {"outcome": "crashed", "scored": 2}}, recordings=2)
-    regress(run, "--baseline", short_baseline, "--junit", junit, "--markdown", markdown)
+    judged({**NAMES, "kalman": {"outcome": "crashed", "scored": 2}}, "--junit", junit, "--markdown", markdown)
     suite = ElementTree.fromstring(junit.read_text())
     assert (suite.get("errors"), suite.get("failures")) == ("2", "0")
     assert "not measured" in markdown.read_text()

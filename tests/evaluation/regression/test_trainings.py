@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
-
-from gridtrack.evaluation.regression.baseline import read_baseline
 
 MIDDLE = slice(5, 13)
 
@@ -73,11 +70,6 @@ def test_a_deterministic_tracker_is_judged_by_the_margin_next_to_a_trained_one(w
     done = regress(write_run("now", {"net": {"seed": 4}, "fixed": {"loss": 0.03}}), "--baseline", path)
     assert done.code == 1
     assert "worse than the baseline: fixed\n" in done.out
-
-
-def test_the_own_baseline_is_still_read():
-    own = Path(__file__).parents[2] / "baselines" / "own_trackers.json"
-    assert "kalman" in read_baseline(own).first.trackers
 
 
 @pytest.mark.parametrize(
