@@ -147,19 +147,29 @@ def write_confusion(
     folder: Path, classes: Sequence[str], counts: Mapping[int, Sequence[Sequence[int]]], steps: int = STEPS
 ) -> None:
     """Add to the sums of a trial the sums of one forecast with these confusion matrices of visible cells, by step."""
-    facts = TrialFacts(0.2, steps, ("visible",), half(steps, ("visible",)), tuple(classes), tuple(classes))
-    layout = Layout(CLASS_LOG_LOSS.strata(facts), CLASS_LOG_LOSS.parts(facts), CLASS_LOG_LOSS.steps(facts))
-    found = np.zeros((steps + 1, 1, len(layout.parts)))
+    layout = class_layout(classes, steps)
+    found = np.zeros((1, steps + 1, 1, len(layout.parts)))
     for step, matrix in counts.items():
-        found[step, 0, -np.size(matrix) :] = np.ravel(matrix)
+        found[0, step, 0, -np.size(matrix) :] = np.ravel(matrix)
+    add_class_sums(folder, layout, found, steps)
+
+
+def class_layout(classes: Sequence[str], steps: int = STEPS) -> Layout:
+    """The layout of the sums of classes of visible cells."""
+    facts = TrialFacts(0.2, steps, ("visible",), half(steps, ("visible",)), tuple(classes), tuple(classes))
+    return Layout(CLASS_LOG_LOSS.strata(facts), CLASS_LOG_LOSS.parts(facts), CLASS_LOG_LOSS.steps(facts))
+
+
+def add_class_sums(folder: Path, layout: Layout, found: np.ndarray, steps: int = STEPS) -> None:
+    """Add to the sums of a trial those of the classes (N, S, 1, P) of its first N forecasts."""
     kept = TrialSums(folder)
     counted = {name: kept.by_frame(name, own.steps, own.strata, own.parts).values for name, own in kept.layouts.items()}
     frames = list(zip(kept.frames.stamps_ns.tolist(), kept.frames.delivered.tolist(), strict=True))
     with SumsWriter(folder, kept.layouts | {CLASS_LOG_LOSS.name: layout}, steps) as sums:
         for i, (stamp_ns, digest) in enumerate(frames):
-            for name, own in counted.items():
-                sums.add(stamp_ns, digest, name, own[i])
-        sums.add(*frames[0], CLASS_LOG_LOSS.name, found)
+            for name, own in (counted | {CLASS_LOG_LOSS.name: found}).items():
+                if i < len(own):
+                    sums.add(stamp_ns, digest, name, own[i])
 
 
 def write_trial(

@@ -11,11 +11,8 @@ import pytest
 from scipy import stats
 
 from gridtrack.evaluation.runs.comparisons import _pair_tests
-from gridtrack.evaluation.runs.sums import Layout, SumsWriter, TrialSums
-from gridtrack.evaluation.scores.class_log_loss import CLASS_LOG_LOSS
-from gridtrack.evaluation.scores.definition import Output, TrialFacts
+from gridtrack.evaluation.scores.definition import Output
 from gridtrack.evaluation.scores.f1 import F1
-from gridtrack.evaluation.scores.thresholds import half
 from gridtrack.evaluation.statistics.jackknife import Replicates, holm
 
 from scenes import synthetic_run as synthetic
@@ -25,41 +22,6 @@ from scenes.synthetic_run import RECORDINGS, summary_of, write_rows, write_unlik
 def difference(summary, tracker):
     (found,) = [one for one in summary.differences if one.tracker == tracker]
     return found
-
-
-def ratio_sums(trials, label, score, stratum, parts):
-    """Numerator and denominator (20,) of a score at 1 s, by recording; `parts` computes them."""
-    own = [TrialSums(trial.folder) for trial in trials if trial.record.label == label]
-    units = np.zeros(len(own[0].frames.stamps_ns), np.int64)
-    sums = [one.by_unit(score, units, [8], [stratum]) for one in own]
-    return np.array([[float(value[0, 0, 0]) for value in parts(one)] for one in sums]).T
-
-
-RATIOS = {
-    ("fss", "3_cells", "in-motion"): lambda s: (s["agreement 3"], s["squares 3"]),
-    ("beam_error", "mean", "visible"): lambda s: (s["late"] + s["early"], s.block("beams").sum(axis=-1)),
-}
-
-
-@pytest.mark.parametrize(("score", "output", "stratum"), RATIOS)
-def test_the_difference_from_the_reference_is_the_jackknifes_computed_one_recording_at_a_time(
-    twenty, score, output, stratum
-):
-    trials, summary = twenty
-    parts = RATIOS[score, output, stratum]
-    sides = [ratio_sums(trials, label, score, stratum, parts) for label in ("good", "persistence")]
-    value, *without = (
-        np.subtract(*(part[kept].sum() / whole[kept].sum() for part, whole in sides))
-        for kept in (np.ones(20, bool), *~np.eye(20, dtype=bool))
-    )
-    error = np.sqrt(19 / 20 * np.sum((without - np.mean(without)) ** 2))
-    sizes = [whole if score != "fss" else 9 * whole for _, whole in sides]
-    freedom = min(size.sum() ** 2 / (size**2).sum() for size in sizes) - 1
-    found = difference(summary, "good").at(stratum, score, output, 8)
-    assert found.value == pytest.approx(value, abs=2e-5)
-    ends = value + np.array([-1, 1]) * stats.t.ppf(0.975, freedom) * error
-    assert found.interval == pytest.approx(ends, abs=2e-5)
-    assert found.p == pytest.approx(2 * stats.t.sf(abs(value) / error, freedom), abs=5e-4)
 
 
 def test_a_verdict_of_better_is_corrected_for_the_whole_family(twenty):
@@ -81,19 +43,6 @@ def test_identical_trackers_differ_by_exactly_nothing_and_are_never_better(twent
     assert {twin.at(t.stratum, "f1", "f1", t.step).interval for t in twin.tests} == {(0.0, 0.0)}
 
 
-def test_every_tested_output_has_its_difference_at_every_step(twenty):
-    good = difference(twenty[1], "good")
-    tested = {
-        *("f1.f1", "f1.at_half", "f1.at_visible", "pr_auc.area", "log_loss.mean"),
-        *(f"fss.{scale}_cells" for scale in (1, 3, 5, 9)),
-    }
-    for stratum, scores in good.strata.items():
-        found = {f"{score}.{output}" for score, outputs in scores.items() for output in outputs}
-        assert found == (tested | {"beam_error.mean"} if stratum == "visible" else tested)
-    assert {len(one.value) for one in good.strata["visible"]["pr_auc"].values()} == {synthetic.STEPS + 1}
-    assert good.at("visible", "pr_auc", "area", 20).p is not None
-
-
 def test_a_tracker_that_completed_fewer_recordings_is_not_compared_with_the_reason(twenty):
     found = difference(twenty[1], "unlucky")
     assert (found.tests, found.strata) == ((), {})
@@ -102,13 +51,6 @@ def test_a_tracker_that_completed_fewer_recordings_is_not_compared_with_the_reas
 
 def test_the_ceiling_is_compared_with_nobody(twenty):
     assert {one.tracker for one in twenty[1].differences} == {"good", "twin", "unlucky"}
-
-
-def test_the_reference_can_be_named(tmp_path):
-    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, RECORDINGS[:2], frames=3, scores=(F1,))
-    summary = summary_of(trials, RECORDINGS[:2], reference="good")
-    assert summary.reference == "good"
-    assert [one.tracker for one in summary.differences] == ["persistence"]
 
 
 def test_of_nineteen_recordings_nothing_is_tested(tmp_path):
@@ -147,16 +89,6 @@ def test_twenty_recordings_of_unlike_periods_have_differences_at_the_headlines_h
     good = difference(synthetic.summarise(described, [*trials, *better], [], False), "good")
     assert {(test.horizon_s, test.step) for test in good.tests} == {(0.5, 1), (1.0, 2), (2.5, 5)}
     assert {test.verdict for test in good.tests} == {"better"}
-
-
-def test_frames_of_another_delivery_are_not_paired(tmp_path):
-    trials = [
-        synthetic.write_trial(tmp_path, "persistence", "a", 0.6, seed=0, frames=4),
-        synthetic.write_trial(tmp_path, "odd", "a", 0.6, seed=0, frames=4, delivered="f"),
-    ]
-    found = difference(summary_of(trials, ["a"]), "odd")
-    assert (found.frames, found.tests) == (0, ())
-    assert found.interval == "not compared: odd was delivered other frames than the rest on a"
 
 
 def test_rows_with_the_same_frames_are_compared_where_one_more_received_others(tmp_path):
@@ -239,22 +171,12 @@ def class_trial(folder, label, number, extra, **how):
     ended = synthetic.write_trial(folder, label, RECORDINGS[number], 0.6, **how)
     if extra is None:
         return ended
-    facts = TrialFacts(0.2, synthetic.STEPS, ended.strata, half(synthetic.STEPS), CLASSES, CLASSES)
-    kept = TrialSums(ended.folder)
-    layouts = {
-        **kept.layouts,
-        "class_log_loss": Layout(("visible",), CLASS_LOG_LOSS.parts(facts), CLASS_LOG_LOSS.steps(facts)),
-    }
-    frames = kept.frames
-    cells = kept.by_frame("f1", range(synthetic.STEPS + 1), ended.strata, kept.layouts["f1"].parts)
-    with SumsWriter(ended.folder, layouts, synthetic.STEPS) as writer:
-        for frame in range(FRAMES):
-            stamp, digest = int(frames.stamps_ns[frame]), str(frames.delivered[frame])
-            writer.add(stamp, digest, "f1", cells.values[frame])
-            loss = HARD[number, frame] + extra[number]
-            scan = np.zeros((synthetic.STEPS + 1, 1, len(layouts["class_log_loss"].parts)))
-            scan[..., :3], scan[..., 3] = (CELLS * loss, loss, 1.0), CELLS
-            writer.add(stamp, digest, "class_log_loss", scan)
+    layout = synthetic.class_layout(CLASSES)
+    sums = np.zeros((FRAMES, synthetic.STEPS + 1, 1, len(layout.parts)))
+    for scan, hard in zip(sums, HARD[number], strict=True):
+        loss = hard + extra[number]
+        scan[..., :4] = CELLS * loss, loss, 1.0, CELLS
+    synthetic.add_class_sums(ended.folder, layout, sums)
     return ended
 
 

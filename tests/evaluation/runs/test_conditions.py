@@ -1,4 +1,4 @@
-"""Deadlines and degraded scans through a whole run: the results in summary.json."""
+"""Deadlines and degraded scans through a whole run: their results, and the exit code if a measurement failed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gridtrack.evaluation.runs import timed_passes
 from gridtrack.evaluation.runs.passes import AtStrength, Robustness
 from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
 from gridtrack.evaluation.runs.summarise import _mismatched_degradations
-from gridtrack.evaluation.runs.trial_record import TRIAL_SCHEMA, TrialRecord
+from gridtrack.evaluation.runs.trial_record import TRIAL_SCHEMA, TrialRecord, read_trial_record
 from gridtrack.evaluation.scores.registry import built_in
 from gridtrack.recordings.degradation import Degradation
 
@@ -118,19 +118,6 @@ def test_a_tracker_that_keeps_the_frames_in_a_file_is_marked_and_an_honest_one_i
     ]
 
 
-def test_a_tracker_that_fails_in_the_deadline_pass_keeps_its_score_with_a_notice(compare, record, tmp_path):
-    # without a validation stretch the second stream that it is given is that of the deadline pass
-    path, starts = record("plain", stretches={}), tmp_path / "starts"
-    summary = compare(f"staged:crash_at=60,starts={starts}", "blank", recordings=(str(path),), deadline=True)
-    ended, other = (trial_of(summary, label, "plain") for label in ("staged", "blank"))
-    assert (ended.outcome, ended.deadline) == ("ok", None)
-    assert other.deadline is not None
-    assert any(
-        "staged on plain: no measurement of deadlines" in notice and "crashed" in notice
-        for notice in map(str, summary.notices)
-    )
-
-
 def test_an_interrupt_while_input_is_degraded_keeps_every_score(compare, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
@@ -188,3 +175,50 @@ def test_a_resumed_run_degrades_again_only_for_other_strengths(compare, monkeypa
     assert passes == []
     summary = compare("blank", degrade=Degradation(range_noise=0.2), resume=True)
     assert trial_of(summary, "blank").robustness.kinds["range_noise"][-1].value == 0.2
+
+
+@pytest.fixture
+def failing(gridtrack, record, tmp_path):
+    """`failing(folder, *requested)` runs `staged`, which fails in its second stream, and `blank`."""
+    # without a validation stretch the second stream is the first one after the trial
+    path, starts = record("plain", seconds=10, stretches={}), tmp_path / "starts"
+    trackers = ("--tracker", f"staged:crash_at=60,starts={starts}", "--tracker", "blank")
+    fixed = ("compare", "--no-floors", path, *trackers, "--horizon", "1s", "--every", "0.5s", "--out")
+
+    def failing(folder, *requested):
+        starts.unlink(missing_ok=True)
+        return gridtrack(*fixed, tmp_path / folder, *requested)
+
+    return failing
+
+
+@pytest.mark.parametrize(
+    ("requested", "measured"), [(("--deadline",), "deadline"), (("--degrade", "range-noise=0.1"), "robustness")]
+)
+def test_a_requested_measurement_that_failed_is_exit_3_of_compare_and_of_regress(
+    failing, gridtrack, tmp_path, requested, measured
+):
+    message = f"gridtrack: not measured: staged@plain: {requested[0]} was requested and failed"
+    baseline = tmp_path / "baseline.json"
+    assert failing("then").code == 0
+    code, _, err = failing("now", *requested)
+    assert (code, err.count("gridtrack: not measured: "), message in err) == (3, 1, True)
+    failed, other = (read_trial_record(tmp_path / "now" / f"{label}@plain") for label in ("staged", "blank"))
+    assert (failed.outcome, getattr(failed, measured)) == ("ok", None), "it keeps its scores"
+    assert getattr(other, measured) is not None
+    assert gridtrack("regress", tmp_path / "then", "--baseline", baseline, "--update").code == 0
+    before = baseline.read_bytes()
+    for update in ([], ["--update"]):
+        code, _, err = gridtrack("regress", tmp_path / "now", "--baseline", baseline, *update)
+        assert (code, message in err, baseline.read_bytes() == before) == (3, True, True)
+
+
+def test_a_run_without_the_measurements_of_the_baseline_does_not_pass(gridtrack, record, tmp_path):
+    path, baseline = record(seconds=14), tmp_path / "baseline.json"
+    fixed = ("compare", "--no-floors", path, "--tracker", "blank", "--horizon", "1s", "--every", "0.5s", "--out")
+    assert gridtrack(*fixed, tmp_path / "then", "--degrade", "range-noise=0.1").code == 0
+    assert gridtrack("regress", tmp_path / "then", "--baseline", baseline, "--update").code == 0
+    assert gridtrack(*fixed, tmp_path / "now").code == 0
+    code, _, err = gridtrack("regress", tmp_path / "now", "--baseline", baseline)
+    assert (code, "blank@room: measured with --degrade for the baseline and not in the run" in err) == (3, True)
+    assert gridtrack("regress", tmp_path / "then", "--baseline", baseline).code == 0

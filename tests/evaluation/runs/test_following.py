@@ -26,6 +26,7 @@ from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.trackers.contract import Forecast, TrackedObject
 
 from scenes import truth_scene
+from scenes.room import trial_of
 
 pytestmark = pytest.mark.usefixtures("staged", "trackers_here")
 
@@ -93,14 +94,13 @@ class HeldBack(LiveTimeline):
 
 
 class Table:
-    """A LiveObserver that keeps its input."""
+    """A LiveObserver that keeps each state of the table."""
 
     def __init__(self) -> None:
-        self.notes: list[str] = []
         self.shown: list[object] = []
 
     def note(self, text: str) -> None:
-        self.notes.append(text)
+        pass
 
     def update(self, status) -> None:
         self.shown.append(status())
@@ -118,30 +118,30 @@ def settings(record, tmp_path, home):
     growing = tmp_path / "live" / "room.mcap"
     growing.parent.mkdir()
 
-    def settings(*trackers, **more):
-        defaults = {
-            "recordings": (str(growing),),
-            "out": tmp_path / "followed",
-            "horizon_s": 1.0,
-            "every_s": 0.5,
-            "follow": True,
-        }
-        return CompareSettings(trackers=trackers, no_floors=True, **(defaults | more))
-
-    return settings
+    given = {"recordings": (str(growing),), "out": tmp_path / "followed", "follow": True, "no_floors": True}
+    return lambda *trackers, **more: CompareSettings(
+        trackers=trackers, **({"horizon_s": 1.0, "every_s": 0.5} | given | more)
+    )
 
 
-def followed(settings, writer, progress, on_frame: Callable[[int], None] = lambda n: None):
+@pytest.fixture
+def ordinary(settings, progress, tmp_path):
+    """`ordinary(*trackers, **more)`: the summary of a run on the finished file."""
+    how = {"follow": False, "out": tmp_path / "ordinary"}
+    return lambda *trackers, **more: run(resolve(settings(*trackers, **how, **more)), COMMAND, progress)
+
+
+def followed(settings, finished: Path, progress, pieces: int | None = None):
     """The summary of a followed run in which the trackers keep up, and its table."""
     table = Table()
-    with following(settings, writer) as one:
-        one.pace = InStep(one, on_frame)
+    with following(settings, Writer(finished, Path(settings.recordings[0]), pieces)) as one:
+        one.pace = InStep(one)
         one.follow(table)
         return one.finish(COMMAND, progress), table
 
 
 def live_of(summary, label):
-    return summary.trackers[label].recordings["room"].strata["dynamic"]
+    return trial_of(summary, label).strata["dynamic"]
 
 
 def tracks_in(folder: Path) -> list[bytes]:
@@ -151,16 +151,15 @@ def tracks_in(folder: Path) -> list[bytes]:
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.4])
-def test_a_tracker_that_keeps_up_has_the_scores_of_the_finished_file(settings, record, progress, tmp_path, speed):
-    finished = record(stretches={}, speed=speed)
+def test_a_tracker_that_keeps_up_has_the_scores_of_the_finished_file(
+    settings, ordinary, record, progress, tmp_path, speed
+):
     the_settings = settings("persistence", "blank")
-    summary, table = followed(the_settings, Writer(finished, Path(the_settings.recordings[0])), progress)
-    ordinary = run(
-        resolve(settings("persistence", "blank", follow=False, out=tmp_path / "ordinary")), COMMAND, progress
-    )
+    summary, table = followed(the_settings, record(stretches={}, speed=speed), progress)
+    finished = ordinary("persistence", "blank")
     assert summary.interrupted is False
     for label in ("persistence", "blank"):
-        live, later = (one.trackers[label].recordings["room"] for one in (summary, ordinary))
+        live, later = (trial_of(one, label) for one in (summary, finished))
         assert live.outcome == "ok", live.reason
         assert live.strata == later.strata
         assert live.frames_scored == later.frames_scored == len(range(20, 200 - 10, 5))
@@ -172,7 +171,7 @@ def test_a_tracker_that_keeps_up_has_the_scores_of_the_finished_file(settings, r
         assert (records[0].followed.missed, records[0].followed.age_frames.p99) == (0, 0.0)
         assert records[0].followed.frames > 100
         assert records[1].followed is None
-    assert summary.recordings["room"] == ordinary.recordings["room"]
+    assert summary.recordings["room"] == finished.recordings["room"]
     assert len(table.shown) == 200
     assert not [notice for notice in map(str, summary.notices) if "different frames" in notice or "table" in notice]
     assert table.shown[0].score == "F1 dynamic at 1 s"
@@ -182,19 +181,17 @@ def test_a_tracker_that_keeps_up_has_the_scores_of_the_finished_file(settings, r
         pass
 
 
-def test_every_part_of_a_forecast_waits_for_its_scores(settings, movers, progress, tmp_path):
+def test_every_part_of_a_forecast_waits_for_its_scores(settings, ordinary, movers, progress, tmp_path):
     """Velocities, sampled futures, the objects that the samples show; the oracle, and hidden cells."""
     finished = truth_scene.write_recording(tmp_path / "room.mcap", seconds=9)
     trackers = "mover", "now=mover:gives=now", "guesser:gives=mixed", "object=mover:gives=object"
-    the_settings = settings(*trackers)
-    summary, table = followed(the_settings, Writer(finished, Path(the_settings.recordings[0])), progress)
+    summary, table = followed(settings(*trackers), finished, progress)
     assert not [notice for notice in map(str, summary.notices) if "table" in notice or "different frames" in notice]
     assert table.shown[-1].rows[0].label == "mover"
-    again = settings(*trackers, follow=False, out=tmp_path / "ordinary", recordings=(f"{finished}@0s-",))
-    ordinary = run(resolve(again), COMMAND, progress)
+    again = ordinary(*trackers, recordings=(f"{finished}@0s-",))
     longest = {}
     for label in ("mover", "now", "guesser", "object", "oracle"):
-        live, later = (next(iter(one.trackers[label].recordings.values())).strata for one in (summary, ordinary))
+        live, later = (next(iter(one.trackers[label].recordings.values())).strata for one in (summary, again))
         assert live == later
         if label == "oracle":
             continue
@@ -264,7 +261,7 @@ def test_a_busy_tracker_misses_frames_and_its_newest_forecast_in_time_is_scored(
     assert f1[0] == 1.0 > f1[1] > 0.0
 
 
-def test_ctrl_c_ends_the_recording_and_the_run_is_complete(settings, record, progress, tmp_path):
+def test_ctrl_c_ends_the_recording_and_the_run_is_complete(settings, ordinary, record, progress):
     the_settings = settings("persistence")
     growing = Path(the_settings.recordings[0])
 
@@ -278,43 +275,34 @@ def test_ctrl_c_ends_the_recording_and_the_run_is_complete(settings, record, pro
         summary = one.finish(COMMAND, progress)
         assert one.interrupted
     assert summary.interrupted is False
-    trial = summary.trackers["persistence"].recordings["room"]
-    frames = summary.recordings["room"].frames
+    trial, frames = trial_of(summary, "persistence"), summary.recordings["room"].frames
     assert trial.outcome == "ok"
     assert trial.frames_scored == trial.frames_expected == len(range(20, frames - 10, 5))
     assert any("by Ctrl-C" in notice for notice in map(str, summary.notices))
-    again = settings("persistence", follow=False, out=tmp_path / "part", recordings=(f"{growing}@0s-{frames / 10}s",))
-    ordinary = run(resolve(again), COMMAND, progress)
-    assert next(iter(ordinary.trackers["persistence"].recordings.values())).strata == trial.strata
+    part = ordinary("persistence", recordings=(f"{growing}@0s-{frames / 10}s",))
+    assert next(iter(part.trackers["persistence"].recordings.values())).strata == trial.strata
 
 
-def test_a_file_that_its_recorder_leaves_open_ends_when_nothing_more_comes(settings, record, progress, tmp_path):
-    the_settings = settings("persistence", idle_timeout_s=5.0)
-    writer = Writer(record(stretches={}), Path(the_settings.recordings[0]), pieces=12)
-    summary, _ = followed(the_settings, writer, progress)
-    assert summary.trackers["persistence"].recordings["room"].outcome == "ok"
+def test_a_file_that_its_recorder_leaves_open_ends_when_nothing_more_comes(settings, record, progress):
+    summary, _ = followed(settings("persistence", idle_timeout_s=5.0), record(stretches={}), progress, pieces=12)
+    assert trial_of(summary, "persistence").outcome == "ok"
     assert not any("damage" in notice or "cut off" in notice for notice in map(str, summary.notices))
     assert any(f"its first {12 * PIECE} bytes were read" in notice for notice in map(str, summary.notices))
     assert any("nothing was written to it for --idle-timeout" in notice for notice in map(str, summary.notices))
 
 
 def test_a_tracker_that_dies_is_partial_and_stops_no_other(settings, record, progress):
-    the_settings = settings("staged:crash_at=60,crash_in=1", "persistence")
-    summary, _ = followed(the_settings, Writer(record(stretches={}), Path(the_settings.recordings[0])), progress)
-    partial, whole = (summary.trackers[label].recordings["room"] for label in ("staged", "persistence"))
+    summary, _ = followed(settings("staged:crash_at=60,crash_in=1", "persistence"), record(stretches={}), progress)
+    partial, whole = (trial_of(summary, label) for label in ("staged", "persistence"))
     assert (partial.outcome, partial.frames_scored) == ("crashed", len(range(20, 59 - 10 + 1, 5)))
     assert (whole.outcome, whole.frames_scored) == ("ok", whole.frames_expected)
 
 
-def test_thresholds_are_chosen_on_a_finished_recording_before(settings, record, progress, tmp_path):
-    finished, chosen_on = record(stretches={}), record("other", seconds=8, stretches={})
-    the_settings = settings("staged", validation=str(chosen_on))
-    summary, _ = followed(the_settings, Writer(finished, Path(the_settings.recordings[0])), progress)
-    again = settings("staged", follow=False, out=tmp_path / "ordinary", validation=str(chosen_on))
-    ordinary = run(resolve(again), COMMAND, progress)
-    live, later = (one.trackers["staged"].recordings["room"] for one in (summary, ordinary))
+def test_thresholds_are_chosen_on_a_finished_recording_before(settings, ordinary, record, progress):
+    chosen_on = str(record("other", seconds=8, stretches={}))
+    summary, _ = followed(settings("staged", validation=chosen_on), record(stretches={}), progress)
     assert summary.recordings["room"].validation == "other.mcap"
-    assert live.strata == later.strata
+    assert trial_of(summary, "staged").strata == trial_of(ordinary("staged", validation=chosen_on), "staged").strata
 
 
 def test_options_for_finished_recordings_are_refused(settings, record, tmp_path):
@@ -329,10 +317,8 @@ def test_options_for_finished_recordings_are_refused(settings, record, tmp_path)
             pass
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
     for name, said in (("old.bag", "a ROS 1 bag cannot be followed while it is written"), ("none.mcap", "no such")):
-        with (
-            pytest.raises(RecordingError, match=said),
-            following(settings("blank", recordings=(str(tmp_path / name),))),
-        ):
+        absent = settings("blank", recordings=(str(tmp_path / name),))
+        with pytest.raises(RecordingError, match=said), following(absent):
             pass
 
 
@@ -345,19 +331,8 @@ def test_a_file_in_which_too_little_comes_is_one_line(settings, record):
 
 
 def test_the_command_follows_a_finished_file_to_its_end(gridtrack, record, tmp_path):
-    path = record(stretches={})
-    command = (
-        "compare",
-        "--no-floors",
-        "--follow",
-        path,
-        "--tracker",
-        "persistence",
-        "--horizon",
-        "1s",
-        "--out",
-        tmp_path / "out",
-    )
+    asked = ("--follow", "--no-floors", "--tracker", "persistence", "--horizon", "1s", "--out", tmp_path / "out")
+    command = ("compare", record(stretches={}), *asked)
     done = gridtrack(*command)
     assert done.code == 0, done.err
     assert "F1 dynamic at 1 s: persistence" in done.err

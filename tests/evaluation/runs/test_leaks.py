@@ -31,19 +31,10 @@ def compare(tmp_path):
     """`compare(recording, *options)` runs the command line on it with the trained weights; its output."""
 
     def compare(recording, *options):
-        command = [
-            "compare",
-            "--no-floors",
-            str(recording),
-            "--horizon",
-            "0.5s",
-            "--jobs",
-            "1",
-            "--out",
-            str(tmp_path / "run"),
-        ]
-        command += ["--weights", str(tmp_path / "weights"), "--tracker", "static-map", "--tracker", "persistence"]
-        return CliRunner().invoke(app, [*command, *options], catch_exceptions=False).output
+        folders = ["--out", str(tmp_path / "run"), "--weights", str(tmp_path / "weights")]
+        rows = ["--tracker", "static-map", "--tracker", "persistence", "--no-floors"]
+        command = ["compare", str(recording), "--horizon", "0.5s", "--jobs", "1", *folders, *rows, *options]
+        return CliRunner().invoke(app, command, catch_exceptions=False).output
 
     return compare
 

@@ -7,12 +7,8 @@ import pytest
 
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.raycast import cast_scan
-from gridtrack.evaluation.referee.splits import Sampling, plan_split
-from gridtrack.evaluation.runs.oracle import expected_grid, range_errors, run_oracle
-from gridtrack.evaluation.runs.shared_thresholds import SharedThresholds
+from gridtrack.evaluation.runs.oracle import expected_grid, range_errors
 from gridtrack.evaluation.scores.cells import CLIP
-from gridtrack.evaluation.scores.registry import built_in
-from gridtrack.evaluation.scores.robot import SMALL_ROBOT
 from gridtrack.recordings.stream import open_stream
 from gridtrack.simulation.expected_scan import true_ranges
 
@@ -114,16 +110,3 @@ def test_the_forecast_of_a_frame_is_the_same_in_every_reading(frames, tmp_path):
     errors = range_errors(stream.observations(), len(stream))
     again = [expected_grid(one, stream.grid, errors) for one in list(stream.observations())[:3]]
     assert all(np.array_equal(one, oracle) for one, (_, oracle) in zip(again, frames, strict=False))
-
-
-def test_its_thresholds_are_chosen_once_for_all_recordings_with_one_validation_stretch(tmp_path):
-    path = truth_scene.write_recording(tmp_path / "room.mcap", noise_m=NOISE_M)
-    split = plan_split(str(path), None, Sampling(horizon_s=1.0, every_s=1.0))
-    moments, shared, delivered = split.moments(split.regions()), SharedThresholds(tmp_path), []
-    records = [
-        run_oracle(split, moments, tmp_path / name, lambda: delivered.append(1), shared, built_in(), SMALL_ROBOT)
-        for name in ("one", "two")
-    ]
-    assert len(delivered) == 2 * len(split.test) + len(split.validation)
-    assert records[0].thresholds == records[1].thresholds
-    assert records[0].thresholds.chosen_on == "room.mcap@validation"

@@ -45,10 +45,6 @@ def test_a_file_is_read_as_it_was_written(folder, name):
     assert json.loads(json_of(read(folder))) == json.loads((folder / name).read_text())
 
 
-def test_the_summary_has_no_indentation_because_it_has_a_number_for_every_step(folder):
-    assert len((folder / "summary.json").read_text().splitlines()) == 1
-
-
 @pytest.mark.parametrize("name", FILES)
 def test_a_key_that_is_not_known_is_ignored(folder, name):
     read, _ = FILES[name]

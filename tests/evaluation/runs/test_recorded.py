@@ -1,7 +1,8 @@
-"""Forecasts from a file score as the live tracker that made them; a file of another orientation or clock is refused."""
+"""Forecasts from a file or in a bag score as the tracker that made them; a file that cannot be right is refused."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +10,21 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.forecast_file import write_forecasts
+from gridtrack.common.geometry import SE2
 from gridtrack.evaluation.runs.jobs import JobOrder, SharedInputs
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.sums import SUMS_FILE
 from gridtrack.evaluation.scores.robot import CAR
+from gridtrack.recordings.outputs.conversion import write_outputs
 from gridtrack.recordings.stream import open_stream
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.table import headline_tables
 from gridtrack.trackers import registry
+from gridtrack.trackers.baselines import PersistenceTracker
 from gridtrack.trackers.contract import stream_of
 
+from scenes import drive_bag as made
+from scenes.output_bag import Outputs
 from scenes.room import trial_of
 
 STEPS = 10
@@ -201,3 +207,54 @@ def test_another_machine_runs_the_same_trial_with_the_robot_of_the_run(settings,
     there = order.row.trial(order.split(), order.settings)
     assert (there.robot, there.scores, there.seed) == (CAR, here.scores, 3)
     assert there.file_sha256 == here.file_sha256 != ""
+
+
+ROS = made.Ros(2)
+OUT = Outputs(ROS)
+
+
+def scans(sway):
+    """Ten seconds of a laser at rest in a round room, in which something walks to and fro by `sway` radians."""
+    angles = made.FRONT.angle_min + np.arange(made.FRONT.beams) * made.FRONT.angle_increment
+    for at_ms in range(0, 10_000, 100):
+        near = np.abs(angles - sway * math.sin(at_ms / 1200)) < 0.08
+        yield ROS.laser(at_ms, np.where(near, 1.6, 6.0).astype(np.float32), made.FRONT)
+
+
+def test_occupancy_grids_score_as_the_tracker_that_published_them(compare, trackers_here, tmp_path):
+    stream = open_stream(ROS.write(tmp_path / "scans", scans(sway=0.8)))
+    tracker, corner = PersistenceTracker(stream_of(stream), PersistenceTracker.Options()), SE2(*stream.grid.origin)
+    tracker.reset(0)
+    messages, leads_s = list(scans(sway=0.8)), (0.0, 0.5, 1.0)
+    for number, frame in enumerate(stream):
+        tracker.update(frame)
+        planes = 100 * tracker.predict(10).occupancy.astype(int)  # of 0 and 1: percentages do not round them
+        for lead_s in leads_s:
+            plane, topic = planes[round(10 * lead_s)], f"/pred_{10 * lead_s:.0f}"
+            messages.append(OUT.grid(topic, 100 * number, plane, corner, cell_m=stream.grid.cell_m, delay_ms=0))
+    bag, mine = ROS.write(tmp_path / "bag", messages), tmp_path / "mine.npz"
+    write_outputs(bag, mine, grid=tuple(f"/pred_{10 * lead_s:.0f}={lead_s}s" for lead_s in leads_s))
+    rows, half = ("persistence", f"mine=recorded:file={mine}"), {"recordings": (f"{bag}@5s-10s",)}
+    summary = compare(*rows, **half, validation=f"{bag}@0s-5s")
+    assert trial_of(summary, "mine", "bag@5s-10s").frames_scored >= 3
+    one, other = ((tmp_path / "run" / f"{label}@bag@5s-10s" / SUMS_FILE) for label in ("persistence", "mine"))
+    assert one.read_bytes() == other.read_bytes()
+
+
+def test_the_width_is_fitted_on_the_validation_stretch(tmp_path):
+    """It follows the errors of the positions: an outline that is too sharp is surer than it can be."""
+    draw, given = np.random.default_rng(1), {"objects": "/objects", "horizon_s": 1.0}
+    fitted_m = []
+    for number, error_m in enumerate((0.0, 0.3)):
+        ahead = [SE2(1.7 + x, y) for x, y in draw.normal(0.0, error_m, (100, 2))]
+        messages = [
+            OUT.objects(100 * n, OUT.car(at, (0.0, 0.0), label=7, size=(0.2, 0.2))) for n, at in enumerate(ahead)
+        ]
+        bag = ROS.write(tmp_path / f"bag-{number}", [*scans(sway=0.0), *messages])
+        _, lines = write_outputs(bag, tmp_path / f"fitted-{number}.npz", **given, validation="0s-5s")
+        (line,) = (line for line in lines if "--width" in line)
+        assert f": the least log loss of 85 predicted frames of {bag.name}@0s-5s" in line
+        fitted_m.append(float(line.split()[2]))
+    assert fitted_m[0] <= 0.2 < fitted_m[1]
+    _, lines = write_outputs(bag, tmp_path / "default.npz", **given)
+    assert any(line.startswith("--width is 0.2 m, the default") for line in lines)

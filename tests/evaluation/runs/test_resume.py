@@ -19,10 +19,9 @@ from gridtrack.evaluation.runs.run_folder import run_lock
 from gridtrack.evaluation.runs.sums import SUMS_FILE
 from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.reports.run import read_runs
-from tests.scenes.room import curve
 
 from scenes import truth_scene
-from scenes.room import trial_of
+from scenes.room import curve, trial_of
 
 pytestmark = pytest.mark.usefixtures("trackers_here")
 

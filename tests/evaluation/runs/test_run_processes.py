@@ -26,23 +26,13 @@ def start(settings, tmp_path):
     """`start(*trackers)` starts `gridtrack compare` of a run, as from a terminal; the process."""
 
     def start(*trackers):
+        # a test run by nohup or in the background ignores some signals, and children inherit it
+        program = ["env", "--default-signal", sys.executable, "-m", "gridtrack.cli"]
         rows = [word for tracker in trackers for word in ("--tracker", tracker)]
-        options = ["--horizon", "1s", "--every", "0.5s", "--jobs", "2", "--out", str(tmp_path / "run")]
-        command = [
-            *(
-                "env",
-                "--default-signal",
-            ),  # a test run by nohup or in the background ignores some, and children inherit it
-            sys.executable,
-            "-m",
-            "gridtrack.cli",
-            "compare",
-            "--no-floors",
-            *settings().recordings,
-            *rows,
-            *options,
-        ]
-        return subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        options = ["--horizon", "1s", "--every", "0.5s", "--jobs", "2", "--out", str(tmp_path / "run"), "--no-floors"]
+        return subprocess.Popen(
+            [*program, "compare", *settings().recordings, *rows, *options], stderr=subprocess.DEVNULL
+        )
 
     return start
 

@@ -7,15 +7,16 @@ import shutil
 
 import pytest
 
-from gridtrack.common.errors import WeightsError
-from gridtrack.evaluation.runs.learned import find_weights
+from gridtrack.common.errors import ConfigurationError, WeightsError
+from gridtrack.evaluation.runs.learned import find_weights, user_weights_folder, weights_in, weights_path
 from gridtrack.evaluation.runs.plan import resolve
 from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.trial_record import read_trial_record
-from gridtrack.trackers.training.weights import read_card
-from tests.scenes.room import curve
+from gridtrack.recordings import packaged_recording
+from gridtrack.trackers.training.card import Card
+from gridtrack.trackers.training.weights import save_weights
 
-from scenes.room import trial_of
+from scenes.room import curve, trial_of
 
 pytestmark = pytest.mark.usefixtures("trackers_here")
 
@@ -86,13 +87,68 @@ def test_weights_exchanged_in_mid_run_are_not_used(settings, record, train, tmp_
     assert before.files[scores] == during.files[scores] != after.files[scores]
 
 
-def test_a_card_is_read_once_for_all_recordings_of_a_site(settings, record, monkeypatch):
-    read = []
-    monkeypatch.setattr(
-        "gridtrack.evaluation.runs.learned.read_card",
-        lambda path, *rest: read.append(path.parent.name) or read_card(path, *rest),
-    )
-    recordings = tuple(str(record(f"r{n}", 8, {}, wall_m=3 + n / 10)) for n in range(3))
-    plan = resolve(settings("kalman", "persistence", recordings=recordings))
-    assert read == ["kalman"]
-    assert all(trial.weights for trial in plan.trials if trial.label == "kalman")
+def learned(folder, grid="1x1"):
+    """Write weights of `static-map` for the room."""
+    place = {"site": "room", "grid": grid, "period_s": 0.1, "world_T_grid": (0.0, 0.0)}
+    card = Card(tracker="static-map", **place, seed=0, command=str(folder), train=())
+    save_weights(weights_path(folder, "static-map", "room"), card, {})
+
+
+def test_weights_are_found_in_the_given_folder_then_the_users_then_the_package(tmp_path, home):
+    assert user_weights_folder() == tmp_path / "home" / "gridtrack" / "weights"
+    assert find_weights("no-such-tracker", "room", None) is None
+    learned(user_weights_folder())
+    (tmp_path / "given").mkdir()
+    assert find_weights("static-map", "room", tmp_path / "given").card.command == str(user_weights_folder())
+    learned(tmp_path / "given")
+    assert find_weights("static-map", "room", tmp_path / "given").card.command == str(tmp_path / "given")
+    assert find_weights("static-map", "elsewhere", tmp_path / "given", "site") is None
+
+
+def test_weights_of_a_site_choose_no_thresholds_at_another_one(settings, record, train, tmp_path):
+    elsewhere = record("elsewhere", wall_m=2.2, stretches={}, site="elsewhere")
+    there, site = {"validation": f"{elsewhere}@4s-9s"}, {"weights": tmp_path / "site"}
+    learned(tmp_path / "site", grid="40x0.2@-1,-4")
+    with pytest.raises(
+        ConfigurationError,
+        match=r"^static-map: its weights are of the site 'room', and its thresholds would be chosen on"
+        r" elsewhere\.mcap@4s-9s of the site 'elsewhere': name a --validation stretch of the site 'room', or compare"
+        r" general weights \(--tracker static-map:card=general\)$",
+    ):
+        resolve(settings("persistence", "static-map", **there, **site))
+    resolve(settings("persistence", **there))
+    train("site", "static-map", f"{elsewhere}@10s-15s", validation=(f"{elsewhere}@15s-20s",), general=True)
+    (trial,) = resolve(settings("static-map:card=general", **there, **site)).trials
+    assert trial.weights.card.general
+
+
+@pytest.mark.parametrize("site", ["Hall A", "../room"])
+def test_a_row_at_a_site_with_a_name_that_is_no_file_name_has_the_general_weights_of_its_folder(site, tmp_path):
+    missing = rf"^{tmp_path}: no weights of .* \({tmp_path}/static-map/general.toml is missing"
+    with pytest.raises(WeightsError, match=missing):
+        weights_in(tmp_path, "static-map", site)
+    card = {"cells_m": (0.1, 0.2), "periods_s": (0.1, 0.1), "seed": 0, "command": "", "train": ()}
+    path = weights_path(tmp_path, "static-map", "general")
+    save_weights(path, Card(tracker="static-map", site="general", **card), {})
+    for kind in ("any", "general"):
+        assert weights_in(tmp_path, "static-map", site, kind).path == path
+        assert find_weights("static-map", site, tmp_path, kind).path == path
+    assert find_weights("static-map", site, tmp_path, "site") is None
+    with pytest.raises(WeightsError, match="cannot name a weights file"):
+        weights_in(tmp_path, "static-map", site, "site")
+
+
+@pytest.mark.parametrize(
+    ("how", "why"),
+    [
+        ({"grid": "60x0.2"}, "made for grid 100x0.1@-2,-4.5, but this is 60x0.2@-6,-6"),
+        ({"rate_hz": 5.0}, "made for a period of 0.1 s (10 Hz), but this stream's is 0.2 s"),
+    ],
+)
+def test_weights_of_a_site_that_do_not_fit_grid_or_rate_give_way_to_general_ones_and_a_notice(how, why, settings):
+    demo = str(packaged_recording("leg_tracker"))
+    how |= {"recordings": (f"{demo}@114s-124s",), "validation": f"{demo}@75s-85s"}
+    plan = resolve(settings("kalman", "site=kalman:card=site", **how))
+    assert [trial.weights.kind for trial in plan.trials] == ["general", "site"]
+    said = f"kalman on leg_tracker@114s-124s: its weights of the site 'leg_tracker' are {why}; general weights are"
+    assert [line.startswith(said) for line in map(str, plan.notices) if "as with card=general" in line] == [True]

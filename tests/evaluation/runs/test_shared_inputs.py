@@ -58,13 +58,6 @@ def test_regions_are_kept_for_as_many_recordings_as_jobs_run(shared):
     assert splits[1].found == 2
 
 
-def test_an_error_reaches_every_job_that_needs_the_regions(shared):
-    inputs, split = shared(1), Split("hall", RecordingError("hall.mcap: damaged at 3 s"))
-    for _ in range(2):
-        with pytest.raises(RecordingError, match="damaged at 3 s"):
-            inputs.regions_of(split)
-
-
 @pytest.mark.usefixtures("trackers_here")
 def test_regions_that_cannot_be_found_fail_the_trials_of_their_recording_alone(compare, record, monkeypatch):
     recordings = tuple(str(record(name, 8, {}, wall_m=wall_m)) for name, wall_m in (("good", 3.0), ("bad", 3.2)))

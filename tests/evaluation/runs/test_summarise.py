@@ -1,26 +1,27 @@
-"""The summary of a run: scores pooled over recordings, with intervals, and values relative to floors and oracle."""
+"""The summary of a run: pooled scores with intervals, values relative to floors and oracle, and which score leads."""
 
 from __future__ import annotations
-
-from collections import Counter
 
 import numpy as np
 import pytest
 from pyarrow import parquet
 from scipy import stats
 
-from gridtrack.evaluation.referee.strata import STRATA, STRATA_WITH_TRUTH
+from gridtrack.common.errors import ConfigurationError
 from gridtrack.evaluation.runs import estimates, sums
 from gridtrack.evaluation.runs.finished import headline_steps
+from gridtrack.evaluation.runs.plan import resolve
+from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.summarise import _reversed_rankings, related, summarise
 from gridtrack.evaluation.runs.summary import ALL_RECORDINGS, Estimate, PooledSummary, TrackerSummary, TrialSummary
 from gridtrack.evaluation.runs.sums import ScoresError, TrialSums
+from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT
 from gridtrack.evaluation.scores.f1 import F1
 from gridtrack.evaluation.scores.log_loss import LOG_LOSS
 from gridtrack.evaluation.scores.pr_auc import PR_AUC
 
 from scenes import synthetic_run as synthetic
-from scenes.synthetic_run import RECORDINGS, summary_of, write_rows, write_unlike
+from scenes.synthetic_run import description, summary_of, write_rows, write_trial, write_unlike
 
 
 def by_recording(trials, label, score, stratum, step):
@@ -72,57 +73,10 @@ def test_every_output_with_a_scale_has_an_interval_round_its_value(twenty):
     }
 
 
-def test_the_summary_describes_the_scores_that_it_has(twenty):
-    summary = twenty[1]
-    assert [score.name for score in summary.scores] == [
-        *("f1", "pr_auc", "log_loss", "brier", "calibration", "fss", "soft_iou", "beam_error"),
-    ]
-    assert summary.headline == "f1.f1"
-    f1 = summary.scores[0]
-    assert (f1.lead.title, f1.lead.direction, f1.lead.tested) == ("F1", 1, True)
-
-
-def test_a_score_is_in_the_strata_in_which_it_is_defined(tmp_path):
-    trials = [synthetic.write_trial(tmp_path, "good", "a", 0.8, seed=0, frames=2, strata=STRATA_WITH_TRUTH)]
-    strata = summary_of(trials, ["a"]).trackers["good"].recordings["a"].strata
-    having = {
-        score: {name for name, found in strata.items() if score in found} for score in ("f1", "fss", "beam_error")
-    }
-    assert having == {
-        "f1": set(STRATA_WITH_TRUTH),
-        "fss": {"visible", "dynamic", "in-motion", "occluded"},
-        "beam_error": {"visible"},
-    }
-
-
-def test_a_single_recording_of_few_frames_is_too_short_for_an_interval(twenty):
-    trial = twenty[1].trackers["good"].recordings["seed-00"]
-    assert trial.at("dynamic", "f1", "f1", 8).interval is None
-    assert trial.interval.startswith("too short for an interval: ")
-
-
-def test_a_score_that_rests_on_one_recording_has_no_interval_and_the_others_have(tmp_path, monkeypatch):
-    drawn = synthetic.tally
-
-    def free(rng, skill, strata=STRATA, steps=synthetic.STEPS):
-        counted = drawn(rng, skill, strata, steps)
-        counted.positives[:, strata.index("dynamic")] = 0
-        return counted
-
-    scores = (F1, PR_AUC, LOG_LOSS)
-    trials = write_rows(tmp_path, {"good": 0.8}, RECORDINGS[:1], frames=2, scores=scores)
-    monkeypatch.setattr(synthetic, "tally", free)
-    trials += write_rows(tmp_path, {"good": 0.8}, RECORDINGS[1:], frames=2, scores=scores)
-    pooled = summary_of(trials).trackers["good"].pooled
-    area = pooled.at("dynamic", "pr_auc", "area", 8)
-    assert (area.value is None, area.interval) == (False, None)
-    assert pooled.at("dynamic", "log_loss", "mean", 8).interval is not None
-    assert pooled.at("visible", "pr_auc", "area", 8).interval is not None
-
-
 def test_a_single_forecast_has_scores_and_is_too_short_for_an_interval(tmp_path):
     trial = summary_of(write_rows(tmp_path, {"good": 0.8}, ["a"], frames=1), ["a"]).trackers["good"].recordings["a"]
-    assert trial.at("dynamic", "f1", "f1", 8).value > 0
+    found = trial.at("dynamic", "f1", "f1", 8)
+    assert (found.value > 0, found.interval) == (True, None)
     assert trial.interval == (
         "too short for an interval: 1 unit, blocks of at least 100 s, and 20 are needed: 19 more recordings, or about"
         " 32 more minutes"
@@ -198,25 +152,6 @@ def test_sums_are_read_from_the_folder_that_is_named_and_not_from_one_that_match
     for name, count in {neighbour: 9, folder: 4}.items():
         trial = synthetic.write_trial(tmp_path / name, "persistence", "a", 0.6, seed=0, frames=count)
         assert len(TrialSums(trial.folder).frames.stamps_ns) == count
-
-
-def test_the_histograms_of_a_trial_are_read_once(tmp_path, monkeypatch):
-    """They are most of the bytes that a summary reads, and their number is rows times recordings."""
-    trials = write_rows(tmp_path, {"persistence": 0.6, "good": 0.8}, frames=1, scores=(F1, PR_AUC))
-    read: list[str] = []
-    by_unit = TrialSums.by_unit
-
-    def counted(self, score, *arguments):
-        if score == "pr_auc":
-            read.append(self.path.parent.name)
-        return by_unit(self, score, *arguments)
-
-    monkeypatch.setattr(TrialSums, "by_unit", counted)
-    summary = summary_of(trials)
-    assert len(summary.differences) == 1
-    assert len(summary.pairs) > 0
-    # once for the recording, once for all of them together
-    assert Counter(read) == {trial.folder.name: 2 for trial in trials}
 
 
 def test_a_run_with_sums_that_do_not_fit_in_memory_has_the_same_summary(tmp_path, monkeypatch):
@@ -308,33 +243,28 @@ def test_a_tracker_with_a_lower_headline_score_than_the_best_floor_is_marked_and
     assert not any(one.recordings["room"].below_floor for one in related_rows(crashed).values())
 
 
+WITH_SHARES = {"a": (0.5, "ok"), "oracle": (0.9, "ok"), "persistence": (0.4, "ok"), "static-map": (0.1, "ok")}
+
+
 @pytest.mark.parametrize(
-    "trackers",
+    "changed",
     [
-        {"a": row("a", [0.5] * 2), "persistence": row("persistence", [0.4] * 2)},
-        {"a": row("a", [0.5] * 2), "oracle": row("oracle", [0.9] * 2)},
-        {"a": row("a", [0.5] * 2), "oracle": row("oracle", [0.909] * 2), "p": row("persistence", [0.9] * 2)},
-        {
-            "a": row("a", [0.5] * 2),
-            "oracle": row("oracle", [0.9] * 2),
-            "p": row("persistence", [0.4] * 2, outcome="crashed"),
-        },
-        {
-            "a": row("a", [0.8] * 2),
-            "oracle": row("oracle", [0.9] * 2),
-            "p": row("persistence", [0.6] * 2, outcome="crashed"),
-            "s": row("static-map", [0.1] * 2),
-        },
-        {
-            "a": row("a", [0.5] * 2, outcome="crashed"),
-            "oracle": row("oracle", [1.0] * 2),
-            "p": row("persistence", [0.0] * 2),
-        },
+        {"oracle": None},
+        {"persistence": None, "static-map": None},
+        {"oracle": (0.409, "ok")},
+        {"persistence": (0.4, "crashed"), "static-map": None},
+        {"persistence": (0.4, "crashed")},
+        {"a": (0.5, "crashed")},
     ],
     ids=["no oracle", "no floor", "no room between", "half a floor", "one of two floors", "a row scored in part"],
 )
-def test_there_is_no_share_without_an_oracle_and_every_floor(trackers):
-    assert shares(trackers, "a") == (None, None)
+def test_there_is_no_share_without_an_oracle_and_every_floor(changed):
+    def share(rows):
+        made = {name: row(name, [known[0]] * 2, outcome=known[1]) for name, known in rows.items() if known}
+        return shares(made, "a")
+
+    assert share(WITH_SHARES) == (0.2, 0.2)
+    assert share(WITH_SHARES | changed) == (None, None)
 
 
 def test_recordings_pooled_have_shares_of_their_own_and_hidden_cells_a_gap():
@@ -371,11 +301,13 @@ def reversed_lines(rows, description=None):
 
 
 def test_a_ranking_that_reverses_names_both_rows_the_stratum_the_horizon_and_all_four_scores():
-    (line,) = reversed_lines({"kalman": (0.100, 0.189), "persistence": (0.153, 0.150)})
+    """A period of 80 ms has no step at 0.5 s: the notice says 0.48 s, as the tables do."""
+    described = synthetic.description(period_s=0.08, steps=synthetic.STEPS)
+    (line,) = reversed_lines({"kalman": (0.100, 0.189), "persistence": (0.153, 0.150)}, described)
     assert line == (
-        "crossing: the order of trackers depends on the threshold: on dynamic cells 0.5 s ahead persistence is above"
+        "crossing: the order of trackers depends on the threshold: on dynamic cells 0.48 s ahead persistence is above"
         " kalman in F1 at the chosen thresholds (0.153 and 0.100) and below it in F1 at a threshold of 0.5 (0.150 and"
-        " 0.189); 2 more such pairs of rows and horizons"
+        " 0.189); 1 more such pair of rows and horizon"
     )
 
 
@@ -388,14 +320,6 @@ def test_an_order_by_pr_auc_that_is_not_that_by_f1_is_named():
         " above persistence in PR-AUC (0.650 and 0.199) and below it in F1 (0.286 and 0.444); 2 more such pairs of rows"
         " and horizons"
     )
-
-
-def test_the_horizon_of_a_reversed_ranking_is_the_steps():
-    """A period of 80 ms has no step at 1 s: the tables say 0.96 s, and so does the notice."""
-    described = synthetic.description(period_s=0.08, steps=synthetic.STEPS)
-    (line,) = reversed_lines({"a": (0.2, 0.1), "b": (0.1, 0.2)}, described)
-    assert "on dynamic cells 0.48 s ahead a is above b in F1 at" in line
-    assert line.endswith("; 1 more such pair of rows and horizon")
 
 
 @pytest.mark.parametrize(
@@ -418,3 +342,59 @@ def test_no_reversed_ranking_is_reported_where_the_order_stays(other):
 def test_the_reversed_pair_with_the_largest_lead_at_both_thresholds_is_named():
     (line,) = reversed_lines({"a": (0.62, 0.50), "b": (0.60, 0.51), "c": (0.50, 0.60)})
     assert "a is above c" in line
+
+
+WITH_CONTACTS = (CONTACT_FORESIGHT, F1, PR_AUC)
+OF_2_HZ = {"period_s": 0.5, "steps": 5}
+
+
+def summary(folder, recordings, frames, scores=WITH_CONTACTS, headline="", every_s=1, **drawn):
+    """The summary of two rows on recordings of 2 Hz; each forecast has contacts."""
+    described = dict.fromkeys((f"seed-{i:02}" for i in range(recordings)), description(**OF_2_HZ))
+    drawn |= {"frames": frames, "scores": scores, "every_s": every_s, **OF_2_HZ}
+    trials = [
+        write_trial(folder, label, name, skill, seed=i, **drawn)
+        for i, name in enumerate(described)
+        for label, skill in {"persistence": 0.4, "good": 0.8}.items()
+    ]
+    return summarise(described, trials, [], False, headline=headline)
+
+
+def too_few(found):
+    return [notice.text for notice in found.notices if "too few contacts" in notice.text]
+
+
+def test_contacts_lead_where_twenty_units_have_one(tmp_path):
+    found = summary(tmp_path, recordings=20, frames=2)
+    assert found.headline == "contact_foresight.foreseen"
+    assert not too_few(found)
+    (difference,) = [one for one in found.differences if one.tracker == "good"]
+    tests = {(test.stratum, test.horizon_s): test.verdict for test in difference.tests}
+    assert tests == {(s, h): "better" for s in ("dynamic", "in-motion") for h in (0.5, 1.0, 2.0)}
+
+
+def test_contacts_lead_where_fifty_forecasts_a_second_apart_have_one(tmp_path):
+    assert summary(tmp_path / "long", recordings=1, frames=50).headline == "contact_foresight.foreseen"
+    dense = summary(tmp_path / "dense", recordings=1, frames=49)
+    assert dense.headline == "pr_auc.area", "without intervals no score with a threshold leads"
+    (notice,) = too_few(dense)
+    assert notice == (
+        "too few contacts: 49 separate forecasts and 1 units have any, and 50 forecasts or 20 units are needed for"
+        " Contact foresight to lead"
+    )
+
+
+def test_the_user_chooses_the_headline_score(tmp_path):
+    assert summary(tmp_path, recordings=20, frames=2, headline="f1").headline == "f1.f1"
+
+
+def test_a_headline_by_which_trackers_are_not_compared_is_refused(tmp_path):
+    settings = CompareSettings(recordings=("none.mcap",), headline="brier", out=tmp_path / "run")
+    with pytest.raises(ConfigurationError, match="--headline: trackers are not compared by 'brier'"):
+        resolve(settings)
+
+
+def test_where_nothing_is_scored_no_notice_counts_contacts(tmp_path):
+    described = {"seed-00": description(**OF_2_HZ)}
+    failed = write_trial(tmp_path, "good", "seed-00", 0.8, seed=0, frames=4, scored=2, scores=WITH_CONTACTS, **OF_2_HZ)
+    assert not too_few(summarise(described, [failed], [], False))

@@ -27,18 +27,8 @@ def gridtrack(*words):
 
 def compare(recording, folder, *options):
     """The reason of static-map's trial on `recording`, empty if it is complete. General weights are not used."""
-    command = (
-        "compare",
-        "--no-floors",
-        str(recording),
-        "--tracker",
-        "static-map:card=site",
-        "--horizon",
-        "0.5s",
-        "--jobs",
-        "1",
-    )
-    gridtrack(*command, *options, "--out", str(folder))
+    command = ("compare", "--no-floors", str(recording), "--tracker", "static-map:card=site", "--horizon", "0.5s")
+    gridtrack(*command, *options, "--jobs", "1", "--out", str(folder))
     (trial,) = folder.glob("static-map@*")
     return read_trial_record(trial).reason
 
@@ -51,15 +41,8 @@ def run_command_in(text):
 
 def planned(folder, *recordings, segment_s=None):
     """What static-map lacks for its trials on `recordings`, "" for weights that learned from none of their frames."""
-    settings = CompareSettings(
-        recordings=tuple(map(str, recordings)),
-        trackers=("static-map:card=site",),
-        horizon_s=0.5,
-        no_floors=True,
-        out=folder / "planned",
-        segment_s=segment_s,
-    )
-    trials = resolve(settings).trials
+    given = {"recordings": tuple(map(str, recordings)), "trackers": ("static-map:card=site",), "no_floors": True}
+    trials = resolve(CompareSettings(**given, horizon_s=0.5, segment_s=segment_s, out=folder / "planned")).trials
     assert len(trials) >= len(recordings)
     (lacking,) = {"" if trial.weights else trial.how_to_train for trial in trials}
     return lacking
@@ -162,17 +145,8 @@ def test_a_range_in_a_message_is_one_of_the_recording(record, tmp_path, stretch)
 
 def test_no_stretch_is_suggested_where_the_sensor_always_moves(record, tmp_path, staged):
     moving = record("moving", seconds=20, speed=0.5)
-    gridtrack(
-        "compare",
-        "--no-floors",
-        str(moving),
-        "--tracker",
-        "staged",
-        "--out",
-        str(tmp_path / "moving"),
-        "--horizon",
-        "0.5s",
-    )
+    rows = ("--no-floors", "--tracker", "staged")
+    gridtrack("compare", str(moving), *rows, "--horizon", "0.5s", "--out", str(tmp_path / "moving"))
     reason = read_trial_record(tmp_path / "moving" / "staged@moving").reason
     assert "at rest nowhere for 10 s" in reason
     assert "@" not in reason.partition("the sensor moves")[2]

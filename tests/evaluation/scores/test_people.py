@@ -11,22 +11,19 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import Person
-from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions, regions_of
+from gridtrack.evaluation.referee.kinds import KindsOfWindow, Regions
 from gridtrack.evaluation.referee.motion import OnceFree
 from gridtrack.evaluation.referee.people import PeopleInWindow, people_in
-from gridtrack.evaluation.referee.referee import Moment, Schedule, moments, scored_forecasts
-from gridtrack.evaluation.referee.strata import PARTS, STRATA
+from gridtrack.evaluation.referee.referee import Moment
+from gridtrack.evaluation.referee.strata import PARTS
 from gridtrack.evaluation.referee.targets import Target
 from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT
-from gridtrack.evaluation.scores.definition import Sums
 from gridtrack.evaluation.scores.people import PEOPLE_SCORE
 from gridtrack.recordings import RecordingInfo, write_native
 from gridtrack.recordings.observation import Observation
-from gridtrack.recordings.stream import open_stream
-from gridtrack.trackers.baselines import PersistenceTracker
-from gridtrack.trackers.contract import stream_of
 
 from scenes import drive
+from scenes.room import curve, trial_of
 from scenes.scored_cells import DYNAMIC_CELL, STATIC_CELL, counted, facts_of, frame, region_maps, scored, values
 
 GRID = GridSpec(5, 0.4, (0.0, 0.0))
@@ -202,7 +199,8 @@ def test_contacts_with_people_are_those_whose_first_cell_is_a_persons_in_annotat
     assert clears["contacts with people"] == (clears["dynamic"] if of_people else 0)
 
 
-def test_persistence_of_a_drive_past_people_is_scored_with_the_people_where_they_truly_are(tmp_path):
+@pytest.mark.usefixtures("trackers_here")
+def test_a_run_on_a_drive_past_people_is_scored_with_the_people_where_they_truly_are(compare, tmp_path):
     def annotated(index):
         made = drive.scan(index, with_truth=False)
         bodies = drive.scene(index).objects
@@ -214,17 +212,10 @@ def test_persistence_of_a_drive_past_people_is_scored_with_the_people_where_they
 
     with (tmp_path / "d.mcap").open("wb") as file:
         write_native(file, RecordingInfo(site="rooms", grid=drive.GRID), (annotated(index) for index in range(70)))
-    stream = open_stream(tmp_path / "d.mcap")
-    regions = regions_of(stream, STRATA)
-    tracker = PersistenceTracker(stream_of(stream), PersistenceTracker.Options())
-    found = list(scored_forecasts(tracker, moments(stream, regions), Schedule(len(stream), 5, 5), 0))
-    facts = facts_of(found[0], has_people=stream.has_people, cell_m=drive.CELL_M)
-    sums = [PEOPLE_SCORE.count(one, facts, None) for one in found]
-    assert [one is not None for one in sums] == [25 <= 20 + 5 * k < 50 for k in range(len(found))]
-    pooled = Sums(np.sum([one for one in sums if one is not None], axis=0), PEOPLE_SCORE.parts(facts))
-    of = values(PEOPLE_SCORE, pooled)
-    moving, seen = (PEOPLE_SCORE.strata(facts).index(name) for name in ("people in motion", "people seen"))
-    assert of["found"][0, seen] == 1.0, "copying the frame finds all who are seen"
-    assert of["f1"][0, moving] == 1.0
-    assert of["f1"][5, moving] < 0.3, "half a second later they are elsewhere"
-    assert of["called_away"][:, 0].max() < 0.02
+    summary = compare("persistence", recordings=(str(tmp_path / "d.mcap"),), horizon_s=0.5)
+    trial = trial_of(summary, "persistence", "d")
+    assert curve(trial, "people seen", "people.found")[0] == 1.0, "copying the frame finds all who are seen"
+    f1 = curve(trial, "people in motion", "people.f1")
+    assert f1[0] == 1.0
+    assert f1[5] < 0.3, "half a second later they are elsewhere"
+    assert max(curve(trial, "people", "people.called_away")) < 0.02
