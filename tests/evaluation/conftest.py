@@ -105,3 +105,11 @@ def movers(install: Callable[..., Path]) -> None:
     """Registers the trackers `mover`, which forecasts velocities, and `guesser`, which samples futures."""
     module = PLUGINS / "movers.py"
     install("movers", {"mover": "movers:Mover", "guesser": "movers:Guesser"}, {module.name: module.read_text()})
+
+
+@pytest.fixture
+def nosy(install: Callable[..., Path]) -> None:
+    """Registers the trackers `nosy`, which looks around in `fit`, and `nosy-in-trial`."""
+    module = PLUGINS / "nosy_trackers.py"
+    points = {"nosy": "nosy_trackers:Nosy", "nosy-in-trial": "nosy_trackers:NosyInTrial"}
+    install("nosy", points, {module.name: module.read_text()})

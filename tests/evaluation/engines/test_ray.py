@@ -18,8 +18,7 @@ from gridtrack.evaluation.runs.runner import run
 from gridtrack.evaluation.runs.summary import read_summary
 from gridtrack.evaluation.runs.trial_record import read_trial_record
 
-from scenes.agreement import assert_agree, counted, wait_until
-from scenes.programs_here import programs_here
+from scenes.agreement import wait_until
 from scenes.room import STAGED, trial_of
 from studies.support.plugins import write_distribution
 
@@ -102,7 +101,7 @@ def test_a_sigterm_ends_the_tasks_and_keeps_their_scores(cluster, settings, tmp_
     assert not (tmp_path / "run" / ".engine").exists()
 
 
-def test_a_node_killed_in_mid_run_changes_no_count(cluster, settings, progress, tmp_path):
+def test_a_node_killed_in_mid_run_changes_no_count(cluster, settings, progress, tmp_path, assert_agrees_with_local):
     """Its trial starts again on the other node; a tracker that fails by itself is not started again."""
     # hanging before its thresholds are known, the trial has the same stretches when it starts again
     rows = f"staged:crash_at=40,crash_in=1,how=hangs,starts={tmp_path / 'starts'}", "dies:crash_at=60"
@@ -120,9 +119,7 @@ def test_a_node_killed_in_mid_run_changes_no_count(cluster, settings, progress, 
     (lost,) = [note for note in progress.notes if "lost by the engine" in note]
     assert lost.endswith("; starts again, 1 of 2")
     assert "engine ray: at most 2 trials at the same time" in progress.notes
-    with programs_here():
-        run(resolve(settings("staged", "dies:crash_at=60", out=tmp_path / "local")), (), progress)
-    assert_agree(counted(tmp_path / "run"), counted(tmp_path / "local"))
+    assert_agrees_with_local("staged", "dies:crash_at=60")
     outcomes = {label: read_trial_record(tmp_path / "run" / f"{label}@room").outcome for label in ("staged", "dies")}
     assert outcomes == {"staged": "ok", "dies": "crashed"}
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.engines.engine import EngineError
+from gridtrack.evaluation.engines.engine import EngineError, LocalEngine
 from gridtrack.evaluation.engines.remote import RETRIES, RemoteEngine, TaskEnd
 from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.runs import jobs, runner
@@ -196,7 +196,7 @@ def test_a_machine_with_another_recording_or_version_refuses_the_job(
     )
 
 
-def test_a_task_receives_only_the_path_of_a_folder_and_orders_do_not_grow_with_the_run(settings, tmp_path, record):
+def test_orders_do_not_grow_with_the_run(settings, tmp_path, record):
     def order(count):
         several = tuple(str(record(f"r{n}", 8, {}, wall_m=3 + n / 10)) for n in range(count))
         plan = resolve(settings("persistence", "blank", recordings=several))
@@ -242,6 +242,18 @@ def test_options_that_a_cluster_does_not_support_are_refused_in_one_line(setting
         resolve(settings("persistence", engine=engine, **given))
 
 
-def test_an_address_without_a_cluster_is_refused(settings):
+@pytest.mark.parametrize("engine", ["local", "slurm"])
+def test_an_address_is_refused_without_a_ray_cluster(settings, engine):
     with pytest.raises(ConfigurationError, match="--address is for a Ray cluster"):
-        resolve(settings("persistence", address="10.0.0.1:6379"))
+        resolve(settings("persistence", engine=engine, address="10.0.0.1:6379"))
+
+
+def test_the_scratch_folder_of_a_killed_run_is_removed(settings, progress, tmp_path):
+    left = tmp_path / "run" / ".engine" / "of-a-killed-run" / "kalman.toml"
+    left.parent.mkdir(parents=True)
+    left.write_text("weights")
+    with LocalEngine(1, tmp_path / "run", progress) as engine:
+        assert not left.exists()
+        assert engine.scratch.is_relative_to(tmp_path / "run")
+        assert list(engine.scratch.iterdir()) == []
+    assert not (tmp_path / "run" / ".engine").exists()

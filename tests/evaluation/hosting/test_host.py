@@ -13,7 +13,6 @@ import psutil
 import pytest
 
 from gridtrack.evaluation.hosting.host import shielded_environment
-from tests.conftest import PLUGINS
 
 PR_CAPBSET_DROP = 24
 CAP_SYS_PTRACE, CAP_SYS_ADMIN, CAP_PERFMON = 19, 21, 38
@@ -29,23 +28,16 @@ def drop_tracing() -> None:
         ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, right, 0, 0, 0)
 
 
-@pytest.mark.parametrize(
-    ("command", "tracker"), [(("compare",), "nosy-in-trial"), (("train",), "nosy")], ids=("compare", "train")
-)
-def test_no_argument_environment_or_descriptor_names_the_recording(command, tracker, record, install, tmp_path):
-    install(
-        "nosy",
-        {"nosy": "nosy_trackers:Nosy", "nosy-in-trial": "nosy_trackers:NosyInTrial"},
-        {"nosy_trackers.py": (PLUGINS / "nosy_trackers.py").read_text()},
-    )
+@pytest.mark.parametrize(("command", "tracker"), [("compare", "nosy-in-trial"), ("train", "nosy")])
+@pytest.mark.usefixtures("nosy")
+def test_no_argument_environment_or_descriptor_names_the_recording(command, tracker, record, tmp_path):
     path, found = record("hidden-name"), tmp_path / "found.json"
     selection = f"{tracker}:found={found},secret=eman-neddih"
     compared = ["--no-floors", str(path), "--tracker", selection, "--horizon", "0.5s", "--every", "0.5s"]
-    options = [selection, str(path)] if command == ("train",) else compared
-    argv = [sys.executable, "-m", "gridtrack.cli", *command, *options, "--out", str(tmp_path / "out")]
-    subprocess.run(
-        argv, check=True, stdout=subprocess.DEVNULL, env=os.environ | {"RECORDING": str(path)}, preexec_fn=drop_tracing
-    )
+    options = [selection, str(path)] if command == "train" else compared
+    argv = [sys.executable, "-m", "gridtrack.cli", command, *options, "--out", str(tmp_path / "out")]
+    environment = os.environ | {"RECORDING": str(path)}
+    subprocess.run(argv, check=True, stdout=subprocess.DEVNULL, env=environment, preexec_fn=drop_tracing)
     assert json.loads(found.read_text())["traces"] == []
 
 

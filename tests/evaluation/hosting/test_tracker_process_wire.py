@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import select
 import sys
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from types import SimpleNamespace
 
 import psutil
 import pytest
+from plugins import rogue_program as rogue
 
 from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.hosting import supervised, tracker_process
@@ -18,7 +18,7 @@ from gridtrack.evaluation.hosting.contract_scene import empty_stream
 from gridtrack.evaluation.hosting.limits import Limits
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.hosting.supervised import TimeLimit
-from gridtrack.evaluation.hosting.tracker_process import TrackerDescription, TrackerProcess
+from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import Launch
 from tests.conftest import PLUGINS
@@ -27,9 +27,6 @@ from scenes.programs_here import ProgramHere
 
 PROGRAM = PLUGINS / "rogue_program.py"
 LIMITS = Limits(update_s=0.5, predict_s=0.5)
-_spec = importlib.util.spec_from_file_location("rogue_program", PROGRAM)
-rogue = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(rogue)
 
 
 @pytest.fixture(autouse=True)
@@ -40,35 +37,18 @@ def _leaves_no_process() -> Iterator[None]:
 
 
 @pytest.fixture
-def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The rogue program answers in this process."""
+def fields(monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+    """The rogue program answers in this process; the fields by which it describes itself."""
+    fields: dict[str, object] = {}
 
     def program(argv, env, *, log, **how):
         def answer(request):
-            return [rogue.answer_to(request, argv[-1], DESCRIBED)]
+            return [rogue.answer_to(request, argv[-1], fields)]
 
         return ProgramHere(SimpleNamespace(max_body=1 << 28, answer=answer), log)
 
     monkeypatch.setattr(tracker_process, "SupervisedProgram", program)
-
-
-DESCRIBED: dict[str, object] = {}
-"""The fields by which the program describes itself; tests set and clear them."""
-
-
-@pytest.fixture
-def described(tmp_path: Path, here: None):
-    """`described(fields)` starts the program with these fields; its description."""
-
-    def described(fields: dict[str, object]) -> TrackerDescription:
-        DESCRIBED.update(fields)
-        try:
-            with process("done", tmp_path) as started:
-                return started.description
-        finally:
-            DESCRIBED.clear()
-
-    return described
+    return fields
 
 
 def process(how: str, tmp_path: Path, size: int = 20, **more: object) -> TrackerProcess:
@@ -89,15 +69,20 @@ def end(how: str, tmp_path: Path, size: int = 20) -> tuple[str, str]:
     return ended.value.outcome, ended.value.reason
 
 
-def test_a_program_may_name_its_role_and_the_comparisons_with_it_as_reference(described) -> None:
-    floor = described({"role": "floor", "reference_for": ["classes", "occupancy"]})
-    assert (floor.role, floor.reference_for) == ("floor", {"occupancy", "classes"})
-    plain = described({})
-    assert (plain.role, plain.reference_for) == ("tracker", frozenset())
+@pytest.mark.parametrize(
+    ("named", "role", "reference_for"),
+    [({}, "tracker", set()), ({"role": "floor", "reference_for": ["classes"]}, "floor", {"classes"})],
+)
+def test_a_program_may_name_its_role_and_the_comparisons_with_it_as_reference(
+    tmp_path: Path, fields: dict[str, object], named: dict[str, object], role: str, reference_for: set[str]
+) -> None:
+    fields |= named
+    with process("done", tmp_path) as started:
+        assert (started.description.role, started.description.reference_for) == (role, reference_for)
 
 
 @pytest.mark.parametrize(
-    ("fields", "reason"),
+    ("named", "reason"),
     [
         ({"role": "ceiling"}, "'started': role is 'ceiling'; expected one of tracker, floor"),
         ({"role": None}, "'started': role is None; expected one of tracker, floor"),
@@ -107,9 +92,12 @@ def test_a_program_may_name_its_role_and_the_comparisons_with_it_as_reference(de
         ({"classes": [f"class {i}" for i in range(10_000)]}, "10000 classes; at most 255"),
     ],
 )
-def test_an_invalid_description_is_refused(fields: dict[str, object], reason: str, described) -> None:
-    with pytest.raises(TrialEnded, match=f"invalid-output: start: {reason}"):
-        described(fields)
+def test_an_invalid_description_is_refused(
+    tmp_path: Path, fields: dict[str, object], named: dict[str, object], reason: str
+) -> None:
+    fields |= named
+    with pytest.raises(TrialEnded, match=f"invalid-output: start: {reason}"), process("done", tmp_path):
+        pass
 
 
 @pytest.mark.parametrize(
@@ -130,13 +118,15 @@ def test_an_invalid_description_is_refused(fields: dict[str, object], reason: st
         ("made-up-outcome", "an error with outcome 'ok'; expected one of crashed, timeout"),
     ],
 )
-def test_a_malformed_answer_is_invalid_output(tmp_path: Path, here: None, how: str, reason: str) -> None:
+@pytest.mark.usefixtures("fields")
+def test_a_malformed_answer_is_invalid_output(tmp_path: Path, how: str, reason: str) -> None:
     outcome, found = end(how, tmp_path)
     assert outcome == "invalid-output"
     assert reason in found
 
 
-def test_a_reason_has_no_control_characters(tmp_path: Path, here: None) -> None:
+@pytest.mark.usefixtures("fields")
+def test_a_reason_has_no_control_characters(tmp_path: Path) -> None:
     assert end("terminal-codes", tmp_path) == ("crashed", "update with frame 1: [31mred alert")
 
 
@@ -182,12 +172,11 @@ def test_a_program_that_closes_its_stdin_has_closed_the_wire(tmp_path: Path) -> 
 
 
 @pytest.fixture
-def large_forecasts(tmp_path: Path, here: None):
+def large_forecasts(tmp_path: Path, fields: dict[str, object]):
     """`large_forecasts(classes_used)`: a program that names 255 classes and forecasts 100 MB, limited to 250 MB."""
-    DESCRIBED["classes"] = [f"class {i}" for i in range(255)]
+    fields["classes"] = [f"class {i}" for i in range(255)]
     limits = Limits(predict_s=60.0, memory_mb=250)
-    yield lambda classes_used: process("done", tmp_path, 100, limits=limits, classes_used=classes_used)
-    DESCRIBED.clear()
+    return lambda classes_used: process("done", tmp_path, 100, limits=limits, classes_used=classes_used)
 
 
 def test_the_forecasts_that_the_host_holds_have_a_budget(large_forecasts) -> None:
