@@ -1,6 +1,7 @@
 """The folder of a run on a synthetic scene: a wall, a moving block, and the cells that it occludes; its page opened."""
 
 import json
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -27,8 +28,9 @@ from gridtrack.reports.page import render_report
 from gridtrack.trackers.contract import Forecast
 
 from scenes.edited_run import edited
-from scenes.report_page import HOSTILE, open_details
-from scenes.synthetic_run import DESCRIBED, description, write_run_record
+from scenes.report_page import HOSTILE
+from scenes.report_page import opened as opened_page
+from scenes.synthetic_run import DESCRIBED, RECORDINGS, description, write_results, write_run_record
 from scenes.synthetic_run import write_trial as write_drawn_trial
 
 GRID = GridSpec(32, 0.2, (-3.2, 0.0))
@@ -107,17 +109,14 @@ LATENCY = Latency(
 )
 
 
-def write_trial(
-    run, label, tracker, forecast, scored=EXPECTED, outcome="ok", reason="", chosen_on="crossing@0s-15s", robots=False
-):
+def write_trial(run, label, tracker, forecast, scored=EXPECTED, outcome="ok", reason="", robots=False):
     """Score `forecast` on the first `scored` frames and leave the trial's folder, as the referee does.
 
     `robots`: whether its samples have the paths of robots; those of earlier runs have none.
     """
     folder = run / f"{label}@{RECORDING}"
     folder.mkdir(parents=True)
-    values = np.full((STEPS + 1, len(STRATA)), 0.375 if chosen_on else 0.5)
-    thresholds = Thresholds(bins_of(values), chosen_on)
+    thresholds = Thresholds(bins_of(np.full((STEPS + 1, len(STRATA)), 0.375)), "crossing@0s-15s")
     facts = TrialFacts(GRID.cell_m, STEPS, STRATA, thresholds, period_s=PERIOD_S)
     counter = Counter(built_in(), facts)
     with (
@@ -148,17 +147,17 @@ def write_trial(
     return record, folder
 
 
-def write_run(run, trackers=None, broken=(), notices=(), chosen_on="crossing@0s-15s", robots=False):
+def write_run(run, trackers=None, broken=(), robots=False):
     """A whole run's folder; `broken` are (label, scored, outcome, reason) of trials that did not finish."""
     trials = []
     for label, (tracker, forecast) in (TRACKERS if trackers is None else trackers).items():
-        record, folder = write_trial(run, label, tracker, forecast, chosen_on=chosen_on, robots=robots)
+        record, folder = write_trial(run, label, tracker, forecast, robots=robots)
         trials.append(FinishedTrial(record, folder, tracker, {}, ""))
     for label, scored, outcome, reason in broken:
-        record, folder = write_trial(run, label, label, blurred_future(1.0), scored, outcome, reason, chosen_on)
+        record, folder = write_trial(run, label, label, blurred_future(1.0), scored, outcome, reason)
         trials.append(FinishedTrial(record, folder, label, {}, ""))
     described = RecordingDescription(horizons_s=HORIZONS_S, stretch="crossing.mcap@test", grid=str(GRID), frames=FRAMES)
-    summarise({RECORDING: described}, trials, list(notices), interrupted=False).write(run)
+    summarise({RECORDING: described}, trials, [], interrupted=False).write(run)
     write_run_record(run, {RECORDING: described})
     return run
 
@@ -170,7 +169,6 @@ def run_folder(tmp_path_factory):
     return write_run(run, broken=[("unlucky", 7, "crashed", "ValueError: lost my way")])
 
 
-TWENTY = [f"seed-{i:02}" for i in range(20)]
 TWENTY_SKILLS = {"persistence": 0.6, "good": 0.8, "<b>even": 0.6, "unlucky": 0.9, "oracle": 1.0}
 """Of each tracker on every recording; `unlucky` did not complete the first one."""
 
@@ -179,7 +177,7 @@ TWENTY_SKILLS = {"persistence": 0.6, "good": 0.8, "<b>even": 0.6, "unlucky": 0.9
 def twenty(tmp_path_factory):
     """A run on twenty recordings, so with intervals and tests, at 2 Hz and in few strata so that it is small."""
     folder = tmp_path_factory.mktemp("runs") / "twenty"
-    described = dict.fromkeys(TWENTY, description(period_s=0.5, steps=5))
+    described = dict.fromkeys(RECORDINGS, description(period_s=0.5, steps=5))
     trials = [
         write_drawn_trial(
             folder,
@@ -192,12 +190,10 @@ def twenty(tmp_path_factory):
             strata=(*STRATA, "occluded", "occluded to 0.5 s", "occluded 0.5-1 s"),
             steps=5,
         )
-        for i, name in enumerate(TWENTY)
+        for i, name in enumerate(RECORDINGS)
         for label, skill in TWENTY_SKILLS.items()
     ]
-    summarise(described, trials, [], False).write(folder)
-    write_run_record(folder, described)
-    return folder
+    return write_results(folder, described, trials)
 
 
 @pytest.fixture(scope="session")
@@ -231,25 +227,27 @@ def hostile_report(run_folder, tmp_path_factory):
 
 
 @pytest.fixture
+def opened_with(browser, run_folder, tmp_path):
+    """`opened_with(change)` opens the page of the run with another summary, which `change(summary)` changed."""
+    with ExitStack() as pages:
+
+        def open_with(change, **options):
+            report = render_report([edited(run_folder, tmp_path / "run", change)])
+            return pages.enter_context(opened_page(browser, report, **options))
+
+        yield open_with
+
+
+@pytest.fixture
 def opened(browser, hostile_report):
-    """Opens a page and its details, with a fragment, and gives it and its player; it had no error and no request."""
-    pages, faults = [], []
+    """`opened(fragment, width, report)` opens a page, and gives it and its player."""
+    with ExitStack() as pages:
 
-    def open_at(fragment="", width=1280, report=hostile_report, **options):
-        page = browser.new_page(viewport={"width": width, "height": 900}, **options)
-        pages.append(page)
-        page.set_default_timeout(60_000)
-        page.on("console", lambda message: message.type == "error" and faults.append(message.text))
-        page.on("pageerror", lambda error: faults.append(str(error)))
-        page.on("dialog", lambda dialog: (faults.append(dialog.message), dialog.dismiss()))
-        page.on("request", lambda one: one.url.startswith(("file:", "data:")) or faults.append(one.url))
-        page.goto(report.as_uri() + fragment)
-        player = page.locator(".player[data-ready]")
-        player.wait_for()
-        open_details(page)
-        return page, player
+        def open_at(fragment="", width=1280, report=hostile_report, **options):
+            options["viewport"] = {"width": width, "height": 900}
+            page = pages.enter_context(opened_page(browser, report, fragment, **options))
+            player = page.locator(".player[data-ready]")
+            player.wait_for()
+            return page, player
 
-    yield open_at
-    for page in pages:
-        page.close()
-    assert faults == []
+        yield open_at

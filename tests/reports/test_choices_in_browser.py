@@ -2,7 +2,6 @@
 
 import pytest
 
-from gridtrack.evaluation.runs.summarise import summarise
 from gridtrack.reports.page import render_report
 
 from scenes import synthetic_run as synthetic
@@ -14,10 +13,6 @@ PERIODS_S = {"fast": (0.05, 50), "slow": (0.2, 12), "uneven": (0.105263, 24)}
 NAMES = "Recording", "Cells"
 WITH_HORIZON = ["ranking", "scale", "precision-recall", "threshold", "calibration", "every-score"]
 
-CONFUSION_AT = {"slow": (0, 5), "uneven": (0,)}
-"""The steps with confusion matrices."""
-CONFUSION = [[5, 1, 0], [2, 3, 1]]
-
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
@@ -28,15 +23,9 @@ def report(tmp_path_factory):
         for label, skill in {"persistence": 0.6, "good": 0.8}.items()
     ]
     described = {
-        name: synthetic.description(period_s=period_s, steps=steps, classes=("bus", "car"))
-        for name, (period_s, steps) in PERIODS_S.items()
+        name: synthetic.description(period_s=period_s, steps=steps) for name, (period_s, steps) in PERIODS_S.items()
     }
-    summarise(described, trials, [], False).write(run)
-    synthetic.write_run_record(run, described)
-    for recording, steps in CONFUSION_AT.items():
-        counts = dict.fromkeys(steps, CONFUSION)
-        synthetic.write_confusion(run / f"good@{recording}", ["bus", "car"], counts, PERIODS_S[recording][1])
-    return render_report([run])
+    return render_report([synthetic.write_results(run, described, trials)])
 
 
 @pytest.fixture
@@ -69,17 +58,7 @@ def test_the_nearest_time_is_used_and_the_choice_comes_back(page):
     assert ranking.locator("svg").get_attribute("aria-label") == first
 
 
-def test_a_figure_says_if_its_only_time_is_another_one(page):
-    confusion = page.locator("#confusion")
-    assert ahead_of(page, "confusion") == "1 s"
-    confusion.get_by_label("Recording").select_option("uneven")
-    assert confusion.get_by_label("Ahead").is_visible()
-    assert ahead_of(page, "confusion") == "0 s"
-    confusion.get_by_label("Recording").select_option("slow")
-    assert ahead_of(page, "confusion") == "1 s"
-
-
-def test_the_drawn_scores_belong_to_that_time(page, report):
+def test_the_drawn_scores_belong_to_that_time(page):
     """Each step has other scores: the table of every score beside the ranking."""
     for figure in ("ranking", "every-score"):
         page.locator(f"#{figure}").get_by_label("Recording").select_option("slow")

@@ -1,7 +1,5 @@
 """A report of many recordings: the page stays within its size and names the omissions; a user names recordings."""
 
-from __future__ import annotations
-
 import csv
 import io
 
@@ -10,7 +8,6 @@ from typer.testing import CliRunner
 
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.evaluation.runs.summarise import summarise
 from gridtrack.reports import page as page_module
 from gridtrack.reports.formats import render_as
 from gridtrack.reports.page import render_page
@@ -33,9 +30,7 @@ def run(tmp_path_factory):
         for i, (name, good) in enumerate(SKILLS.items())
         for label, skill in (("good", good), ("persistence", 0.6))
     ]
-    summarise(described, trials, [], False).write(folder)
-    synthetic.write_run_record(folder, described)
-    return folder
+    return synthetic.write_results(folder, described, trials)
 
 
 @pytest.fixture
@@ -57,12 +52,6 @@ def test_a_page_without_room_for_all_has_the_recordings_with_the_largest_differe
     assert data_of(page)["left_out"] == 2
     assert "recording street-1" not in page
     assert "4 recordings: 16 forecasts scored" in page, "the answer is that of the whole run"
-
-
-def test_a_page_with_room_for_all_leaves_nothing_out(run):
-    page = render_page(read_runs([run]))
-    assert recordings_on(page) == ["all recordings", *SKILLS]
-    assert "not on this page" not in page
 
 
 def test_a_user_names_the_recordings_of_a_page_and_of_other_formats(run, room_for_three):

@@ -1,7 +1,5 @@
 """The data of the figures of the page: curves of probability, conditions, times, classes; and their explanations."""
 
-import copy
-import json
 import re
 import shutil
 from pathlib import Path
@@ -9,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.runs.passes import Quantiles
 from gridtrack.evaluation.runs.result_files import RunError
 from gridtrack.evaluation.runs.sums import SUMS_FILE, TrialSums
@@ -17,13 +14,13 @@ from gridtrack.evaluation.scores.cells import PROBABILITY_EDGES
 from gridtrack.evaluation.scores.definition import Sums
 from gridtrack.recordings.degradation import Degradation
 from gridtrack.reports.measurements import DEGRADATION_TEXTS, keeps_up
-from gridtrack.reports.page import render_page
+from gridtrack.reports.page import meanings, render_page
 from gridtrack.reports.run import read_runs
 from gridtrack.reports.score_figures import score_figures
 from gridtrack.reports.scripts import ASSETS
 from gridtrack.reports.table import headline_tables
 
-from scenes.edited_run import describe, put, trial_of, value_of
+from scenes.edited_run import deadline, edited, robustness, trial_of, value_of
 from scenes.report_page import data_of
 from scenes.synthetic_run import write_confusion
 
@@ -31,43 +28,12 @@ STEPS = 20
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-def f1(value):
-    return {"f1": {name: [value] * (STEPS + 1) for name in STRATA}}
-
-
-TIMES = {"p50": 41.0, "p95": 44.0, "p99": 46.5}
-AGES = {"p50": 1.0, "p95": 2.0, "p99": 2.0}
-DEADLINE = {
-    "update_ms": TIMES,
-    "predict_ms": TIMES,
-    "busy_ms": TIMES,
-    "highest_rate_hz": 21.505,
-    "forecast_steps": 22,
-    "rates": [
-        {"rate": 1.0, "rate_hz": 8.0, "frames": 120, "missed": 0, "age_frames": AGES, "scores": f1(0.413)},
-        {"rate": 4.0, "rate_hz": 32.0, "frames": 120, "missed": 60, "age_frames": AGES, "scores": f1(0.217)},
-    ],
-}
-ROBUSTNESS = {
-    "degradation": {"range_noise": 0.1},
-    "kinds": {
-        "range_noise": [
-            {"strength": s, "value": 0.1 * s, "delivered": "", "scores": f1(0.4 - 0.1 * s)} for s in (0.0, 0.5, 1.0)
-        ]
-    },
-}
-
-
 @pytest.fixture
-def good_of(run_folder, tmp_path, summary_of):
+def good_of(run_folder, tmp_path):
     """`good_of(**changes)`: the page's data of the tracker `good`, its trial changed in these keys, and all data."""
 
     def good_of(**changes):
-        run = tmp_path / "run"
-        shutil.copytree(run_folder, run, dirs_exist_ok=True)
-        summary = summary_of(run)
-        summary["trackers"]["good"]["recordings"]["crossing"] |= changes
-        (run / "summary.json").write_text(json.dumps(summary))
+        run = edited(run_folder, tmp_path / "run", lambda summary: trial_of(summary, "good").update(changes))
         data = data_of(render_page(read_runs([run])))
         (row,) = [row for row in data["recordings"][0]["rows"] if row["label"] == "good"]
         return row, data
@@ -76,89 +42,54 @@ def good_of(run_folder, tmp_path, summary_of):
 
 
 def test_every_rate_has_its_f1_beside_the_untimed_one_and_its_missed_frames(good_of, run_folder, summary_of):
-    row, data = good_of(deadline=DEADLINE)
+    row, data = good_of(deadline=deadline(1.0, 4.0))
     untimed = value_of(trial_of(summary_of(run_folder), "good"), "in-motion", "f1.f1", 4)
     rate = row["conditions"]["rate"]
     assert rate["values"] == [0.0, 1.0, 4.0]
-    assert rate["scores"]["f1"]["in-motion"] == [pytest.approx(untimed), 0.413, 0.217]
+    assert rate["scores"]["f1"]["in-motion"] == [pytest.approx(untimed), 0.4, 0.1]
     assert rate["notes"] == ["no deadline", "0 % of frames missed", "50 % of frames missed"]
     assert data["recordings"][0]["conditions_ahead_s"] == 0.5
     assert row["latency"]["highest_hz"] == 21.5
 
 
 def test_a_stratum_that_was_not_scored_leaves_a_gap(good_of):
-    deadline = copy.deepcopy(DEADLINE)
-    del deadline["rates"][1]["scores"]["f1"]["in-motion"]
-    assert good_of(deadline=deadline)[0]["conditions"]["rate"]["scores"]["f1"]["in-motion"][1:] == [0.413, None]
+    measured = deadline(1.0, 4.0)
+    del measured["rates"][1]["scores"]["f1"]["in-motion"]
+    assert good_of(deadline=measured)[0]["conditions"]["rate"]["scores"]["f1"]["in-motion"][1:] == [0.4, None]
 
 
 def test_degraded_input_has_its_f1_at_every_value_with_name_and_unit(good_of):
-    row, data = good_of(robustness=ROBUSTNESS)
+    row, data = good_of(robustness=robustness("range_noise", 0.1, "f1"))
     noise = row["conditions"]["range_noise"]
     assert noise["values"] == pytest.approx([0.0, 0.05, 0.1])
     assert noise["scores"]["f1"]["visible"] == pytest.approx([0.4, 0.35, 0.3])
-    assert (data["conditions"]["range_noise"]["name"], data["conditions"]["range_noise"]["unit"]) == (
-        "range noise",
-        " m",
-    )
-
-
-def test_without_other_conditions_there_are_none(good_of):
-    row, data = good_of()
-    assert (row["conditions"], data["conditions"]) == ({}, {})
+    described = data["conditions"]["range_noise"]
+    assert (described["name"], described["unit"]) == ("range noise", " m")
 
 
 @pytest.mark.parametrize("damage", ["short", "backwards", "infinite"])
 def test_invalid_conditions_are_refused_in_one_line(good_of, damage):
-    deadline, robustness = copy.deepcopy(DEADLINE), copy.deepcopy(ROBUSTNESS)
+    timed, degraded = deadline(1.0, 4.0), robustness("range_noise", 0.1, "f1")
     if damage == "short":
-        deadline["rates"][0]["scores"]["f1"]["in-motion"] = [0.5]
+        timed["rates"][0]["scores"]["f1"]["in-motion"] = [0.5]
     elif damage == "backwards":
-        robustness["kinds"]["range_noise"].reverse()
+        degraded["kinds"]["range_noise"].reverse()
     else:
-        deadline["rates"][0]["rate_hz"] = float("inf")
+        timed["rates"][0]["rate_hz"] = float("inf")
     with pytest.raises(RunError, match=r"summary\.json"):
-        good_of(deadline=deadline, robustness=robustness)
+        good_of(deadline=timed, robustness=degraded)
 
 
-def test_a_score_of_another_package_is_shown_by_its_description(run_folder, tmp_path, summary_of):
-    """The page knows no list of scores: it has the description from the summary."""
-    output = {"unit": "cells", "better": "lower", "tested": True, "decimals": 1}
-    run = shutil.copytree(run_folder, tmp_path / "run")
-    summary = summary_of(run)
-    describe(summary, "surprise", "Surprise", {"depth": output})
-    put(trial_of(summary, "good"), "in-motion", "surprise.depth", 12.25, 11.5, 13.0)
-    (run / "summary.json").write_text(json.dumps(summary))
-    page = render_page(read_runs([run]))
-    data = data_of(page)
-    assert data["scores"][-2]["outputs"] == [
-        {"name": "depth", "title": "Surprise", "saying": "", "of_trial": False, "beside": False, **output}
-    ]
-    assert "about" not in data["scores"][-2]
-    (row,) = [row for row in data["recordings"][0]["rows"] if row["label"] == "good"]
-    assert row["strata"]["in-motion"]["surprise"]["depth"]["low"] == [11.5] * (STEPS + 1)
-    assert ">Surprise, cells</th>" in page, "it is tested, so it has a column"
-    assert "12.2<small>[11.5, 13.0]</small>" in page
-
-
-def test_a_score_without_a_row_cannot_be_chosen(good_of):
-    assert {"flow_error", "energy"}.isdisjoint(score["name"] for score in good_of()[1]["scores"])
+def test_a_score_or_condition_without_a_row_cannot_be_chosen(good_of):
+    row, data = good_of()
+    assert {"flow_error", "energy"}.isdisjoint(score["name"] for score in data["scores"])
+    assert (row["conditions"], data["conditions"]) == ({}, {})
 
 
 def test_every_kind_of_degradation_has_a_text_and_a_row_in_the_documentation():
     assert set(DEGRADATION_TEXTS) == set(Degradation.model_fields)
     page = (DOCS / "run-folder.md").read_text()
     assert [field.alias for field in Degradation.model_fields.values() if f"| `{field.alias}` |" not in page] == []
-
-
-def test_times_are_from_the_latency_pass_and_say_whether_it_keeps_up(good_of):
-    row, data = good_of()
-    assert row["latency"]["update"] == [2.0, 3.0, 4.0]
-    assert (row["latency"]["predict"], row["latency"]["keeps_up"]) == ([20.0, 30.0, 40.0], "yes")
-    assert row["latency"]["device"] == "NVIDIA H100"
-    assert row["latency"]["twentieths"]["update"][::10] == [1.0, 2.0, 4.5]
-    assert row["latency"]["twentieths"]["predict"] == []
-    assert data["recordings"][0]["period_ms"] == 125.0
 
 
 @pytest.mark.parametrize(
@@ -234,26 +165,6 @@ def test_sums_that_cannot_be_read_have_a_notice_and_the_page_is_complete(run_fol
     assert notices[0].startswith("good: no curves of its probabilities")
 
 
-PROSE_OF_BEFORE = 2013
-"""Number of words that explained figures and tables on the page, before each had one line and a documentation page."""
-
-
-def test_the_explanations_of_the_page_are_short():
-    scripts = "\n".join(path.read_text() for path in ASSETS.glob("*.js"))
-    lines = [text for quoted in re.findall(r'"([^"\n]*)"|`([^`\n]*)`', scripts) for text in quoted]
-    sentences = [text for text in lines if re.search(r"[a-z }]\. ?$", text)]
-    pages = (path for path in (ASSETS.parent / "templates").glob("*.j2") if path.name != "leaderboard.html.j2")
-    templates = "".join(path.read_text() for path in pages)
-    notes = re.findall(r'<p class="note">(.*?)</p>', templates, re.DOTALL)
-    assert len(sentences) >= 12
-    assert len(notes) >= 5
-    filled_in = r"\$\{[^{}]*\}|<code>.*?</code>|<[^>]*>|\{[{%].*?[%}]\}"
-    words = [
-        word for text in (*sentences, *notes) for word in re.findall(r"[A-Za-z][\w'-]*", re.sub(filled_in, " ", text))
-    ]
-    assert len(words) <= PROSE_OF_BEFORE / 10, " ".join(words)
-
-
 def test_every_figure_and_table_of_the_page_is_explained_under_its_own_heading():
     headings = re.findall(r"^## (.*)$", (DOCS / "figures.md").read_text(), re.MULTILINE)
     titles = [title for path in ASSETS.glob("*.js") for title in re.findall(r'title: "([^"]+)"', path.read_text())]
@@ -264,3 +175,12 @@ def test_every_figure_and_table_of_the_page_is_explained_under_its_own_heading()
     named = set(re.findall(r'draw\.meaning\("([\w-]+)"\)', templates))
     assert named
     assert named <= slugs
+
+
+@pytest.mark.parametrize("meaning", meanings(), ids=lambda meaning: meaning.name)
+def test_a_meaning_reads_without_its_links_and_pictures(meaning):
+    """The page opens from disk, where no link into the documentation works."""
+    assert meaning.paragraphs
+    for paragraph in meaning.paragraphs:
+        assert re.fullmatch(r"[A-Z].*\.", paragraph)
+        assert not re.search(r"[\[\]`*!]|\((definition|see)\)|\.md|: [a-z]+\.$", paragraph)

@@ -1,6 +1,5 @@
 """Long labels are shown whole at the width of a screen and of a telephone: in drawings, tables and facts."""
 
-import json
 from contextlib import ExitStack
 from functools import cache
 from itertools import pairwise
@@ -10,7 +9,8 @@ import pytest
 
 from gridtrack.reports.page import render_report
 
-from scenes.report_page import downloaded, opened
+from scenes.edited_run import edit, trial_of
+from scenes.report_page import opened
 from scenes.synthetic_run import write_confusion
 
 LONG = "new-dilated-convgru (general)"
@@ -27,13 +27,14 @@ def report(make_run, tmp_path_factory):
     names = {"persistence": "persistence"} | dict.fromkeys((LONG, LONGER, UNBROKEN), "good-tracker")
     trackers = {label: (tracker, lambda _: still) for label, tracker in names.items()}
     run = make_run(tmp_path_factory.mktemp("runs") / "long", trackers)
-    summary = json.loads((run / "summary.json").read_text())
-    (times,) = [one["latency_ms"] for one in summary["trackers"]["persistence"]["recordings"].values()]
-    times["update"] |= {"p50": 0.02, "p95": 0.02, "p99": 0.02, "twentieths": [0.02] * 21}
-    summary["recordings"]["crossing"]["classes"] = CLASSES
+
+    def add(summary):
+        times = trial_of(summary, "persistence")["latency_ms"]
+        times["update"] |= {"p50": 0.02, "p95": 0.02, "p99": 0.02, "twentieths": [0.02] * 21}
+        summary["recordings"]["crossing"]["classes"] = CLASSES
+
     write_confusion(run / f"{LONG}@crossing", CLASSES, {8: [[5, 1, 0, 0, 0, 0]] * len(CLASSES)})
-    (run / "summary.json").write_text(json.dumps(summary))
-    return render_report([run])
+    return render_report([edit(run, add)])
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +63,9 @@ def test_a_drawing_has_the_whole_label_beside_the_plot(open_wide, figure, width)
     plot = min(line["left"] for line in boxes(page, f"#{figure} line.grid, #{figure} circle.dot"))
     (drawing,) = boxes(page, f"#{figure} svg.figure-drawing")
     assert all(drawing["left"] - 1 <= name["left"] and name["right"] < plot for name in names)
-    for above, below in pairwise(names):
-        assert above["bottom"] <= below["top"]
-    assert names[-1]["bottom"] <= min(tick["top"] for tick in boxes(page, f"#{figure} svg > text.tick"))
+    ticks = sorted(boxes(page, f"#{figure} svg > text.tick"), key=lambda tick: tick["left"])
+    assert all(above["bottom"] <= below["top"] for above, below in pairwise([*names, *ticks[:1]]))
+    assert all(left["right"] + 4 <= right["left"] for left, right in pairwise(ticks))
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -80,14 +81,6 @@ def test_names_right_of_the_plot_are_whole_and_apart(open_wide, width):
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_the_ticks_of_the_times_stand_apart(open_wide, width):
-    ticks = sorted(boxes(open_wide(width), "#latency svg > text.tick"), key=lambda tick: tick["left"])
-    assert len(ticks) > 1
-    assert ticks[-1]["text"].endswith(" ms")
-    assert all(left["right"] + 4 <= right["left"] for left, right in pairwise(ticks))
-
-
-@pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("table", [".headline", "#every-score table"])
 def test_a_table_has_the_whole_label_and_room_for_scores(open_wide, table, width):
     page = open_wide(width)
@@ -96,13 +89,6 @@ def test_a_table_has_the_whole_label_and_room_for_scores(open_wide, table, width
     assert all(cell["right"] - cell["left"] <= 0.6 * width for cell in boxes(page, f"{table} tbody th.name"))
     (short,) = [one for one in boxes(page, f"{table} .label") if one["text"] == "persistence"]
     assert short["bottom"] - short["top"] < 30  # one line
-
-
-def test_on_a_narrow_page_a_fact_stands_below_its_name(open_wide):
-    page = open_wide(400)
-    names, values = boxes(page, ".answer dt"), boxes(page, ".answer dd")
-    assert names
-    assert all(value["top"] >= name["bottom"] for name, value in zip(names, values, strict=True))
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -121,9 +107,3 @@ def test_a_confusion_matrix_names_its_classes(open_wide, width):
     cells = min(cell["top"] for cell in boxes(page, "#confusion rect.share"))
     assert all(name["bottom"] <= cells for name in names[len(CLASSES) :])
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-
-
-def test_the_file_of_a_confusion_matrix_names_them_too(open_wide):
-    page = open_wide(1280)
-    file = downloaded(page, "#confusion", "SVG")
-    assert all(file.count(f">{name}</text>") == 2 for name in ("pedestrian", "cyclist", "static"))

@@ -51,7 +51,8 @@ def plane(packed):
     return np.frombuffer(zlib.decompress(base64.b64decode(packed)), np.uint8).reshape(SIZE, SIZE)
 
 
-def test_the_recorded_share_and_each_prior_are_on_one_logarithmic_scale(run):
+def test_the_recorded_share_and_each_prior_are_on_one_logarithmic_scale(run, run_folder):
+    assert data_of(render_page(read_runs([run_folder])))["priors"] == []
     (place,) = data_of(render_page(read_runs([run])))["priors"]
     assert (place["recording"], place["size"]) == ("crossing", SIZE)
     assert {row["label"] for row in place["rows"]} == {"good", "fair"}
@@ -74,10 +75,6 @@ def test_a_place_of_several_recordings_has_one_prior_of_each_row(twenty, tmp_pat
     assert shown == [("seed-00", ["good"]), ("seed-01", ["unlucky"])]
 
 
-def test_a_run_without_priors_has_no_figure_of_them(run_folder):
-    assert data_of(render_page(read_runs([run_folder])))["priors"] == []
-
-
 @pytest.mark.parametrize(
     "damage",
     [
@@ -94,9 +91,6 @@ def test_a_damaged_prior_has_a_notice_and_the_others_are_shown(run, damage):
     page = render_page(read_runs([run]))
     assert "prior.parquet: not the prior of a grid of 32 x 32 cells" in page
     assert [row["label"] for row in data_of(page)["priors"][0]["rows"]] == ["fair"]
-
-
-def test_a_file_that_is_no_parquet_has_a_notice(run):
     (run / "good@crossing" / PRIOR_FILE).write_bytes(b"PAR1 no")
     assert "cannot be read as a prior" in render_page(read_runs([run]))
 

@@ -6,7 +6,6 @@ import io
 import json
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import NamedTuple
@@ -31,7 +30,7 @@ class Session(NamedTuple):
     out: str
 
 
-def run_pytest(folder: Path, code: str, *arguments: str) -> Session:
+def run_pytest(folder, code, *arguments):
     """Run pytest, in this process and with no other plugin, on a file test_it.py with this code."""
     (folder / "test_it.py").write_text(code)
     plugins = "--disable-plugin-autoload -p gridtrack.reports.pytest_plugin -p no:cacheprovider"
@@ -43,14 +42,14 @@ def run_pytest(folder: Path, code: str, *arguments: str) -> Session:
 
 
 @pytest.fixture
-def suite(tmp_path: Path, install: Callable[..., Path], trackers_here: None) -> Callable[..., Session]:
+def suite(tmp_path, install, trackers_here):
     """`suite(*arguments, half_life_s, options, more)` runs the regression test of the example tracker, in a version
     that forgets half in `half_life_s`."""
     code, field = EXAMPLE.read_text(), "half_life_s: float = {}"
     site = install("fading-tracker", {"fading": "example_tracker:FadingTracker"}, {"example_tracker.py": code})
     (tmp_path / "demo.mcap").symlink_to(packaged_recording("leg_tracker"))
 
-    def suite(*arguments: str, half_life_s: float = 1.0, options: str = "", more: str = "") -> Session:
+    def suite(*arguments, half_life_s=1.0, options="", more=""):
         (site / "example_tracker.py").write_text(code.replace(field.format(1.0), field.format(half_life_s)))
         return run_pytest(tmp_path, TEST.format(options=options, more=more), *arguments)
 

@@ -1,18 +1,13 @@
 """Rerun recordings of a recording and of a run, read back by Rerun's own reader and compared with a hand-drawn case."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil
 import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import psutil
 import pytest
-from click.testing import Result
 from rerun.chunk import RrdReader
 from typer.testing import CliRunner
 
@@ -33,16 +28,15 @@ FREE, HIT, DARK = 0, 100, 255
 START_NS = 1_600_000_000_000_000_000
 WALLS = (np.array([[8, 3], [9, 3], [9, 3.5]], np.float32),)
 CAR = np.array([[-1, -0.5], [1, -0.5], [1, 0.5], [-1, 0.5]], np.float32)
-Rows = dict[str, list[dict[str, Any]]]
 
 
-def gridtrack(*arguments: object) -> Result:
+def gridtrack(*arguments):
     return CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
 
 
-def read(path: Path) -> Rows:
+def read(path):
     """The rows of each entity in the order of time: components by their names without the archetype."""
-    rows: Rows = {}
+    rows = {}
     for chunk in RrdReader(path).stream():
         for row in chunk.to_record_batch().to_pylist():
             found = {name.rpartition(":")[2]: value for name, value in row.items()}
@@ -52,7 +46,7 @@ def read(path: Path) -> Rows:
     return rows
 
 
-def cells(row: dict[str, Any]) -> list[list[int]]:
+def cells(row):
     """The values of a grid with the lowest row first: an image begins with the highest."""
     (image,) = row["format"]
     assert (image["color_model"], image["channel_datatype"]) == (1, 6)  # one channel of uint8
@@ -61,7 +55,7 @@ def cells(row: dict[str, Any]) -> list[list[int]]:
 
 
 @pytest.fixture
-def drive(tmp_path: Path) -> Path:
+def drive(tmp_path):
     """One beam along x, of a sensor that moves by 1.2 m in a second; a car ahead of it turns left."""
     scans = []
     for k, x in enumerate((10.2, 11.4)):
@@ -78,10 +72,11 @@ def drive(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_recording_has_its_frames_at_their_stamps_and_places(drive: Path, tmp_path: Path) -> None:
+def test_a_recording_has_its_frames_and_sensors_at_their_stamps_and_places_and_the_truth(drive, tmp_path):
     done = gridtrack("recording", "view", drive, "--out", tmp_path / "drive.rrd")
     assert "2 frames" in done.stdout
-    first, second = read(tmp_path / "drive.rrd")["/world/input"]
+    rows = read(tmp_path / "drive.rrd")
+    first, second = rows["/world/input"]
     assert [row["stamp"].value for row in (first, second)] == [START_NS, START_NS + 1_000_000_000]
     assert [row["time"].total_seconds() for row in (first, second)] == [0.0, 1.0]
     # four cells of a metre about (10, 5): from (8, 3); the sensor is in cell [2, 2] and the return in the one after it
@@ -89,11 +84,6 @@ def test_a_recording_has_its_frames_at_their_stamps_and_places(drive: Path, tmp_
     assert first["cell_size"] == [1.0]
     assert cells(first) == [[DARK] * 4, [DARK] * 4, [DARK, DARK, FREE, HIT], [DARK] * 4]
     assert second["translation"] == [[9.0, 3.0, 0.0]]
-
-
-def test_a_recording_has_the_pose_of_its_sensor_and_the_ground_truth(drive: Path, tmp_path: Path) -> None:
-    gridtrack("recording", "view", drive, "--out", tmp_path / "drive.rrd")
-    rows = read(tmp_path / "drive.rrd")
     poses = [row for row in rows[r"/world/sensors/laser\/1"] if "translation" in row]
     assert [row["translation"][0][:2] for row in poses] == [pytest.approx([10.2, 5.1]), pytest.approx([11.4, 5.1])]
     (walls,) = rows["/world/outlines"]  # once: they do not change
@@ -107,7 +97,7 @@ def test_a_recording_has_the_pose_of_its_sensor_and_the_ground_truth(drive: Path
     assert np.allclose(turned, [[12.5, 5.0], [12.5, 7.0], [11.5, 7.0], [11.5, 5.0]], atol=1e-6)
 
 
-def test_the_file_is_named_after_the_stretch(drive: Path, tmp_path: Path, monkeypatch) -> None:
+def test_the_file_is_named_after_the_stretch(drive, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     gridtrack("recording", "view", f"{drive}@1s-")
     (row,) = read(tmp_path / "drive@1s-.rrd")["/world/input"]
@@ -115,7 +105,7 @@ def test_the_file_is_named_after_the_stretch(drive: Path, tmp_path: Path, monkey
 
 
 @pytest.fixture(scope="module")
-def drawn_run(run_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def drawn_run(run_folder, tmp_path_factory):
     """The run with hand-drawn samples: of `good` two, of `fair` the first, of the others none."""
     run = shutil.copytree(run_folder, tmp_path_factory.mktemp("drawn") / "run")
     for samples in run.glob(f"*/{SAMPLES}"):
@@ -126,14 +116,14 @@ def drawn_run(run_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 
 @pytest.fixture(scope="module")
-def run_rows(drawn_run: Path) -> Rows:
+def run_rows(drawn_run):
     done = gridtrack("report", drawn_run, "--rerun")
     path = drawn_run / "report" / "crossing.rrd"
     assert str(path) in done.stdout
     return read(path)
 
 
-def test_a_run_has_input_observed_frame_truth_and_each_forecast(run_rows: Rows) -> None:
+def test_a_run_has_input_observed_frame_truth_and_each_forecast(run_rows):
     first, second = run_rows["/world/input"]
     assert [row["stamp"].value - STAMP_NS for row in (first, second)] == [0, 1_000_000_000]
     assert cells(first) == [[FREE, HIT, DARK], [FREE, FREE, DARK], [DARK, DARK, DARK]]
@@ -148,7 +138,7 @@ def test_a_run_has_input_observed_frame_truth_and_each_forecast(run_rows: Rows) 
     assert run_rows["/world/sensors"][0]["positions"][0][:2] == pytest.approx([9.5, -3.75])
 
 
-def test_a_run_has_the_tracks_of_each_tracker(run_rows: Rows) -> None:
+def test_a_run_has_the_tracks_of_each_tracker(run_rows):
     first, second = run_rows["/world/tracks/good"]
     assert first["centers"][0][:2] == pytest.approx([7.5, -4.5])
     assert first["half_sizes"][0][:2] == pytest.approx([0.4, 0.2])
@@ -159,21 +149,20 @@ def test_a_run_has_the_tracks_of_each_tracker(run_rows: Rows) -> None:
     assert second["centers"] == []
 
 
-def test_a_tracker_that_kept_nothing_at_a_stamp_shows_nothing_there(run_rows: Rows) -> None:
+def test_a_tracker_that_kept_nothing_at_a_stamp_shows_nothing_there(run_rows):
     for entity in ("/world/forecast/fair", "/world/tracks/fair"):
         (cleared,) = [row for row in run_rows[entity] if row.get("is_recursive")]
         assert cleared["stamp"].value == STAMP_NS + 1_000_000_000
     assert not any(row.get("is_recursive") for row in run_rows["/world/tracks/good"])
 
 
-def test_rows_are_chosen_by_their_labels(drawn_run: Path, tmp_path: Path) -> None:
+def test_rows_are_chosen_by_their_labels(drawn_run, tmp_path):
     gridtrack("report", drawn_run, "--rerun", "--rows", "f*", "--out", tmp_path / "chosen")
     entities = read(tmp_path / "chosen" / "crossing.rrd")
-    found = {name for name in entities if name.startswith("/world/tracks")}
-    assert found == {"/world/tracks/fair", "/world/tracks/fair/velocity"}
+    assert {name.split("/")[3] for name in entities if name.startswith("/world/tracks")} == {"fair"}
 
 
-def test_a_damaged_file_of_forecasts_is_reported_and_the_rest_is_written(drawn_run: Path, tmp_path: Path) -> None:
+def test_a_damaged_file_of_forecasts_is_reported_and_the_rest_is_written(drawn_run, tmp_path):
     run = shutil.copytree(drawn_run, tmp_path / "run")
     damaged = run / "fair@crossing" / SAMPLES
     damaged.write_bytes(damaged.read_bytes()[:200])
@@ -182,7 +171,7 @@ def test_a_damaged_file_of_forecasts_is_reported_and_the_rest_is_written(drawn_r
     assert "/world/tracks/fair" not in read(written[0])
 
 
-def test_without_kept_forecasts_it_is_one_line(drawn_run: Path, tmp_path: Path) -> None:
+def test_without_kept_forecasts_it_is_one_line(drawn_run, tmp_path):
     run = shutil.copytree(drawn_run, tmp_path / "run")
     for samples in run.glob(f"*/{SAMPLES}"):
         samples.unlink()
@@ -190,7 +179,7 @@ def test_without_kept_forecasts_it_is_one_line(drawn_run: Path, tmp_path: Path) 
         write_rerun_run(run)
 
 
-def test_it_opens_no_connection_and_starts_no_process(drive: Path, tmp_path: Path) -> None:
+def test_it_opens_no_connection_and_starts_no_process(drive, tmp_path):
     this = psutil.Process()
     before = len(this.net_connections()), len(this.children(recursive=True))
     gridtrack("recording", "view", drive, "--out", tmp_path / "drive.rrd")
@@ -201,29 +190,27 @@ def test_it_opens_no_connection_and_starts_no_process(drive: Path, tmp_path: Pat
     ("out", "says"),
     [("drive.rdd", "is written as .rrd"), ("nowhere/drive.rrd", "No such file or directory")],
 )
-def test_a_file_that_cannot_be_written_is_one_line(drive: Path, tmp_path: Path, out: str, says: str) -> None:
+def test_a_file_that_cannot_be_written_is_one_line(drive, tmp_path, out, says):
     with pytest.raises((ConfigurationError, OSError), match=says):
         gridtrack("recording", "view", drive, "--out", tmp_path / out)
     assert not list(tmp_path.glob("*.partial"))
 
 
-def test_without_the_extra_the_error_names_it(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extra_the_error_names_it(drive, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ConfigurationError, match=r"Rerun recordings need rerun-sdk: pip install 'gridtrack\[view\]'$"):
         gridtrack("recording", "view", drive, "--out", tmp_path / "drive.rrd")
     assert [path.name for path in tmp_path.iterdir()] == ["drive.mcap"]
 
 
-def test_a_format_or_several_runs_are_refused(drawn_run: Path) -> None:
-    for arguments, says in (
-        (["--format", "csv"], "--rerun: forecasts have neither"),
-        ([drawn_run], "one run at a time"),
-    ):
-        with pytest.raises(ConfigurationError, match=says):
-            gridtrack("report", drawn_run, "--rerun", *arguments)
+def test_a_format_or_several_runs_are_refused(drawn_run):
+    with pytest.raises(ConfigurationError, match="--rerun: forecasts have neither"):
+        gridtrack("report", drawn_run, "--rerun", "--format", "csv")
+    with pytest.raises(ConfigurationError, match="one run at a time"):
+        gridtrack("report", drawn_run, drawn_run, "--rerun")
 
 
-def test_a_hostile_label_is_one_part_of_a_path(drawn_run: Path, tmp_path: Path) -> None:
+def test_a_hostile_label_is_one_part_of_a_path(drawn_run, tmp_path):
     label = "=_[*]<script>alert(1)</script> $x$ /** - world\x1b[31m".replace("/", "∕")
 
     def rename(summary):

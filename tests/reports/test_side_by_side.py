@@ -1,7 +1,6 @@
 """The page of several runs: rows of each run reported apart, an answer for each, and the differences near the top."""
 
 import csv
-import json
 import shutil
 
 import pytest
@@ -13,15 +12,14 @@ from gridtrack.reports.run_description import changes_of
 from gridtrack.reports.styles import styles_of
 from gridtrack.reports.table import headline_tables
 
-from scenes.edited_run import edited
-from scenes.report_page import opened
+from scenes.edited_run import edit, edited, with_again
+from scenes.report_page import downloaded, opened
 
 NO_EVIDENCE = "no evidence of a difference"
 
 
 def changed(run, **fields):
-    record = json.loads((run / "run.json").read_text())
-    (run / "run.json").write_text(json.dumps(record | fields))
+    return edit(run, lambda record: record.update(fields), "run.json")
 
 
 @pytest.fixture(scope="module")
@@ -57,11 +55,11 @@ def test_a_tracker_has_one_colour_in_both_runs_and_another_dash_in_each(page):
 def test_a_button_hides_the_row_of_one_run(page):
     page.get_by_role("button", name="before: good", exact=True).click()
     names = page.locator("#curves g.line title").all_text_contents()
+    shown = {name: page.locator(".headline tr", has_text=name).is_visible() for name in ("before: good", "after: good")}
+    page.get_by_role("button", name="before: good", exact=True).click()
     assert "before: good" not in names
     assert "after: good" in names
-    assert not page.locator(".headline tr", has_text="before: good").is_visible()
-    assert page.locator(".headline tr", has_text="after: good").is_visible()
-    page.get_by_role("button", name="before: good", exact=True).click()
+    assert shown == {"before: good": False, "after: good": True}
     assert page.locator(".headline tr", has_text="before: good").is_visible()
 
 
@@ -75,23 +73,28 @@ def test_each_run_has_its_answer_and_the_changes_stand_before_the_figures(page):
     assert headings.index("Changes") < headings.index("Ranking")
 
 
-def trials(recording, **options):
-    return {f"{label}@{recording}": {"tracker": label, "options": given} for label, given in options.items()}
+def trials(**options):
+    return {f"{label}@crossing": {"tracker": label, "options": given} for label, given in options.items()}
 
 
 @pytest.fixture
 def records(two, tmp_path):
-    """Two runs, the second with another option of `good`, without `fair`, and with a seed of all its trials."""
-    before, after = (shutil.copytree(run, tmp_path / run.name) for run in two)
-    described = json.loads((before / "run.json").read_text())["configuration"]["recordings"]
-    given = trials("crossing", good={}, fair={}, persistence={})
-    changed(before, command=["gridtrack", "compare", "a b"], configuration={"recordings": described, "trials": given})
-    given = trials("crossing", good={"gate": 3.0}, persistence={})
-    given = {name: one | {"seed": 3} for name, one in given.items()}
-    changed(after, command=["gridtrack", "compare"], configuration={"recordings": described, "trials": given})
-    summary = json.loads((after / "summary.json").read_text())
-    del summary["trackers"]["fair"]
-    (after / "summary.json").write_text(json.dumps(summary))
+    """Two runs, the second later, with another option of `good`, without `fair`, and with a seed of all its trials."""
+
+    def first(record):
+        record["command"] = ["gridtrack", "compare", "a b"]
+        record["configuration"]["trials"] = trials(good={}, fair={}, persistence={})
+
+    def second(record):
+        record |= {"command": ["gridtrack", "compare"], "started": "2026-01-01T00:00:00Z"}
+        record["versions"] |= {"torch": "9.9"}
+        given = trials(good={"gate": 3.0}, persistence={})
+        record["configuration"]["trials"] = {name: one | {"seed": 3} for name, one in given.items()}
+
+    before, after = (
+        edited(run, tmp_path / run.name, change, "run.json") for run, change in zip(two, (first, second), strict=True)
+    )
+    edit(after, lambda summary: summary["trackers"].pop("fair"))
     return read_runs([before, after])
 
 
@@ -100,15 +103,16 @@ def test_each_difference_is_a_line_with_the_options_first(records):
         ("trackers not in every run", ("fair", "–")),
         ("good: options.gate", ("default", "3.0")),
         ("good, persistence: seed", ("0", "3")),
+        ("versions.torch", ("–", "9.9")),
         ("command", ("gridtrack compare 'a b'", "gridtrack compare")),
     ]
 
 
-def with_code(run, **code):
+def with_code(run, recording="crossing", **code):
     """The run with this hash of the code in the trial of each label."""
     for label, sha256 in code.items():
-        path = run / f"{label}@crossing" / "outcome.json"
-        path.write_text(json.dumps(json.loads(path.read_text()) | {"code_sha256": sha256}))
+        edit(run / f"{label}@{recording}", lambda record, own=sha256: record.update(code_sha256=own), "outcome.json")
+    return run
 
 
 def test_a_tracker_with_edited_code_has_a_line(two, tmp_path):
@@ -121,17 +125,11 @@ def test_a_tracker_with_edited_code_has_a_line(two, tmp_path):
 
 
 def test_trials_of_one_row_that_ran_with_other_code_have_a_notice(two, tmp_path):
-    run = shutil.copytree(two[0], tmp_path / "run")
-    shutil.copytree(run / "good@crossing", run / "good@again")
-    summary = json.loads((run / "summary.json").read_text())
-    summary["recordings"]["again"] = summary["recordings"]["crossing"]
-    (run / "summary.json").write_text(json.dumps(summary))
+    run = with_again(two[0], tmp_path / "run")
     expected = "good: its trials ran with 2 different versions of its code"
     runs = read_runs([run])
     assert expected not in [one.text for one in notices_of(runs, headline_tables(runs))]
-    with_code(run, good="1" * 64)
-    path = run / "good@again" / "outcome.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"code_sha256": "2" * 64}))
+    with_code(with_code(run, good="1" * 64), "again", good="2" * 64)
     assert expected in [one.text for one in notices_of(runs, headline_tables(runs))]
 
 
@@ -146,15 +144,16 @@ def test_a_tracker_is_compared_across_other_recordings(records):
     names = {one.name: one.values for one in changes_of(read_runs([before.path, after.path]))}
     assert names["recordings not in every run"] == ("here", "there")
     assert names["good: options.gate"] == ("default", "3.0")
-    assert len(names) == 5
+    assert len(names) == 6
 
 
 def test_the_options_of_another_tracker_have_no_default(records):
     before, after = records
-    trial = "good@crossing"
-    given = json.loads((before.path / "run.json").read_text())["configuration"]
-    given["trials"][trial]["tracker"] = "another"
-    changed(before.path, configuration=given)
+
+    def replace(record):
+        record["configuration"]["trials"]["good@crossing"]["tracker"] = "another"
+
+    edit(before.path, replace, "run.json")
     names = {one.name: one.values for one in changes_of(read_runs([before.path, after.path]))}
     assert names["good: options.gate"] == ("–", "3.0")
 
@@ -177,25 +176,9 @@ def test_a_colour_that_two_trackers_share_has_a_mark_of_its_own(two, tmp_path):
     assert styles["after: net-8"].endswith("run1")
 
 
-def test_the_mark_of_a_shared_colour_is_a_wide_line_with_the_dashes_of_its_run(page):
-    wide = """one => {
-      one.classList.add("again");
-      const { strokeWidth, strokeDasharray } = getComputedStyle(one.querySelector("polyline"));
-      return [parseFloat(strokeWidth), strokeDasharray];
-    }"""
-    lines = page.locator("#curves g.line")
-    dashes = {name: dash for name, _, dash in lines.evaluate_all(LOOKS)}
-    for name in ("before: good", "after: good"):
-        width, dash = lines.filter(has=page.locator("title", has_text=name)).first.evaluate(wide)
-        assert width > 3
-        assert dash == dashes[name]
-
-
 def verdicts(page):
     """Each row of the ranking with its verdict against the reference, from the file of the figure."""
-    with page.expect_download() as saved:
-        page.locator("#ranking").get_by_role("button", name="CSV").click()
-    rows = csv.DictReader(saved.value.path().read_text("utf-8").splitlines())
+    rows = csv.DictReader(downloaded(page, "#ranking").splitlines())
     return {row["tracker"]: row["verdict"] for row in rows}
 
 

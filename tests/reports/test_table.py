@@ -1,14 +1,13 @@
 """The main table has the values of summary.json, ranks complete trials only, and marks the best of them."""
 
-import json
 import shutil
 
 import pytest
 
 from gridtrack.reports.run import ReportError, read_runs
-from gridtrack.reports.table import headline_markdown, headline_tables
+from gridtrack.reports.table import headline_tables
 
-from scenes.edited_run import edited, put, trial_of, value_of
+from scenes.edited_run import edit, edited, put, trial_of, value_of
 
 
 @pytest.fixture
@@ -37,12 +36,11 @@ def test_columns_are_the_marked_horizons(table):
     assert [c.heading for c in table.columns[-4:]] == ["Contacts foreseen", "F1", "Log loss, nats", "FSS, 5 cells"]
 
 
-def test_partial_trials_are_not_ranked_and_are_never_best(table):
+def test_partial_trials_are_not_ranked(table):
     assert [row.label for row in table.rows_in("ranked")] == ["good", "fair"]
     assert [row.label for row in table.rows_in("floor")] == ["persistence", "blank"]
     (partial,) = table.rows_in("unranked")
     assert (partial.label, partial.frames, partial.trial.outcome) == ("unlucky", "7 of 20", "crashed")
-    assert not any(cell.best for cell in partial.cells)
 
 
 def test_a_partial_trial_cannot_take_the_best_mark_by_scoring_higher(run_folder, tmp_path):
@@ -74,17 +72,6 @@ def test_a_row_with_a_sign_of_a_memory_is_marked(run_folder, tmp_path):
     assert {row.label: row.remark for row in table.rows_in("ranked")} == {"good": "", "fair": "may remember"}
 
 
-def test_an_undefined_score_is_a_dash(run_folder, tmp_path):
-    def undefine(summary):
-        put(trial_of(summary, "fair"), "in-motion", "pr_auc.area", None)
-
-    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", undefine)]))
-    (fair,) = [row for row in table.rows if row.label == "fair"]
-    own = [cell for column, cell in zip(table.columns, fair.cells, strict=True) if column.group == "PR-AUC, in-motion"]
-    assert [cell.text for cell in own] == ["–"] * 3
-    assert not any(cell.best for cell in own)
-
-
 def test_nothing_is_best_if_trackers_received_other_frames(run_folder, tmp_path):
     def differ(summary):
         summary["recordings"]["crossing"]["parity"] = False
@@ -111,19 +98,15 @@ def test_a_run_of_a_short_horizon_is_shown_at_its_last_step(run_folder, tmp_path
     assert table.decisive.step == 2
 
 
-def test_two_runs_share_a_table_and_each_row_names_its_run(run_folder, tmp_path):
+def test_two_runs_share_a_table_but_are_not_ranked_against_each_other_on_another_input(run_folder, tmp_path):
+    def differ(record):
+        record["configuration"]["recordings"]["crossing"]["sha256"] = "another"
+
     other = shutil.copytree(run_folder, tmp_path / "other")
     (table,) = headline_tables(read_runs([run_folder, other]))
     assert table.comparable
     assert {row.name for row in table.rows_in("ranked")} == {"demo: good", "demo: fair", "other: good", "other: fair"}
-
-
-def test_runs_of_another_input_are_not_ranked_against_each_other(run_folder, tmp_path):
-    other = shutil.copytree(run_folder, tmp_path / "other")
-    run_json = json.loads((other / "run.json").read_text())
-    run_json["configuration"]["recordings"]["crossing"]["sha256"] = "another"
-    (other / "run.json").write_text(json.dumps(run_json))
-    (table,) = headline_tables(read_runs([run_folder, other]))
+    (table,) = headline_tables(read_runs([run_folder, edit(other, differ, "run.json")]))
     assert not table.comparable
 
 
@@ -135,14 +118,3 @@ def test_runs_of_different_rates_are_refused_side_by_side(run_folder, tmp_path):
     other = edited(run_folder, tmp_path / "other", slow)
     with pytest.raises(ReportError, match="8 and 4 Hz"):
         headline_tables(read_runs([run_folder, other]))
-
-
-def test_markdown_has_a_row_for_each_tracker_and_names_cannot_break_it(run_folder, tmp_path):
-    def rename(summary):
-        summary["trackers"]["a | b\n| c"] = summary["trackers"].pop("fair")
-
-    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", rename)]))
-    lines = headline_markdown(table).splitlines()
-    assert len(lines) == 2 + 5
-    assert len({line.replace("\\|", "").count("|") for line in lines}) == 1
-    assert any(line.startswith("| good | **1.000** |") for line in lines)

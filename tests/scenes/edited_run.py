@@ -1,8 +1,10 @@
-"""Runs with other contents: a JSON file of a run's folder changed, and estimates put into a summary."""
+"""Runs with other contents: a JSON file of a run's folder changed, and estimates and measurements for a summary."""
 
 import copy
 import json
 import shutil
+
+from gridtrack.evaluation.referee.strata import STRATA
 
 STEPS = 20
 
@@ -58,13 +60,6 @@ def put(scope, stratum, output, *values, **options):
     scope["strata"].setdefault(stratum, {}).setdefault(score, {})[name] = estimate(*values, **options)
 
 
-def describe(summary, name, title, outputs, **fields):
-    """Describe a score that the run does not have; `outputs`: the fields of each, by name."""
-    described = [{"name": output, "title": title, **own} for output, own in outputs.items()]
-    score = {"name": name, "title": title, "about": f"About {name}.", "thresholded": False, "outputs": described}
-    summary["scores"].append(score | fields)
-
-
 def trial_of(summary, label, recording="crossing"):
     """A trial in a summary."""
     return summary["trackers"][label]["recordings"][recording]
@@ -74,3 +69,32 @@ def value_of(scope, stratum, output, step, end="value"):
     """A number of a scope in a summary as it is read from JSON."""
     score, _, name = output.partition(".")
     return scope["strata"][stratum][score][name][end][step]
+
+
+def deadline(*rates):
+    """The measurement of a trial at these multiples of the recorded rate, the last of which misses half of the frames.
+
+    F1 is 0.4 divided by the rate everywhere.
+    """
+    times, ages = {"p50": 41.0, "p95": 44.0, "p99": 46.5}, {"p50": 1.0, "p95": 2.0, "p99": 2.0}
+    measured = [
+        {"rate": rate, "rate_hz": 8.0 * rate, "frames": 120, "missed": 60 if rate == rates[-1] else 0}
+        | {"age_frames": ages, "scores": everywhere("f1", 0.4 / rate)}
+        for rate in rates
+    ]
+    summed = {"highest_rate_hz": 21.505, "forecast_steps": 22, "rates": measured}
+    return dict.fromkeys(("update_ms", "predict_ms", "busy_ms"), times) | summed
+
+
+def robustness(kind, largest, score):
+    """The measurement of a trial on degraded input: a score is 0.4 without, 0.35 at half and 0.3 at full strength."""
+    points = [
+        {"strength": at, "value": largest * at, "delivered": "", "scores": everywhere(score, 0.4 - 0.1 * at)}
+        for at in (0.0, 0.5, 1.0)
+    ]
+    return {"degradation": {kind: largest}, "kinds": {kind: points}}
+
+
+def everywhere(score, value):
+    """A score with one value at every step and in every stratum."""
+    return {score: {name: [value] * (STEPS + 1) for name in STRATA}}

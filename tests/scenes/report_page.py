@@ -4,32 +4,29 @@ import base64
 import json
 import re
 import zlib
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 HOSTILE = "<script>alert(1)<\\script><img src=x onerror=alert(1)>, & %2C"
 """A name of a tracker that would run, were it HTML."""
 
 
-def open_details(page):
-    """Open the part of a page with further figures."""
-    page.locator("#details").evaluate("one => { one.open = true; }")
-
-
 @contextmanager
-def opened(browser, report, **options):
-    """The page of a report in the browser, drawn, with all figures, and without an error in the end.
+def opened(browser, report, fragment="", **options):
+    """The page of a report in the browser, drawn, with all figures; it had no error, no dialog and no request.
 
     `options` of the page, such as its viewport.
     """
-    page, faults = browser.new_page(**options), []
-    page.set_default_timeout(60_000)
-    page.on("console", lambda message: message.type == "error" and faults.append(message.text))
-    page.on("pageerror", lambda error: faults.append(str(error)))
-    page.goto(report.as_uri())
-    page.locator("#every-score table").wait_for()
-    open_details(page)
-    yield page
-    page.close()
+    faults = []
+    with closing(browser.new_page(**options)) as page:
+        page.set_default_timeout(60_000)
+        page.on("console", lambda message: message.type == "error" and faults.append(message.text))
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.on("dialog", lambda dialog: (faults.append(dialog.message), dialog.dismiss()))
+        page.on("request", lambda one: one.url.startswith(("file:", "data:")) or faults.append(one.url))
+        page.goto(report.as_uri() + fragment)
+        page.locator("#every-score table").wait_for()
+        page.locator("#details").evaluate("one => { one.open = true; }")
+        yield page
     assert faults == []
 
 

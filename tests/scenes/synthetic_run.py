@@ -89,6 +89,15 @@ def write_run_record(folder: Path, recordings: Mapping[str, RecordingDescription
     ).write(folder)
 
 
+def write_results(
+    folder: Path, recordings: Mapping[str, RecordingDescription], trials: Sequence[FinishedTrial]
+) -> Path:
+    """Write the summary and the record of a complete run of these trials; returns its folder."""
+    summarise(recordings, trials, [], False).write(folder)
+    write_run_record(folder, recordings)
+    return folder
+
+
 def tally(rng: np.random.Generator, skill: float, strata: tuple[str, ...] = STRATA, steps: int = STEPS) -> Tally:
     """Counts of one frame: `skill` is the share of occupied cells called so, at every step and in every stratum."""
     counted = Tally.empty(steps, strata)
