@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import takewhile
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import Scan
-from gridtrack.recordings import Recording, open_recording, packaged_recording, write_native
+from gridtrack.recordings import open_recording, packaged_recording, write_native
 
 from docs.pages import ROOT
 from scenes import drive_bag as drive
@@ -22,6 +23,7 @@ from scenes.output_bag import Outputs, standing_scans
 from scenes.own_forecasts import own_forecasts
 from studies.support.plugins import write_distribution
 
+ROS1 = Ros(1)
 DRIVE_MS = 8000
 FRONT = Laser("front_laser", SE2(0.4, 0.2, 0.8))
 REAR = Laser("rear_laser", SE2(-0.4, 0.0, 3.1), mirrored=True, offset_ms=40)
@@ -44,14 +46,13 @@ def hall_scans(seconds: float) -> Iterator[Scan]:
 
 def hall_bag(path: Path, seconds: float = 30.0) -> None:
     """A ROS 1 bag of a laser that stands in a hall."""
-    ros = Ros(1)
 
     def messages() -> Iterator[Message]:
         for scan in hall_scans(seconds):
             laser = Laser("hall", SE2(0.0, 0.0, 0.0), False, scan.ranges.size, scan.angle_min, scan.angle_increment)
-            yield ros.laser((scan.stamp_ns - START_NS) / MS, scan.ranges, laser)
+            yield ROS1.laser((scan.stamp_ns - START_NS) / MS, scan.ranges, laser)
 
-    ros.write(path, messages())
+    ROS1.write(path, messages())
 
 
 def recorded_drive(folder: Path) -> None:
@@ -62,30 +63,22 @@ def recorded_drive(folder: Path) -> None:
     written.rename(folder / "drive" / "drive_0.mcap")
 
 
-def drive_bag(path: Path, *lasers: Laser, poses: Callable[[Ros], list[Message]]) -> None:
-    """A ROS 1 bag of a drive; where the lasers are on the robot is not recorded."""
-    ros = Ros(1)
+def drive_bag(path: Path, *lasers: Laser, pose_of: Callable[[float, SE2], Message] | None = None) -> None:
+    """A ROS 1 bag of a drive; where the lasers are on the robot is not recorded.
 
-    def scans() -> Iterator[Message]:
+    `pose_of`: the message of the pose of the robot at a time in milliseconds.
+    """
+
+    def messages() -> Iterator[Message]:
+        for at_ms in range(0, DRIVE_MS, 20) if pose_of else ():
+            yield pose_of(at_ms, drive.robot_at(at_ms))
         for at_ms in range(0, DRIVE_MS, 100):
             for laser in lasers:
                 stamp_ms = at_ms + laser.offset_ms
                 ranges = drive.ranges_at(laser, drive.robot_at(stamp_ms), (-5.0 + stamp_ms / 1000.0, 3.0))
-                yield ros.laser(stamp_ms, ranges, laser, frame=laser.name)
+                yield ROS1.laser(stamp_ms, ranges, laser, frame=laser.name)
 
-    ros.write(path, [*poses(ros), *scans()])
-
-
-def odometry(ros: Ros) -> list[Message]:
-    return [ros.odometry(at_ms, drive.robot_at(at_ms)) for at_ms in range(0, DRIVE_MS, 20)]
-
-
-def ego_poses(ros: Ros) -> list[Message]:
-    return [ros.pose(at_ms, drive.robot_at(at_ms), topic="/ego_pose") for at_ms in range(0, DRIVE_MS, 20)]
-
-
-def no_poses(ros: Ros) -> list[Message]:
-    return []
+    ROS1.write(path, messages())
 
 
 def carmen_log(path: Path) -> None:
@@ -105,8 +98,7 @@ def carmen_log(path: Path) -> None:
 
 def cloud_bag(path: Path) -> None:
     """The hall, as the topic `/points` of a lidar with several rings."""
-    ros = Ros(1)
-    ros.write(path, [ros.cloud((scan.stamp_ns - START_NS) / MS, _points(scan)) for scan in hall_scans(5.0)])
+    ROS1.write(path, [ROS1.cloud((scan.stamp_ns - START_NS) / MS, _points(scan)) for scan in hall_scans(5.0)])
 
 
 def _points(scan: Scan) -> np.ndarray:
@@ -121,8 +113,7 @@ def data(folder: Path, *, own_weights: bool = False) -> None:
     """`data` of a clone, with the recordings JUNCTION; `own_weights` may be written to."""
     (folder / "data" / "junction").mkdir(parents=True)
     for name, (source, seconds) in JUNCTION.items():
-        recording = open_recording(ROOT / "data" / "junction" / source)
-        part(recording, folder / "data" / "junction" / name, 0.0, seconds)
+        part(ROOT / "data" / "junction" / source, folder / "data" / "junction" / name, 0.0, seconds)
     (folder / "data" / "leg_tracker").symlink_to(ROOT / "data" / "leg_tracker")
     if own_weights:
         shutil.copytree(ROOT / "data" / "weights", folder / "data" / "weights")
@@ -130,20 +121,18 @@ def data(folder: Path, *, own_weights: bool = False) -> None:
         (folder / "data" / "weights").symlink_to(ROOT / "data" / "weights")
 
 
-def part(recording: Recording, path: Path, start_s: float, end_s: float) -> None:
+def part(source: Path, path: Path, start_s: float, end_s: float) -> None:
     """Write a stretch of a recording as a native recording."""
-    info = recording.info.model_copy(update={"stretches": {}})
+    recording = open_recording(source)
     with path.open("wb") as file:
-        write_native(file, info, recording.scans(start_s, end_s))
+        write_native(file, recording.info.model_copy(update={"stretches": {}}), recording.scans(start_s, end_s))
 
 
 def hall_recordings(folder: Path, *names: str) -> None:
     """Native recordings of ten seconds of the hall each, one after the other, none of them in `hall_bag`."""
-    recording = open_recording(packaged_recording("leg_tracker"))
     for k, name in enumerate(names):
-        path = folder / name
-        path.parent.mkdir(exist_ok=True)
-        part(recording, path, 40.0 + 10.0 * k, 50.0 + 10.0 * k)
+        (folder / name).parent.mkdir(exist_ok=True)
+        part(packaged_recording("leg_tracker"), folder / name, 40.0 + 10.0 * k, 50.0 + 10.0 * k)
 
 
 def annotations(path: Path) -> None:
@@ -164,9 +153,9 @@ def hall(folder: Path) -> None:
 
 
 def formats(folder: Path) -> None:
-    drive_bag(folder / "drive.bag", FRONT, REAR, poses=odometry)
-    drive_bag(folder / "poses.bag", LASER, poses=ego_poses)
-    drive_bag(folder / "no-poses.bag", LASER, poses=no_poses)
+    drive_bag(folder / "drive.bag", FRONT, REAR, pose_of=ROS1.odometry)
+    drive_bag(folder / "poses.bag", LASER, pose_of=partial(ROS1.pose, topic="/ego_pose"))
+    drive_bag(folder / "no-poses.bag", LASER)
     carmen_log(folder / "log.clf")
     hall_bag(folder / "hall.bag", 5.0)
     cloud_bag(folder / "clouds.bag")
@@ -202,16 +191,12 @@ def outputs(folder: Path) -> None:
     ros.write(folder / "my.bag", [*standing_scans(ros), *grids, tracks])
 
 
-def simulation(folder: Path) -> None:
-    """The simulations need no files."""
-
-
 PLACES: dict[str, Callable[[Path], None]] = {
     "hall": hall,
     "formats": formats,
     "own tracker": own_tracker,
     "training": training,
     "outputs": outputs,
-    "simulation": simulation,
+    "simulation": lambda _: None,
 }
 """The files that the commands of a theme need, by theme."""

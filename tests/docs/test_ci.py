@@ -1,52 +1,25 @@
 """The workflows of docs/ci.md run as they stand: each line by the shell of its service, the gridtrack in it here."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
-import numpy as np
 import pytest
 import yaml
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.scan import Scan
-from gridtrack.recordings import RecordingInfo, write_native
-
 from docs.pages import ROOT, blocks, commands
+from scenes.room import write_room
 
 PAGE = ROOT / "docs/ci.md"
-TRACKER = '''
-import numpy as np
-from gridtrack.trackers.contract import Forecast, Tracker
+(TRACKER,) = blocks(ROOT / "README.md", "python")
+UPDATE = "np.copyto(self.last, frame.occupied, where=frame.visible)"
+"""The line of TRACKER that takes in a frame."""
 
 
-class Mine(Tracker):
-    """Forecasts the last frame."""
-
-    def reset(self, seed):
-        self.last = np.zeros(self.stream.grid.shape, bool)
-
-    def update(self, frame):
-        self.last = frame.occupied
-
-    def predict(self, steps):
-        return Forecast(np.repeat(self.last[None].astype(np.float32), steps + 1, axis=0))
-'''
-
-
-Line = tuple[str, bool]
-"""A shell line, and whether it runs after a failure too."""
-Command = Callable[..., Any]
-
-
-def steps(number: int) -> list[Line]:
+def steps(number):
     """The shell lines of a YAML block for GitHub: the workflow, or the steps that time in turns."""
     found = yaml.safe_load(blocks(PAGE, "yaml")[number])
     if isinstance(found, dict):
@@ -55,15 +28,12 @@ def steps(number: int) -> list[Line]:
 
 
 @pytest.fixture
-def repository(tmp_path: Path, install: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> Path:
+def repository(tmp_path, install, monkeypatch):
     """A repository with a recording and the tracker `my-tracker`; `pip` installs nothing there: it is installed."""
-    install("my-tracker", {"my-tracker": "mine:Mine"}, {"mine.py": TRACKER})
+    install("my-tracker", {"my-tracker": "mine:MyTracker"}, {"mine.py": TRACKER})
     folder = tmp_path / "repository"
     (folder / "recordings").mkdir(parents=True)
-    info = RecordingInfo(site="room", grid="20x0.4@-1,-4", rate_hz=10, stretches={})
-    angles = np.linspace(-1.0, 1.0, 60)
-    with (folder / "recordings/one.mcap").open("wb") as file:
-        write_native(file, info, (scan(index, angles) for index in range(80)))
+    write_room(folder / "recordings/one.mcap", 8, stretches={}, grid="20x0.4@-1,-4")
     programs = tmp_path / "bin"
     programs.mkdir()
     write_program(programs / "pip", 'test "$*" = "install ."')
@@ -74,23 +44,12 @@ def repository(tmp_path: Path, install: Callable[..., Path], monkeypatch: pytest
     return folder
 
 
-def write_program(path: Path, line: str) -> None:
+def write_program(path, line):
     path.write_text(f"#!/bin/sh\n{line}\n")
     path.chmod(0o755)
 
 
-def scan(index: int, angles: np.ndarray) -> Scan:
-    """A wall ahead, and something that walks to and fro before it."""
-    ranges = 3.0 / np.cos(angles)
-    ranges[np.abs(angles - 0.8 * np.sin(index / 12)) < 0.1] = 1.6
-    step = float(angles[1] - angles[0])
-    return Scan(
-        stamp_ns=10**12 + index * 10**8, ranges=ranges.astype(np.float32), angle_min=-1.0, angle_increment=step,
-        range_min=0.05, range_max=8.0, world_T_sensor=SE2(0.0, 0.0, 0.0),
-    )  # fmt: skip
-
-
-def run_lines(gridtrack: Command, lines: list[Line]) -> int:
+def run_lines(gridtrack, lines):
     """The exit code of the first line that fails; after it only the lines run that always do."""
     words, code = Path("../words"), 0
     for line, always in lines:
@@ -104,21 +63,19 @@ def run_lines(gridtrack: Command, lines: list[Line]) -> int:
     return code
 
 
-def gitlab() -> list[str]:
+def gitlab():
     """The shell lines for GitLab, which one shell runs."""
-    script: list[str] = yaml.safe_load(blocks(PAGE, "yaml")[2])["regression"]["script"]
+    script = yaml.safe_load(blocks(PAGE, "yaml")[2])["regression"]["script"]
     return script
 
 
-def test_both_services_run_the_same_lines() -> None:
+def test_both_services_run_the_same_lines():
     lines = [line.removesuffix(" || compared=$?") for line in gitlab()]
     assert lines == [*(line for line, _ in steps(0)[:3]), "exit ${compared:-0}"]
 
 
 @pytest.mark.parametrize(("compared", "judged", "code"), [(0, 0, 0), (3, 3, 3), (3, 0, 3), (0, 1, 1)])
-def test_gitlab_judges_a_run_that_crashed_and_the_job_fails(
-    repository: Path, compared: int, judged: int, code: int
-) -> None:
+def test_gitlab_judges_a_run_that_crashed_and_the_job_fails(repository, compared, judged, code):
     write_program(
         repository.parent / "bin/gridtrack", f"echo $1 >> said; test $1 = compare && exit {compared}; exit {judged}"
     )
@@ -127,9 +84,7 @@ def test_gitlab_judges_a_run_that_crashed_and_the_job_fails(
 
 
 @pytest.mark.usefixtures("trackers_here")
-def test_a_job_passes_with_its_baseline_times_in_turns_and_fails_once_the_tracker_is_broken(
-    repository: Path, gridtrack: Command
-) -> None:
+def test_a_job_passes_with_its_baseline_times_in_turns_and_fails_once_the_tracker_is_broken(repository, gridtrack):
     made = [(line, False) for line in commands(PAGE)]
     assert (len(made), run_lines(gridtrack, made)) == (2, 0)
     shutil.rmtree(repository / "runs")
@@ -145,20 +100,20 @@ def test_a_job_passes_with_its_baseline_times_in_turns_and_fails_once_the_tracke
     assert code == int("| worse | my-tracker |" in timed)  # by chance: the machine of a test may be busy
 
     shutil.rmtree(repository / "runs")
-    (repository.parent / "site/mine.py").write_text(TRACKER.replace("self.last = frame.occupied", "pass"))
+    (repository.parent / "site/mine.py").write_text(TRACKER.replace(UPDATE, "pass"))
     assert run_lines(gridtrack, steps(0)) == 1
     assert int(ElementTree.parse(repository / "junit.xml").getroot().get("failures", "0")) > 0
     assert "## gridtrack regress: worse" in (repository / "summary.md").read_text()
 
     shutil.rmtree(repository / "runs")
-    (repository.parent / "site/mine.py").write_text(TRACKER.replace("self.last = frame.occupied", "1 / 0"))
+    (repository.parent / "site/mine.py").write_text(TRACKER.replace(UPDATE, "1 / 0"))
     assert run_lines(gridtrack, steps(0)) == 3
     (case,) = ElementTree.parse(repository / "junit.xml").iterfind("testcase/error")
     assert "my-tracker@one: crashed: update with frame 1: ZeroDivisionError" in case.get("message", "")
     assert "## gridtrack regress: not measured" in (repository / "summary.md").read_text()
 
 
-def offer_base(repository: Path) -> None:
+def offer_base(repository):
     """`base.toml`, and programs with which `python -m venv base-env` makes an environment that has everything."""
     (repository / "base.toml").write_text(blocks(PAGE, "toml")[0])
     programs = repository.parent / "bin"

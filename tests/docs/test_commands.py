@@ -1,15 +1,11 @@
 """Commands, tracker options and files that the pages name exist."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import subprocess
 import tomllib
-from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import pairwise
-from typing import Any
 
 import pytest
 import typer
@@ -37,11 +33,11 @@ PACKAGES = ("common", "recordings", "simulation", "trackers", "evaluation", "rep
 FILE = re.compile(rf"`({FOLDERS}/[\w./-]+\.(?:py|md|toml|json|tracks|mcap|xml|svg))`")
 
 
-def targets() -> set[str]:
+def targets():
     return set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE))
 
 
-def problem_of(line: str) -> str:
+def problem_of(line):
     """The fault of a command line, or ""."""
     program, *words = shlex.split(line)
     if program == "make":
@@ -55,12 +51,12 @@ def problem_of(line: str) -> str:
 
 
 @cache
-def whole_command() -> Any:
+def whole_command():
     """The command `gridtrack` with its sub-commands and their options."""
     return typer.main.get_command(app)
 
 
-def wrong_words(line: str, words: list[str]) -> Iterator[str]:
+def wrong_words(line, words):
     command = whole_command()
     rest = list(words)
     while rest and not rest[0].startswith("-") and (commands_of := getattr(command, "commands", None)) is not None:
@@ -82,7 +78,7 @@ def wrong_words(line: str, words: list[str]) -> Iterator[str]:
             yield f"{line}: {error}"
 
 
-def known_tracker(text: str) -> None:
+def known_tracker(text):
     """Check the options in `NAME:key=value,...` of a built-in tracker; `key=value,...` stands for any."""
     selection = parse_selection(text.replace(",...", ""))
     if selection.name in registry.entries():
@@ -90,24 +86,20 @@ def known_tracker(text: str) -> None:
         validated(registry.load(selection.name).Options, options, selection.name)
 
 
-def known_engine(text: str) -> None:
+def known_engine(text):
     validated(CompareSettings, {"recordings": ("a",), "engine": text}, "--engine")
 
 
-VALUES: dict[str, Callable[[str], object]] = {
-    "--tracker": known_tracker,
-    "--engine": known_engine,
-    "--slurm": parse_slurm,
-}
+VALUES = {"--tracker": known_tracker, "--engine": known_engine, "--slurm": parse_slurm}
 """Options with values that are checked; a wrong value raises ConfigurationError."""
 
 
-def test_the_commands_of_the_pages_exist() -> None:
+def test_the_commands_of_the_pages_exist():
     lines = {line: page for page in CURRENT for line in commands(page)}
     assert [f"{name_of(page)}: {problem}" for line, page in lines.items() if (problem := problem_of(line))] == []
 
 
-def test_the_files_that_the_pages_name_exist() -> None:
+def test_the_files_that_the_pages_name_exist():
     modules = {path.name for package in PACKAGES for path in (ROOT / package).rglob("*.py")}
     for page in CURRENT:
         text = prose(page)
@@ -116,7 +108,7 @@ def test_the_files_that_the_pages_name_exist() -> None:
         assert missing == [], name_of(page)
 
 
-def test_the_options_that_a_page_on_a_tracker_sets_exist() -> None:
+def test_the_options_that_a_page_on_a_tracker_sets_exist():
     known = {"points", "weights"}.union(*(registry.load(name).Options.model_fields for name in BUILT_IN))
     pages = [page for page in CURRENT if page.parent.name == "trackers"]
     assert {key for page in pages for key in re.findall(r"`(\w+)=[^`]+`", prose(page))} - known == set()
@@ -135,7 +127,7 @@ def test_the_options_that_a_page_on_a_tracker_sets_exist() -> None:
         ("gridtrack train kalman:association=absent a.mcap", "kalman: 'association' = 'absent': Input should be"),
     ],
 )
-def test_a_wrong_command_is_found(line: str, problem: str) -> None:
+def test_a_wrong_command_is_found(line, problem):
     assert problem_of(line).startswith(f"{line}: {problem}")
 
 

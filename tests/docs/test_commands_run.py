@@ -5,15 +5,12 @@ here; test_commands.py checks that targets and modules exist, and tests/studies 
 Slurm are tested in tests/evaluation/engines. docs/ci.md has a test of its own.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -125,7 +122,7 @@ LONG = ("gridtrack simulate drive-set",)
 """Commands that take an hour and cannot be made shorter."""
 
 
-def named_blocks() -> Iterator[tuple[str, str]]:
+def named_blocks():
     """Every block with its name."""
     for page in CURRENT:
         for number, block in enumerate(shell_blocks(page), start=1):
@@ -135,9 +132,9 @@ def named_blocks() -> Iterator[tuple[str, str]]:
 BLOCKS = dict(named_blocks())
 
 
-def commands_of(theme: str) -> dict[str, str]:
+def commands_of(theme):
     """The commands of a theme in order, each once: the command -> the block that has it first."""
-    found: dict[str, str] = {}
+    found = {}
     for name in THEMES[theme]:
         for line in BLOCKS[name].replace("\\\n", " ").splitlines():
             command = " ".join(re.split(r"\s+#\s", line)[0].split()) + " "
@@ -149,7 +146,7 @@ def commands_of(theme: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("theme", THEMES)
-def test_the_commands_of_the_pages_run(theme: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_commands_of_the_pages_run(theme, tmp_path, monkeypatch):
     if theme == "simulation":
         pytest.importorskip("sumolib", reason="needs the extra sim")
     site = tmp_path / "site"
@@ -163,7 +160,7 @@ def test_the_commands_of_the_pages_run(theme: str, tmp_path: Path, monkeypatch: 
             run(command, f"{name}: {command}")
 
 
-def test_every_block_is_run_and_every_replacement_used() -> None:
+def test_every_block_is_run_and_every_replacement_used():
     blocks = [name for theme in THEMES.values() for name in theme]
     assert sorted([*blocks, "docs/ci.md"]) == sorted(BLOCKS)
     text = "\n".join(f"{BLOCKS[name]} " for name in blocks).replace("\\\n", " ")
@@ -174,7 +171,7 @@ def test_every_block_is_run_and_every_replacement_used() -> None:
     assert [command for command in LONG if command not in text] == []
 
 
-def run(command: str, where: str) -> None:
+def run(command, where):
     """Run a command in the working folder. Raises AssertionError with its output where it fails."""
     command, _, to = command.partition(" > ")
     program, *words = (found for typed in shlex.split(command, posix=False) for found in expanded(typed))
@@ -188,13 +185,13 @@ def run(command: str, where: str) -> None:
         Path(to).write_text(words[0].replace("\\n", "\n"))
 
 
-def expanded(typed: str) -> list[str]:
+def expanded(typed):
     """A word as a shell passes it on: without its quotes, else the files that it names."""
     (word,) = shlex.split(typed)
     return sorted(map(str, Path().glob(word))) or [word] if "*" in word and word == typed else [word]
 
 
-def gridtrack(words: list[str], where: str) -> str:
+def gridtrack(words, where):
     """The output of a gridtrack command that ends well, with its trackers and trainings in this process."""
     if words[0] in ("compare", "recording"):
         remove(Path(words[words.index("--out") + 1] if "--out" in words else "runs/latest"))  # of an earlier page
@@ -203,13 +200,13 @@ def gridtrack(words: list[str], where: str) -> str:
     return result.stdout
 
 
-def remove(path: Path) -> None:
+def remove(path):
     if path.is_dir():
         shutil.rmtree(path)
     path.unlink(missing_ok=True)
 
 
-def pip_install(package: str) -> None:
+def pip_install(package):
     """Install a package into the folder `site`, which is on the path."""
     options = ("--quiet", "--no-index", "--no-deps", "--no-build-isolation", "--target", "site")
     subprocess.run([sys.executable, "-m", "pip", "install", *options, package], check=True)

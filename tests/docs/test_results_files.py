@@ -1,14 +1,12 @@
 """A section of a results file is written by a command of the repository, or names the last version with it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
 import pytest
 
 from studies.figures import RESULTS, ROOT
-from studies.support.results_file import ResultSection, read_sections
+from studies.support.results_file import read_sections
 
 SECTIONS = [
     pytest.param(path.relative_to(RESULTS).as_posix(), section, id=f"{path.name}-{name}")
@@ -18,7 +16,7 @@ SECTIONS = [
 ]
 
 
-def module_of(command: str) -> Path:
+def module_of(command):
     """The file of the module that a command runs. Raises AssertionError for a command that is none."""
     if target := re.fullmatch(r"make (\S+)", command):
         recipe = re.search(rf"^{target[1]}:.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.MULTILINE)
@@ -30,9 +28,7 @@ def module_of(command: str) -> Path:
 
 
 @pytest.mark.parametrize(("file", "section"), SECTIONS)
-def test_a_command_of_the_repository_writes_the_section_or_it_names_a_version(
-    file: str, section: ResultSection
-) -> None:
+def test_a_command_of_the_repository_writes_the_section_or_it_names_a_version(file, section):
     module = module_of(section.command)
     assert module.exists() == (not section.version)
     if section.version:

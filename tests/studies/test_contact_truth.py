@@ -1,13 +1,10 @@
 """Contact foresight by truth and by observation alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.referee.targets import (
     HIDDEN_FREE,
     HIDDEN_OCCUPIED,
@@ -19,7 +16,7 @@ from gridtrack.evaluation.referee.targets import (
 from gridtrack.evaluation.statistics.jackknife import Replicates
 
 from scenes.scored_cells import DYNAMIC_CELL, frame, region_maps, scored
-from studies.contact_truth import NO_TRACKERS, OBSERVED, TRUTH, as_observed, reversed_pairs
+from studies.contact_truth import OBSERVED, TRUTH, as_observed, reversed_pairs
 
 
 def test_by_observation_hidden_cells_are_unknown():
@@ -42,10 +39,3 @@ def test_a_pair_with_another_order_is_named_with_its_significant_differences(obs
     found = list(reversed_pairs({TRUTH: rows(0.7, 0.6), OBSERVED: rows(*observed)}, ("first", "second")))
     assert [told for _, told in found] == ([] if significant is None else [significant])
     assert all(text.startswith("first less second: +0.1") for text, _ in found)
-
-
-def test_nearness_falls_with_the_distance_to_the_last_return():
-    seen: GridFrame = frame(np.ones((1, 4)), [[1, 0, 0, 0]])
-    found = NO_TRACKERS["nearness to the last return"](seen, np.zeros((1, 4), np.float32))[0]
-    assert (np.diff(found) < 0.0).all()
-    assert found[0] == 1.0

@@ -1,14 +1,12 @@
 """Car and bus as one class: a hand-made forecast of two cells."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from studies.merged_classes import Classes
 
 
-def test_probabilities_of_car_and_bus_are_added_and_labels_follow() -> None:
+def test_probabilities_of_car_and_bus_are_added_and_labels_follow():
     merged = Classes.of(("pedestrian", "car", "static", "bus"))
     assert merged.names == ("pedestrian", "vehicle", "static")
     assert merged.number.tolist() == [0, 1, 2, 1]

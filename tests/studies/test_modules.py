@@ -1,12 +1,8 @@
 """Every study and benchmark explains itself and parses its arguments; on a tiny setting it runs."""
 
-from __future__ import annotations
-
 import importlib
 import resource
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -23,7 +19,7 @@ COMMANDS = sorted(
 )
 
 
-def timed_here(words: Sequence[str]) -> tuple[float, resource.struct_rusage]:
+def timed_here(words):
     """In place of a process: a command of gridtrack that runs in this one, trackers included."""
     with programs_here():
         gridtrack(*words)
@@ -56,7 +52,7 @@ QUICK = {
     "studies.velocity_errors": "kalman --recordings 1 --out TMP/dogma.json",
 }
 """The arguments of each: the same code on seconds instead of minutes. TMP is a folder of the test."""
-SMALLER: dict[str, dict[str, Any]] = {
+SMALLER = {
     "benchmarks.dogma": {"FRAMES": 30},
     "benchmarks.inference": {"SIZE": 48},
     "benchmarks.model_free": {"MOVERS": (3,), "WARM_UP": 5},
@@ -94,23 +90,23 @@ LONG = {
 """Why the others do not run here."""
 
 
-def main_of(name: str) -> Callable[[Sequence[str]], None]:
+def main_of(name):
     """The main function of a module."""
-    main: Callable[[Sequence[str]], None] = importlib.import_module(name).main
+    main = importlib.import_module(name).main
     return main
 
 
 @pytest.fixture(autouse=True)
-def in_the_repository(monkeypatch: pytest.MonkeyPatch) -> None:
+def in_the_repository(monkeypatch):
     monkeypatch.chdir(ROOT)
 
 
-def test_every_module_runs_or_says_why_not() -> None:
+def test_every_module_runs_or_says_why_not():
     assert sorted([*QUICK, *LONG]) == COMMANDS
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_module_names_its_command_and_parses_its_arguments(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_module_names_its_command_and_parses_its_arguments(name, capsys):
     main = main_of(name)
     documentation = importlib.import_module(name).__doc__ or ""
     assert f"`python -m {name}" in " ".join(documentation.split())
@@ -121,9 +117,7 @@ def test_a_module_names_its_command_and_parses_its_arguments(name: str, capsys: 
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_a_quick_setting_runs(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_quick_setting_runs(name, tmp_path, monkeypatch, capsys):
     words = [word.replace("TMP", str(tmp_path)) for word in QUICK[name].split()]
     main = main_of(name)
     for constant, value in SMALLER.get(name, {}).items():
@@ -133,6 +127,6 @@ def test_a_quick_setting_runs(
     assert [word for word in words if word.startswith(str(tmp_path)) and not Path(word).exists()] == []
 
 
-def test_an_unknown_world_is_refused() -> None:
+def test_an_unknown_world_is_refused():
     with pytest.raises(SystemExit, match=r"--world indoors-room-1: no such world; there are indoors-corridor-1003, "):
         main_of("studies.worlds_results")(["--world", "indoors-room-1"])
