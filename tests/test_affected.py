@@ -1,7 +1,5 @@
 """The tests that `make check` chooses for a change: nearest first."""
 
-from __future__ import annotations
-
 from affected import affected_tests
 
 

@@ -1,10 +1,6 @@
 """`gridtrack compare BAG` of a robot that drives: two scanners, /tf and /tf_static, and no option about poses."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,7 +13,7 @@ CHAINS = (
 )
 
 
-def assert_scored(summary: dict[str, Any], tracker: str) -> None:
+def assert_scored(summary, tracker):
     (trial,) = summary["trackers"][tracker]["recordings"].values()
     assert trial["outcome"] == "ok"
     assert trial["frames_scored"] == trial["frames_expected"] > 3
@@ -25,9 +21,7 @@ def assert_scored(summary: dict[str, Any], tracker: str) -> None:
 
 @pytest.mark.usefixtures("trackers_here")
 @pytest.mark.parametrize("version", [1, 2])
-def test_a_drive_is_compared_without_an_option_about_poses(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: int
-) -> None:
+def test_a_drive_is_compared_without_an_option_about_poses(tmp_path, monkeypatch, version):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     ros = made.Ros(version)

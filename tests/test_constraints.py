@@ -1,7 +1,5 @@
 """The lock of the dependencies fits pyproject.toml and constraints.txt, and has a hash for every version."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The examples in the docstrings of public names run."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 
@@ -11,7 +9,7 @@ MODULES = ("gridtrack.common.grid", "gridtrack.recordings.opening")
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_the_examples_of_a_module_run(name: str) -> None:
+def test_the_examples_of_a_module_run(name):
     result = doctest.testmod(importlib.import_module(name))
     assert result.attempted, "the module has no example"
     assert result.failed == 0, "see the report of doctest above"

@@ -1,7 +1,5 @@
 """`gridtrack trackers export`: settings and manifest of a tracker, and refusals in one line."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

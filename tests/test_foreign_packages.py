@@ -1,7 +1,5 @@
 """A score or a recording format of another package: used if it is named, by every command; else it is not loaded."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
@@ -101,13 +99,6 @@ def test_a_score_of_another_package_is_in_table_page_exports_and_gate(tmp_path, 
     gridtrack("regress", "run", *gate, "--update")
     verdict = json.loads(gridtrack("regress", "run", *gate, "--json").stdout)
     assert {row["standing"] for row in verdict["rows"] if row["score"] == "absolute_error.mean"} == {"equal"}
-
-
-def test_a_score_that_is_not_installed_is_one_line(tmp_path):
-    error = gridtrack(
-        "compare", "--no-floors", RECORDING, "--score", "absolute_eror", "--out", tmp_path / "run", code=2
-    ).stderr
-    assert error.startswith("gridtrack: --score: no score 'absolute_eror' is installed")
 
 
 def test_a_format_of_another_package_is_read_by_every_command_that_reads_recordings(walk, tmp_path):

@@ -3,10 +3,7 @@
 `make fuzz` goes on with inputs of hypothesis.
 """
 
-from __future__ import annotations
-
 from collections import Counter
-from pathlib import Path
 
 import pytest
 from fuzz.damage import SeededChoices
@@ -18,24 +15,24 @@ CASES = 300
 
 
 @pytest.fixture(scope="module")
-def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
+def inputs(tmp_path_factory):
     return Inputs(tmp_path_factory.mktemp("fuzz"))
 
 
 @pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_the_inputs_are_valid_before_they_are_damaged(name: str, inputs: Inputs, tmp_path: Path) -> None:
+def test_the_inputs_are_valid_before_they_are_damaged(name, inputs, tmp_path):
     READERS[name].make(tmp_path)
     found = finding(name, tmp_path)
     assert not found.refused, found.line
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_damaged_file_of_the_corpus_gives_a_result_or_one_line(name: str, inputs: Inputs) -> None:
+def test_a_damaged_file_of_the_corpus_gives_a_result_or_one_line(name, inputs):
     mine = range(list(READERS).index(name), CASES, len(READERS))
     found = Counter(inputs.check(name, SeededChoices(case)).refused for case in mine)
     assert found[True], "no damage was noticed: the corpus tests nothing"

@@ -1,7 +1,5 @@
 """General weights: trained on recordings of unlike places, used if there are none of the site, and named so."""
 
-from __future__ import annotations
-
 import json
 import shlex
 
@@ -11,8 +9,6 @@ from typer.testing import CliRunner
 from gridtrack.cli import app
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import sha256_of
-from gridtrack.evaluation.runs.recipe import Recipe
-from gridtrack.evaluation.runs.train import general_start
 from gridtrack.recordings import packaged_recording
 from gridtrack.trackers.training import searched_fit
 from gridtrack.trackers.training.weights import read_card
@@ -25,7 +21,7 @@ STREET = str(packaged_recording("junction/validation"))
 """A junction, in cells of 0.2 m at 8 Hz."""
 
 
-def gridtrack(*arguments: object, exit_code: int = 0) -> str:
+def gridtrack(*arguments, exit_code=0):
     with programs_here():
         done = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
     assert done.exit_code == exit_code, done.output
@@ -175,21 +171,6 @@ def test_a_general_training_goes_on_from_general_weights_that_are_named(general_
         "leg_tracker.mcap@20s-30s", "validation.tracks@0s-10s",
     ]  # fmt: skip
     assert shlex.split(card.command)[-5:] == ["--general", "--weights", str(general_dogma), "--out", str(tmp_path)]
-
-
-def test_a_general_training_that_names_no_weights_is_from_scratch(tmp_path):
-    reported = []
-    assert general_start(Recipe(tracker="dogma", general=True), [], tmp_path, reported.append, can_start=True) is None
-    assert reported == [
-        "from scratch: a general training starts from general weights only if --weights names their folder"
-    ]
-
-
-def test_weights_for_a_tracker_that_starts_from_none_are_not_ignored_in_silence(tmp_path):
-    reported = []
-    recipe = Recipe(tracker="static-map", weights=str(tmp_path))
-    assert general_start(recipe, [], tmp_path, reported.append, can_start=False) is None
-    assert reported == ["from scratch: a training of static-map does not start from weights; --weights has no effect"]
 
 
 def test_without_general_weights_a_training_is_from_scratch_and_its_command_says_so(tmp_path, monkeypatch):

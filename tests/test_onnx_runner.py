@@ -1,7 +1,5 @@
 """The runner of exported networks, `examples/onnx_runner`: its forecasts are those of the trackers."""
 
-from __future__ import annotations
-
 import re
 import runpy
 from pathlib import Path

@@ -3,8 +3,6 @@
 `make baseline` writes the baseline again, after a change that is intended to change the forecasts of a tracker.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,6 @@
 """The package: import cost, public names, the contents of the wheel, and its use without the repository."""
 
-from __future__ import annotations
-
+import ast
 import json
 import os
 import re
@@ -10,14 +9,14 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from collections import defaultdict
 from importlib import metadata
 from pathlib import Path
 
 import pytest
 
-from docs.definitions import PACKAGES, definitions
-
 ROOT = Path(__file__).parents[1]
+PACKAGES = ("common", "recordings", "simulation", "trackers", "evaluation", "reports", "cli")
 CONVENTIONAL = ("app", "main", "INFERENCE", "TRAINING")
 """Names that several modules may define: the application and entry point of a command, the kernels of a network."""
 HEAVY = (
@@ -26,7 +25,7 @@ HEAVY = (
 )  # fmt: skip
 
 
-def python(*arguments: str, **environment: str) -> str:
+def python(*arguments, **environment):
     done = subprocess.run(
         [sys.executable, *arguments],
         env={**os.environ, **environment},
@@ -66,9 +65,22 @@ def test_the_front_door_gives_a_plugin_author_every_name_it_promises():
         _ = gridtrack.Trakcer
 
 
+def names_of(node):
+    """The names of the classes, functions and variables that a statement of a module defines."""
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        return [node.name]
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    names = [part for target in targets for part in ast.walk(target) if isinstance(part, ast.Name)]
+    return [name.id for name in names if isinstance(name.ctx, ast.Store)]
+
+
 def test_a_public_name_is_defined_in_one_module():
-    twice = {name: modules for name, modules in definitions().items() if len(modules) > 1}
-    assert {name: modules for name, modules in twice.items() if name not in CONVENTIONAL} == {}
+    modules = defaultdict(set)
+    for path in [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]:
+        for name in {name for node in ast.parse(path.read_text("utf-8")).body for name in names_of(node)}:
+            modules[name].add(path)
+    public = {name for name in modules if not name.startswith("_")}.difference(CONVENTIONAL)
+    assert {name: modules[name] for name in public if len(modules[name]) > 1} == {}
 
 
 def test_every_package_is_in_the_distribution():
@@ -93,7 +105,7 @@ WHEEL_BYTES = 14_000_000
 REPOSITORY_ONLY = re.compile(r"drives/|weights/[^/]*/junction\.")
 
 
-def take_kernels(package: Path) -> None:
+def take_kernels(package):
     """Give an installed `package` the compiled kernels of the modules here: Numba takes half a minute to make them."""
     for module in package.rglob("*.py"):
         here = ROOT / module.relative_to(package)

@@ -1,7 +1,5 @@
 """gridtrack from Python, as in a notebook, on the shipped demo recording."""
 
-from __future__ import annotations
-
 import math
 import os
 import shutil
@@ -31,44 +29,20 @@ RECORDING, VALIDATION = f"{DEMO}@114s-120s", f"{DEMO}@75s-79s"
 
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory):
-    out = tmp_path_factory.mktemp("python") / "run"
-    rows = ["persistence", "map=static-map"]
+    rows = {"trackers": ["persistence", "map=static-map"], "no_floors": True, "limits": {"memory_mb": 2000}}
+    short = {"validation": VALIDATION, "every_s": 0.5, "horizon_s": "1s", "jobs": 1}
     with programs_here():
-        return gridtrack.compare(
-            RECORDING,
-            trackers=rows,
-            no_floors=True,
-            out=out,
-            validation=VALIDATION,
-            every_s=0.5,
-            horizon_s="1s",
-            jobs=1,
-            limits={"memory_mb": 2000},
-        )
+        return gridtrack.compare(RECORDING, **rows, **short, out=tmp_path_factory.mktemp("python") / "run")
 
 
 def test_a_comparison_returns_its_run_with_the_command_that_repeats_it(compared):
     assert isinstance(compared, gridtrack.Run)
     assert list(compared.summary.trackers) == ["persistence", "map"]
-    rows = ("--tracker", "persistence", "--tracker", "map=static-map")
-    given = (
-        "--no-floors",
-        "--validation",
-        VALIDATION,
-        "--every",
-        "0.5",
-        "--horizon",
-        "1s",
-        "--jobs",
-        "1",
-        "--memory",
-        "2000",
-        "--out",
-        str(compared.path),
-    )
+    options = f"--tracker persistence --tracker map=static-map --no-floors --validation {VALIDATION} --every 0.5"
+    options += f" --horizon 1s --jobs 1 --memory 2000 --out {compared.path}"
     command = compared.record.command
     assert command[:3] == ("gridtrack", "compare", RECORDING)
-    assert sorted(command[3:]) == sorted((*rows, *given))
+    assert sorted(command[3:]) == sorted(options.split())
     assert compared.record == read_run_record(compared.path)
     assert repr(compared).endswith("persistence, map on leg_tracker@114s-120s)")
     assert gridtrack.Run.load(str(compared.path)).scores.equals(compared.scores)
@@ -120,15 +94,8 @@ def test_a_refused_comparison_raises_the_reason_in_one_line(tmp_path):
 def test_a_crash_of_a_tracker_ends_no_child_of_the_notebook_and_its_command_line_comes_back(bad_trackers, tmp_path):
     command_line = Path("/proc/self/cmdline").read_bytes()
     with subprocess.Popen(["sleep", "600"], start_new_session=True) as own:
-        run = gridtrack.compare(
-            RECORDING,
-            validation=VALIDATION,
-            trackers="kills-itself",
-            no_floors=True,
-            out=tmp_path / "run",
-            horizon_s=1.0,
-            jobs=1,
-        )
+        short = {"validation": VALIDATION, "no_floors": True, "horizon_s": 1.0, "jobs": 1}
+        run = gridtrack.compare(RECORDING, trackers="kills-itself", out=tmp_path / "run", **short)
         outcomes = [trial.outcome for row in run.summary.trackers.values() for trial in row.recordings.values()]
         assert (outcomes, own.poll()) == (["crashed"], None)
         own.kill()
@@ -173,10 +140,9 @@ def test_the_trackers_end_if_their_notebook_is_killed(notebook):
 
 def test_the_example_notebook_runs_in_any_folder(tmp_path):
     notebook = nbformat.read(ROOT / "examples" / "notebook" / "first_comparison.ipynb", as_version=4)
+    shorter = f"every_s=0.5, no_floors=True, validation={str(ROOT / VALIDATION)!r},"
     for cell in notebook.cells:
-        cell.source = cell.source.replace(
-            "every_s=0.5,", f"every_s=0.5, no_floors=True, validation={str(ROOT / VALIDATION)!r},"
-        )
+        cell.source = cell.source.replace("every_s=0.5,", shorter)
     client = NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}})
     with ThreadPoolExecutor() as thread:  # the browser of other tests has the event loop of this one
         thread.submit(client.execute).result()

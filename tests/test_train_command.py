@@ -1,7 +1,5 @@
 """`gridtrack train`: the tracker and its settings from the command line, a recipe or a card."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import pytest
@@ -20,7 +18,7 @@ pytestmark = pytest.mark.usefixtures("trackers_here")
 DEMO = str(packaged_recording("leg_tracker"))
 
 
-def train(*arguments: object, code: int = 0) -> str:
+def train(*arguments, code=0):
     return gridtrack("train", *arguments, code=code).stderr
 
 
@@ -80,13 +78,30 @@ def test_the_start_on_the_command_line_overrides_the_recipes(asked, tmp_path):
     ]  # fmt: skip
 
 
-def test_a_training_from_scratch_looks_for_no_general_weights(monkeypatch, tmp_path):
+@pytest.mark.parametrize(
+    ("recipe", "can_start", "line"),
+    [
+        ({"from_scratch": True}, True, "from scratch, not from general weights"),
+        (
+            {"general": True},
+            True,
+            "from scratch: a general training starts from general weights only if --weights names their folder",
+        ),
+        (
+            {"weights": "there"},
+            False,
+            "from scratch: a training of dogma does not start from weights; --weights has no effect",
+        ),
+    ],
+)
+def test_a_training_from_scratch_says_why_and_looks_for_no_general_weights(
+    monkeypatch, tmp_path, recipe, can_start, line
+):
     monkeypatch.setattr("gridtrack.evaluation.runs.train.find_weights", None)
     reported = []
-    assert (
-        general_start(Recipe(tracker="dogma", from_scratch=True), [], tmp_path, reported.append, can_start=True) is None
-    )
-    assert reported == ["from scratch, not from general weights"]
+    asked = Recipe(tracker="dogma", **recipe)
+    assert general_start(asked, [], tmp_path, reported.append, can_start=can_start) is None
+    assert reported == [line]
 
 
 def test_regions_for_the_thresholds_come_from_the_training_and_not_from_the_rest_of_the_recording(
@@ -100,7 +115,7 @@ def test_regions_for_the_thresholds_come_from_the_training_and_not_from_the_rest
 def test_choosing_thresholds_reports_its_progress(monkeypatch, tmp_path):
     often = partial(ProgressLines, every_s=0.02)
     monkeypatch.setattr("gridtrack.evaluation.runs.train.ProgressLines", often)
-    reported: list[str] = []
+    reported = []
     recipe = {"recordings": [f"{DEMO}@0s-20s"], "validation": [f"{DEMO}@75s-81s", f"{DEMO}@81s-90s"], "out": tmp_path}
     train_tracker(Recipe(tracker="static-map", from_scratch=True, **recipe), reported.append)
     thresholds = [line.split(",")[0] for line in reported if line.startswith("thresholds on recording")]

@@ -1,11 +1,7 @@
 """Text of recordings, trackers and results reaches a terminal bounded, and without characters that act on it."""
 
-from __future__ import annotations
-
 import io
 import json
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +19,7 @@ HOSTILE = "\x1b]0;owned\x07\x1b[31m\u202eevil\u2066\ud800"
 
 
 @pytest.fixture
-def hostile_recording(tmp_path: Path) -> Path:
+def hostile_recording(tmp_path):
     path = tmp_path / "a.mcap"
     info = RecordingInfo(site="here", licence=HOSTILE[:-1], credit=HOSTILE[:-1] * 100_000)
     with path.open("wb") as file:
@@ -31,13 +27,13 @@ def hostile_recording(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_metadata_of_a_recording_are_printable(hostile_recording: Path) -> None:
+def test_the_metadata_of_a_recording_are_printable(hostile_recording):
     lines = str(open_recording(hostile_recording).overview()).split("\n")
     assert any("evil" in line for line in lines)
     assert all(line.isprintable() and len(line) <= MAX_LINE_CHARS for line in lines)
 
 
-def test_the_warnings_of_a_recording_are_printable_and_bounded(hostile_recording: Path) -> None:
+def test_the_warnings_of_a_recording_are_printable_and_bounded(hostile_recording):
     recording = open_recording(hostile_recording)
     for number in range(3 * MAX_WARNINGS):
         recording.notify(f"{number} {HOSTILE * 1000}")
@@ -46,7 +42,7 @@ def test_the_warnings_of_a_recording_are_printable_and_bounded(hostile_recording
     assert all(line.isprintable() and len(line) <= MAX_LINE_CHARS for line in recording.warnings)
 
 
-def test_topics_without_scans_are_counted_up_to_a_limit() -> None:
+def test_topics_without_scans_are_counted_up_to_a_limit():
     topics = Topics()
     for number in range(2 * MAX_LISTED_TOPICS):
         topics.add(f"/{number}", "other", False)
@@ -55,7 +51,7 @@ def test_topics_without_scans_are_counted_up_to_a_limit() -> None:
     assert topics.scans == {"/scan"}
 
 
-def test_a_reason_in_a_file_of_results_is_bounded_when_it_is_read(tmp_path: Path) -> None:
+def test_a_reason_in_a_file_of_results_is_bounded_when_it_is_read(tmp_path):
     fields = {"schema": 3, "label": "a", "recording": "b", "outcome": "crashed", "steps": 1}
     content = json.dumps({**fields, "reason": HOSTILE[:-1] * 100_000})
     (tmp_path / OUTCOME_FILE).write_text(content)
@@ -66,9 +62,7 @@ def test_a_reason_in_a_file_of_results_is_bounded_when_it_is_read(tmp_path: Path
 
 
 @pytest.mark.parametrize("on_terminal", [True, False])
-def test_progress_and_rows_have_no_control_characters(
-    on_terminal: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_progress_and_rows_have_no_control_characters(on_terminal, capsys, monkeypatch):
     shown = [_noted(lambda console: RunProgress(console=console), on_terminal)]
     shown.append(_noted(LiveTable, on_terminal))
     print_rows([{"name": "kalman", "about": HOSTILE}])
@@ -79,7 +73,7 @@ def test_progress_and_rows_have_no_control_characters(
         assert "\x1b]0;" not in text
 
 
-def _noted(made: Callable[[Console], RunProgress | LiveTable], on_terminal: bool) -> str:
+def _noted(made, on_terminal):
     out = io.StringIO()
     made(Console(file=out, force_terminal=on_terminal, width=200)).note(HOSTILE)
     return out.getvalue()

@@ -36,6 +36,20 @@ def test_columns_are_the_marked_horizons(table):
     assert [c.heading for c in table.columns[-4:]] == ["Contacts foreseen", "F1", "Log loss, nats", "FSS, 5 cells"]
 
 
+def test_a_tested_score_of_another_package_has_a_column_by_its_description(run_folder, tmp_path):
+    output = {"name": "depth", "title": "Surprise", "unit": "cells", "better": "lower", "tested": True, "decimals": 1}
+    score = {"name": "surprise", "title": "Surprise", "about": "", "thresholded": False, "outputs": [output]}
+
+    def add(summary):
+        summary["scores"].append(score)
+        put(trial_of(summary, "good"), "in-motion", "surprise.depth", 12.25, 11.5, 13.0)
+
+    (table,) = headline_tables(read_runs([edited(run_folder, tmp_path / "run", add)]))
+    (at,) = [at for at, column in enumerate(table.columns) if column.heading == "Surprise, cells"]
+    (cell,) = [row.cells[at] for row in table.rows if row.label == "good"]
+    assert (cell.text, cell.interval) == ("12.2", (11.5, 13.0))
+
+
 def test_partial_trials_are_not_ranked(table):
     assert [row.label for row in table.rows_in("ranked")] == ["good", "fair"]
     assert [row.label for row in table.rows_in("floor")] == ["persistence", "blank"]
