@@ -4,7 +4,7 @@ that do not differ significantly."""
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
@@ -17,7 +17,7 @@ from gridtrack.evaluation.runs.summary import (
     TrackerTrainings,
     TrainingsScore,
 )
-from gridtrack.reports.markdown import cell_text, markdown_table
+from gridtrack.reports.markdown import escaped, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportedRun
 from gridtrack.reports.table import HeadlineTable, TableRow, name_in
 
@@ -125,14 +125,14 @@ def p_text(p: float | None) -> str:
     return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
 
 
-def difference_markdown(differences: DifferenceTable, text: Callable[[str], str] = cell_text) -> str:
-    """The table as Markdown; `text` escapes names."""
+def difference_markdown(differences: DifferenceTable) -> str:
+    """The table as Markdown."""
     headings = ["tracker", *(f"{stratum} {horizon_s:g} s" for stratum, horizon_s in differences.columns)]
     empty = [""] * (len(differences.columns) - 1)
     rows = []
     for row in differences.rows:
         cells = [f"{cell.value} {cell.interval} {cell.p} {cell.verdict}" for cell in row.cells]
-        rows.append([f"{text(row.name)}, {row.score}", *(cells or [text(row.reason), *empty])])
+        rows.append([f"{escaped(row.name)}, {row.score}", *(cells or [escaped(row.reason), *empty])])
     return markdown_table(headings, rows)
 
 

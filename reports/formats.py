@@ -79,13 +79,13 @@ def _of_table(one: ExportedTable, titled: bool) -> Iterator[str]:
         yield f"### {escaped(one.table.recording)}"
     if one.lead:
         yield escaped(one.lead)
-    yield headline_markdown(one.table, escaped).rstrip("\n")
+    yield headline_markdown(one.table).rstrip("\n")
     if one.differences:
         yield (
             f"Scores less {escaped(one.differences.reference)}, paired over {one.differences.units}; p of"
             f" {one.differences.headline} corrected after Holm:"
         )
-        yield difference_markdown(one.differences, escaped).rstrip("\n")
+        yield difference_markdown(one.differences).rstrip("\n")
 
 
 def csv_of_tables(exported: Sequence[ExportedTable]) -> str:

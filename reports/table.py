@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
@@ -16,7 +16,7 @@ from gridtrack.evaluation.runs.summary import (
     TrackerSummary,
     TrialSummary,
 )
-from gridtrack.reports.markdown import cell_text, markdown_table
+from gridtrack.reports.markdown import escaped, markdown_table
 from gridtrack.reports.run import UNDEFINED, ReportedRun, ReportError, output_name, scores_of
 
 MAIN_STRATUM = HEADLINE_STRATA[0]
@@ -362,15 +362,15 @@ def with_best(rows: Sequence[TableRow], columns: Sequence[TableColumn]) -> Itera
         yield row if row.group in ("unranked", "ceiling") else replace(row, cells=tuple(cells))
 
 
-def headline_markdown(table: HeadlineTable, text: Callable[[str], str] = cell_text) -> str:
-    """The table as Markdown, with the best values in bold; `text` escapes names."""
+def headline_markdown(table: HeadlineTable) -> str:
+    """The table as Markdown, with the best values in bold."""
     headings = ["tracker", *(f"{c.group} {c.heading}" for c in table.columns), "frames", "outcome"]
     rows = [
         [
-            text(row.name),
+            escaped(row.name),
             *(f"{f'**{c.text}**' if c.best else c.text} {c.interval_text}".rstrip() for c in row.cells),
             row.frames,
-            text(row.remark or row.outcome),
+            escaped(row.remark or row.outcome),
         ]
         for row in table.rows
     ]
