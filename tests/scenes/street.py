@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
+from gridtrack.common.grid import GridSpec, LabelledFrame
+
+from scenes import frames
 
 GRID, PERIOD_S = GridSpec(60, 0.2, (0.0, -6.0)), 0.125
 PEDESTRIAN, CAR = 0, 1
@@ -16,9 +17,7 @@ def frame_of(shapes, step=0, grid=GRID):
     occupied = np.zeros(grid.shape, bool)
     cells, inside = grid.cells_of(np.concatenate([np.empty((0, 2)), *shapes]))
     occupied[tuple(cells[inside].T)] = True
-    points = grid.cell_centres(occupied)
-    laser, owner = np.zeros((1, 2), np.float32), np.zeros(len(points), np.uint8)
-    return GridFrame(step * 125_000_000, np.ones(grid.shape, bool), occupied, SE2(), laser, points, owner)
+    return frames.frame_of(occupied, grid=grid, second=PERIOD_S * step)
 
 
 def box(length, width, at, heading=0.0):

@@ -9,14 +9,15 @@ import pytest
 
 pytest.importorskip("filterpy")
 from gridtrack.common.errors import WeightsError
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridSpec
 from gridtrack.recordings import packaged_recording
 from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers.contract import StreamSpec, stream_of
 from gridtrack.trackers.model_free.kalman import KalmanTracker
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.training.calibration import IDENTITY, Calibration, fit_calibration
+
+from scenes.frames import frame_of
 
 GRID, STEPS, PERIOD_S = GridSpec(40, 0.2), 3, 0.125
 PARAMETERS = np.array([[0.7, 3.0, -2.0], [0.9, 1.2, -0.5]], np.float32)
@@ -47,12 +48,6 @@ class Crystal:
 
     def predict(self, steps):
         return SimpleNamespace(occupancy=np.repeat(self.said[self.frame][None], steps + 1, axis=0))
-
-
-def frame_of(occupied, visible=None):
-    points = GRID.cell_centres(occupied)
-    seen = np.ones(GRID.shape, bool) if visible is None else visible
-    return GridFrame(0, seen, occupied, SE2(), np.zeros((1, 2), np.float32), points, np.zeros(len(points), np.uint8))
 
 
 def mapped(by, p, hidden_s=0.0):
@@ -97,11 +92,6 @@ def test_the_map_has_two_percent_accuracy_and_keeps_0_and_1():
 def test_the_maps_are_monotonic():
     p = np.linspace(0.0, 1.0, 20_001, dtype=np.float32)
     assert (np.diff(mapped(TRUE, p)) >= 0.0).all()
-
-
-def test_the_identity_changes_nothing():
-    p = np.geomspace(3e-4, 1.0, 500).astype(np.float32)
-    assert mapped(calibration(IDENTITY), p) == pytest.approx(p, rel=2e-2)
 
 
 def test_cells_hidden_for_long_have_their_own_map():

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, Mask, Shift
+from gridtrack.common.grid import GridFrame, Mask, Shift
 from gridtrack.trackers.cell_records import HiddenTime, OpenSpace, open_cells
+
+from scenes import frames
 
 
 def seen(*cells: tuple[int, int]) -> Mask:
@@ -39,10 +40,7 @@ def cells_of(drawing: str, marks: str) -> Mask:
 
 def frame_of(drawing: str) -> GridFrame:
     """A frame from a drawing: `.` seen empty, `#` a return, `?` not seen."""
-    visible, occupied = cells_of(drawing, ".#"), cells_of(drawing, "#")
-    points = GridSpec(len(visible), 0.1).cell_centres(occupied)
-    origins, owner = np.zeros((1, 2), np.float32), np.zeros(len(points), np.uint8)
-    return GridFrame(0, visible, occupied, SE2(), origins, points, owner)
+    return frames.frame_of(cells_of(drawing, "#"), cells_of(drawing, ".#"))
 
 
 @pytest.mark.parametrize(

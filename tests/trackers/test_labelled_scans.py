@@ -6,18 +6,16 @@ import numpy as np
 import pytest
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
+from gridtrack.common.grid import GridSpec, LabelledFrame
 from gridtrack.trackers.training.labelled_scans import (
     ENOUGH_SCANS,
     LEAD_IN,
     LabelSettings,
     draw_labelled,
-    possible_starts,
     run_bounds,
 )
 
-NONE = np.zeros(0, np.int64)
+from scenes.frames import frame_of
 
 
 class Source:
@@ -38,9 +36,8 @@ class Source:
     def labelled(self):
         shown = np.ones((4, 4), bool)
         for t in range(self.frames):
-            frame = GridFrame(t, shown, shown, SE2(), np.zeros((1, 2), np.float32), np.zeros((0, 2)), NONE)
             labels = np.full(int(t >= self.unlabelled), self.label_at(t), np.uint8)
-            yield LabelledFrame(frame, np.full(labels.size, 3), labels)
+            yield LabelledFrame(frame_of(shown, second=t / 1e9), np.full(labels.size, 3), labels)
 
 
 def drawn(sources, scans, seed=0, drawing="spread"):
@@ -130,12 +127,6 @@ def test_only_classes_with_a_label_in_a_drawn_scan_are_learned():
     others = Source("b", 20, classes=("cow", "walker", "bus"), label_at=lambda t: 2 if t < 10 else 1)
     assert drawn([walkers, others], 20).classes == ("walker", "bus")
     assert drawn([walkers], 20).classes == ("walker",)
-
-
-def test_every_possible_start_is_found():
-    labelled = np.array([1, 1, 0, 1, 1, 1], bool)
-    assert possible_starts(labelled, 2).tolist() == [0, 3, 4]
-    assert possible_starts(labelled, 7).tolist() == []
 
 
 def test_many_recordings_are_counted_on_a_card_and_in_errors_not_listed():

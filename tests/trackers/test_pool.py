@@ -13,7 +13,6 @@ from safetensors.numpy import load_file, save
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import ConfigurationError, PluginError, WeightsError
-from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.evaluation.hosting.contract_suite import check_tracker
 from gridtrack.trackers.contract import FitTask, StreamSpec
@@ -22,7 +21,8 @@ from gridtrack.trackers.selection import launch
 from gridtrack.trackers.training.card import Card, TrainingData, card_for
 from gridtrack.trackers.training.weights import card_text, read_card, save_weights
 from tests.conftest import Install
-from tests.trackers.test_baselines import Frames, no_score
+
+from scenes.frames import Frames, frame_of
 
 GRID = GridSpec(12, 0.5)
 RATES = np.random.default_rng(7).uniform(0.02, 0.9, GRID.shape).astype(np.float32)
@@ -94,16 +94,10 @@ def members(install: Install) -> None:
     install("pool-members", points, {"pool_members.py": MEMBERS})
 
 
-def frame(occupied: np.ndarray, number: int = 0, x: float = 0.0) -> GridFrame:
-    none = np.zeros((0, 2), np.float32)
-    seen = np.ones(GRID.shape, bool)
-    return GridFrame(number * 100_000_000, seen, occupied, SE2(x, 0.0), none, none, np.zeros(0, np.uint8))
-
-
 def source(count: int = 400, seed: int = 0) -> Frames:
     draw = np.random.default_rng(seed)
-    frames = [frame(draw.random(GRID.shape) < RATES, n) for n in range(count)]
-    return Frames(frames, f"rec@{seed}", grid=GRID, period_s=0.1)
+    frames = [frame_of(draw.random(GRID.shape) < RATES, grid=GRID, second=0.1 * n) for n in range(count)]
+    return Frames(frames, GRID, name=f"rec@{seed}")
 
 
 def task(tmp_path: Path, *names: str, **fields: Any) -> FitTask:
@@ -111,7 +105,7 @@ def task(tmp_path: Path, *names: str, **fields: Any) -> FitTask:
     options = PoolOptions(members=names)
     stem = "general" if given["general"] else "here"
     out = tmp_path / "pool" / f"{stem}.toml"
-    return FitTask([source()], objective=no_score, out=out, options=options, log_dir=tmp_path, **given)
+    return FitTask([source()], objective=None, out=out, options=options, log_dir=tmp_path, **given)
 
 
 def with_level(folder: Path, site: str = "general") -> Path:
@@ -251,13 +245,13 @@ def test_the_window_moves_with_the_members_and_one_that_does_not_follow_is_named
     corner[3, 5] = True
     pool = fitted(tmp_path, "persistence")
     pool.reset(0)
-    pool.update(frame(corner, 0))
-    pool.update(replace(frame(~corner, 1, x=1.0), visible=~corner & corner))
+    pool.update(frame_of(corner))
+    pool.update(frame_of(corner, ~corner & corner, second=0.1, x=1.0))
     assert pool.predict(3).occupancy[3].argmax() == np.ravel_multi_index((3, 3), GRID.shape)
     pool = fitted(tmp_path, "rates", "shuffled")
-    pool.update(frame(corner, 0))
+    pool.update(frame_of(corner))
     with pytest.raises(ConfigurationError, match="the sensor moves, and the member shuffled does not follow it"):
-        pool.update(frame(corner, 1, x=1.0))
+        pool.update(frame_of(corner, second=0.1, x=1.0))
 
 
 class Interrupted(Frames):
@@ -268,7 +262,7 @@ class Interrupted(Frames):
 @pytest.mark.usefixtures("members")
 def test_after_an_interrupt_the_places_so_far_are_kept(tmp_path: Path) -> None:
     found = task(tmp_path, "rates", general=True)
-    found = replace(found, validation=[Interrupted([], grid=GRID)])
+    found = replace(found, validation=[Interrupted([], GRID)])
     with pytest.raises(KeyboardInterrupt):
         PoolTracker.fit(found)
     assert read_card(found.out).interrupted == "place 1 of 1"

@@ -98,10 +98,7 @@ def test_a_tracker_that_keeps_the_contract_loads(one: Callable[..., str], attrib
     ("attribute", "message"),
     [
         ("OtherApi", "made for contract 3; this gridtrack has contract 2"),
-        (
-            "OldFit",
-            r"fit\(train, validation, .*\) cannot be called as fit\(task\): .* contract 2 on it takes one FitTask",
-        ),
+        ("OldFit", r"fit\(train, validation, .*\) cannot be called as fit\(task\): .* contract 2 on it takes one Fit"),
         ("OldFitOfItsApi", r"contract 1, and fit has changed: write fit\(cls, task: FitTask\) and set api = 2"),
         ("LooseOptions", "Options is not a subclass of gridtrack.common.config.Settings"),
         ("NoUpdate", "it lacks update"),
@@ -212,23 +209,11 @@ def test_only_the_libraries_that_are_needed_are_imported(install: Install, code:
     assert subprocess.check_output([sys.executable, "-c", program], text=True) == "[]\n"
 
 
-@pytest.mark.parametrize(
-    ("name", "role", "reference_for"),
-    [
-        ("persistence", "floor", {"occupancy"}),
-        ("static-map", "floor", set()),
-        ("blank", "floor", set()),
-    ],
-)
-def test_the_baselines_are_floors_and_persistence_the_reference(name: str, role: str, reference_for: set[str]) -> None:
-    tracker = registry.load(name)
-    assert (tracker.role, tracker.reference_for) == (role, reference_for)
-
-
-def test_the_one_shot_classifier_is_the_reference_for_classes() -> None:
+def test_the_baselines_are_floors_persistence_the_reference_and_one_shot_that_for_classes() -> None:
     pytest.importorskip("torch")
-    tracker = registry.load("one-shot")
-    assert (tracker.role, tracker.reference_for) == ("tracker", {"classes"})
+    found = [registry.load(name) for name in ("persistence", "static-map", "blank", "one-shot")]
+    assert [one.role for one in found] == ["floor", "floor", "floor", "tracker"]
+    assert [one.reference_for for one in found] == [{"occupancy"}, set(), set(), {"classes"}]
 
 
 @pytest.fixture

@@ -10,8 +10,7 @@ import pytest
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridSpec
 from gridtrack.trackers.contract import FitTask, StreamSpec
 from gridtrack.trackers.stationary import (
     AGE_ENDS_S,
@@ -25,16 +24,11 @@ from gridtrack.trackers.stationary import (
     smoothed_rates,
 )
 from gridtrack.trackers.training.weights import read_card
-from tests.trackers.test_baselines import Frames, no_score
+
+from scenes.frames import Frames, frame_of
 
 GRID = GridSpec(5, 1.0)
 EMPTY = np.zeros((5, 5), bool)
-
-
-def frame(occupied: np.ndarray, visible: np.ndarray | None = None, second: float = 0.0, x: float = 0.0) -> GridFrame:
-    none = np.zeros((0, 2), np.float32)
-    seen = ~EMPTY if visible is None else visible
-    return GridFrame(round(second * 1e9), seen, occupied & seen, SE2(x, 0.0), none, none, np.zeros(0, np.uint8))
 
 
 def cells(*places: tuple[int, int]) -> np.ndarray:
@@ -52,8 +46,8 @@ def test_a_cell_is_known_by_its_rate_its_distance_to_a_moving_return_and_the_tim
     past = CellPasts(GRID)
     wall, walker = (0, 0), (2, 2)
     for n in range(3):
-        past.add(frame(cells(wall), second=0.5 * n))
-    past.add(frame(cells(wall, walker), ~cells((4, 4)), second=1.5))
+        past.add(frame_of(cells(wall), second=0.5 * n))
+    past.add(frame_of(cells(wall, walker), ~cells((4, 4)), second=1.5))
     rate, distance, age = (np.array(bins(past, axis)) for axis in range(3))
     assert rate[wall] == len(RATE_ENDS), "occupied in every frame"
     assert rate[walker] == RATE_ENDS.searchsorted(0.25)
@@ -67,24 +61,24 @@ def test_a_cell_is_known_by_its_rate_its_distance_to_a_moving_return_and_the_tim
 
 def test_without_a_moving_return_every_cell_is_far_and_a_cell_that_was_never_seen_has_an_age_of_its_own() -> None:
     past = CellPasts(GRID)
-    past.add(frame(EMPTY, ~cells((1, 3))))
+    past.add(frame_of(EMPTY, ~cells((1, 3))))
     assert (np.array(bins(past, 1)) == len(DISTANCE_ENDS_M)).all()
     assert np.array(bins(past, 2))[1, 3] == len(AGE_ENDS_S)
 
 
 def test_the_past_of_a_cell_keeps_its_place_in_the_world() -> None:
     past, moved = CellPasts(GRID), CellPasts(GRID)
-    past.add(frame(cells((2, 1)), second=0.0))
-    past.add(frame(cells((2, 2)), second=0.5))
-    moved.add(frame(cells((2, 3)), second=0.0, x=-2.0))
-    moved.add(frame(cells((2, 2)), second=0.5, x=0.0))
+    past.add(frame_of(cells((2, 1)), second=0.0))
+    past.add(frame_of(cells((2, 2)), second=0.5))
+    moved.add(frame_of(cells((2, 3)), second=0.0, x=-2.0))
+    moved.add(frame_of(cells((2, 2)), second=0.5, x=0.0))
     assert np.array_equal(past.bins()[:, :3], moved.bins()[:, :3])
 
 
 def test_the_table_has_the_share_of_occupied_among_visible_cells_at_each_horizon() -> None:
     """A wall that flickers: occupied in every second frame of 0.1 s."""
-    frames = [frame(cells((2, 2)) if n % 2 else EMPTY, second=n / 10) for n in range(60)]
-    source = Frames(frames, grid=GRID, period_s=0.1)
+    frames = [frame_of(cells((2, 2)) if n % 2 else EMPTY, second=n / 10) for n in range(60)]
+    source = Frames(frames, GRID)
     visible, occupied = counts_of(source)
     at = {round(h, 2): n for n, h in enumerate(TABLE_HORIZONS_S)}
     forecasts = visible[at[0.0]].sum() / 25
@@ -106,9 +100,9 @@ def test_a_rare_bin_has_the_rate_of_all_distances_and_an_unseen_one_too() -> Non
 
 
 def task(tmp_path: Path, *, general: bool) -> FitTask:
-    frames = [frame(cells((2, 1 + n % 3)), second=n / 10) for n in range(60)]
-    source = Frames(frames, grid=GRID, period_s=0.1)
-    return FitTask([source], [], no_score, tmp_path / "general.toml", Settings(), tmp_path, general=general)
+    frames = [frame_of(cells((2, 1 + n % 3)), second=n / 10) for n in range(60)]
+    source = Frames(frames, GRID)
+    return FitTask([source], [], None, tmp_path / "general.toml", Settings(), tmp_path, general=general)
 
 
 def test_a_fitted_table_is_forecast_between_its_horizons_and_kept_beyond_them(tmp_path: Path) -> None:
@@ -117,7 +111,7 @@ def test_a_fitted_table_is_forecast_between_its_horizons_and_kept_beyond_them(tm
     stream = StreamSpec(GRID, 0.05, "elsewhere", weights=tmp_path / "general.toml")
     tracker = StationaryTracker(stream, Settings())
     for n in range(3):
-        tracker.update(frame(cells((2, 2)), second=n / 20))
+        tracker.update(frame_of(cells((2, 2)), second=n / 20))
     forecast = tracker.predict(60).occupancy
     assert forecast.dtype == np.float32
     assert forecast[1] == pytest.approx((forecast[0] + forecast[2]) / 2, abs=1e-6)

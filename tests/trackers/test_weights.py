@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -15,53 +14,33 @@ import pytest
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import sha256_of
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridSpec
 from gridtrack.evaluation.runs.learned import LearnedWeights
-from gridtrack.trackers.contract import FitTask, FrameSource, StreamSpec, StretchScore
+from gridtrack.trackers.contract import FitTask, StreamSpec
 from gridtrack.trackers.training.card import Card, CardThresholds, card_for
 from gridtrack.trackers.training.weights import MAX_ARRAYS_BYTES, array, load_weights, read_card, save_weights
+
+from scenes.frames import Frames, frame_of
 
 GRID = GridSpec(100, 0.1, (-2.0, -4.5))
 
 
-@dataclass
-class Stretch:
-    """A frame source of one frame."""
-
-    name: str = "demo@0s-75s"
-    sha256: str = "12ab"
-    grid: GridSpec = GRID
-    period_s: float = 0.1
-    site: str = "lab"
-    classes: tuple[str, ...] = ()
-    world_T_grid: SE2 = field(default_factory=SE2)
-
-    def __iter__(self) -> Iterator[GridFrame]:
-        nothing, none = np.zeros(self.grid.shape, bool), np.zeros((0, 2), np.float32)
-        yield GridFrame(0, nothing, nothing, self.world_T_grid, none, none, np.zeros(0, np.uint8))
-
-    def __len__(self) -> int:
-        return 1
+def stretch(name: str = "demo@0s-75s", sha256: str = "12ab", grid: GridSpec = GRID, x=0.0, y=0.0, **fields) -> Frames:
+    """A source of one frame, in which nothing is visible, with its window at (x, y)."""
+    nothing = np.zeros(grid.shape, bool)
+    fields = {"site": "lab"} | fields
+    return Frames([frame_of(nothing, nothing, x=x, y=y)], grid, name=name, sha256=sha256, **fields)
 
 
-def no_score(*_: Any) -> StretchScore:
-    raise NotImplementedError
-
-
-def as_source(stretch: Stretch) -> FrameSource:
-    return stretch  # type: ignore[return-value]
-
-
-def card(tmp_path: Path, *train: Stretch) -> Card:
-    return card_for("my", fit_task(tmp_path, train or (Stretch(),), [Stretch("v", "cd")]), {"a": 1})
+def card(tmp_path: Path, *train: Frames) -> Card:
+    return card_for("my", fit_task(tmp_path, train or (stretch(),), [stretch("v", "cd")]), {"a": 1})
 
 
 def fit_task(
-    tmp_path: Path, train: Sequence[Stretch], validation: Sequence[Stretch] = (), *, general: bool = False
+    tmp_path: Path, train: Sequence[Frames], validation: Sequence[Frames] = (), *, general: bool = False
 ) -> FitTask:
-    sources = [[as_source(each) for each in stretches] for stretches in (train, validation)]
     command = "gridtrack train my demo"
-    return FitTask(*sources, no_score, tmp_path / "lab.toml", None, tmp_path, 3, command, general=general)
+    return FitTask(train, validation, None, tmp_path / "lab.toml", None, tmp_path, 3, command, general=general)
 
 
 def test_a_card_with_classes_says_of_how_many_labelled_scans_and_so_does_the_record_of_a_run(tmp_path: Path) -> None:
@@ -75,7 +54,7 @@ def test_a_card_with_classes_says_of_how_many_labelled_scans_and_so_does_the_rec
 
 
 def test_a_general_card_names_properties_of_a_stream_beyond_its_training(tmp_path: Path) -> None:
-    sources = [Stretch(), Stretch(grid=GridSpec(100, 0.2), period_s=0.05)]
+    sources = [stretch(), stretch(grid=GridSpec(100, 0.2), period_s=0.05)]
     general = card_for("my", fit_task(tmp_path, sources, general=True), {})
     assert general.beyond_training(0.15, 0.1) == ""
     assert general.beyond_training(0.4, 0.1) == "cells of 0.1 to 0.2 m, not 0.4 m"
@@ -103,13 +82,13 @@ def test_saved_weights_are_loaded(path: Path) -> None:
 
 
 def test_the_place_of_the_maps_on_the_card_is_the_window_of_the_first_training_frame(tmp_path: Path) -> None:
-    made = card(tmp_path, Stretch(world_T_grid=SE2(3.2, -1.5)), Stretch("b", world_T_grid=SE2(9.0, 9.0)))
+    made = card(tmp_path, stretch(x=3.2, y=-1.5), stretch("b", x=9.0, y=9.0))
     save_weights(tmp_path / "lab.toml", made, {})
     assert read_card(tmp_path / "lab.toml").map_pose == SE2(3.2, -1.5)
 
 
 def test_maps_keep_their_place_in_the_world_where_the_window_has_another_corner(tmp_path: Path) -> None:
-    made = card(tmp_path, Stretch(world_T_grid=SE2(3.2, -1.5)))
+    made = card(tmp_path, stretch(x=3.2, y=-1.5))
     save_weights(tmp_path / "lab.toml", made, {"a": np.zeros(2)})
     corner = GRID.origin
     moved = GridSpec(GRID.size, GRID.cell_m, (corner[0] - 3 * GRID.cell_m, corner[1] + 5 * GRID.cell_m))
@@ -153,14 +132,8 @@ def test_a_card_without_arrays_stands_alone(tmp_path: Path) -> None:
     [
         ({"tracker": "other"}, "made for tracker my, but this is other"),
         ({"grid": GridSpec(50, 0.1, (-2.0, -4.5))}, "made for grid 100x0.1@-2,-4.5, but this is 50x0.1@-2,-4.5"),
-        (
-            {"grid": GridSpec(100, 0.1, (-2.05, -4.5))},
-            "made for grid 100x0.1@-2,-4.5, but this is 100x0.1@-2.05,-4.5",
-        ),
-        (
-            {"period_s": 0.125},
-            r"made for a period of 0.1 s \(10 Hz\), but this stream's is 0.125 s: compare with --rate 10",
-        ),
+        ({"grid": GridSpec(100, 0.1, (-2.05, -4.5))}, "for grid 100x0.1@-2,-4.5, but this is 100x0.1@-2.05,-4.5"),
+        ({"period_s": 0.125}, r"for a period of 0.1 s \(10 Hz\), but this stream's is 0.125 s: compare with --rate 10"),
     ],
 )
 def test_another_grid_period_or_tracker_is_refused_by_name(
@@ -281,8 +254,8 @@ def test_an_array_of_another_shape_or_name_is_refused(path: Path) -> None:
 
 def test_training_stretches_must_share_grid_period_and_site(tmp_path: Path) -> None:
     with pytest.raises(WeightsError, match="one grid, period and site"):
-        card(tmp_path, Stretch(), Stretch(site="elsewhere"))
-    assert len(card(tmp_path, Stretch("a"), Stretch("b")).train) == 2
+        card(tmp_path, stretch(), stretch(site="elsewhere"))
+    assert len(card(tmp_path, stretch("a"), stretch("b")).train) == 2
 
 
 def test_thresholds_of_a_card_come_from_the_nearest_horizon():
