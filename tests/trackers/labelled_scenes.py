@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from gridtrack.common.config import validated
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
+from gridtrack.common.grid import GridSpec, LabelledFrame
 from gridtrack.trackers.contract import FitTask, stream_of
-from tests.trackers.scores import of_every_stratum
+from tests.trackers.scores import no_score
+
+from scenes.frames import frame_of
 
 SIZE, ROUND = 16, 12
 
@@ -40,11 +41,7 @@ class Scene:
                     label_at[rows[label] + row, columns[label] + column] = label
             occupied = label_at < 255
             cells = np.flatnonzero(occupied)[: 0 if t < self.unlabelled else None]
-            points = self.grid.cell_centres(occupied)
-            frame = GridFrame(
-                t * 250_000_000, np.ones((SIZE, SIZE), bool), occupied, SE2(), np.zeros((1, 2), np.float32),
-                points, np.zeros(len(points), np.uint8),
-            )  # fmt: skip
+            frame = frame_of(occupied, grid=self.grid, second=self.period_s * t)
             yield LabelledFrame(frame, cells, label_at.ravel()[cells])
 
 
@@ -62,10 +59,6 @@ def lies(t):
 
 def towers(t):
     return [(0, t), (1, t)]
-
-
-def no_score(tracker, source, steps):
-    return of_every_stratum(0.0, 0.0, steps)
 
 
 def fit(tracker, folder, things, seed=3, train=None, **options):

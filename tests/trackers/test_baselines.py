@@ -110,8 +110,3 @@ def test_a_static_map_of_a_long_drive_is_refused_in_one_line(tmp_path: Path) -> 
 def test_the_static_map_refuses_training_data_without_visible_cells(tmp_path: Path) -> None:
     with pytest.raises(WeightsError, match="no cell is visible in rec@0s-1s"):
         fitted(tmp_path, frame_of(NONE, NONE))
-
-
-def test_the_static_map_without_weights_names_the_command_that_makes_them() -> None:
-    with pytest.raises(WeightsError, match="make them with `gridtrack train static-map RECORDING`"):
-        StaticMapTracker(STREAM, StaticMapOptions())

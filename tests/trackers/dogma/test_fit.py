@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 pytest.importorskip("optuna")
 from gridtrack.common.errors import WeightsError
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, Shift
+from gridtrack.common.grid import GridSpec, Shift
 from gridtrack.trackers.contract import FitTask, StreamSpec
 from gridtrack.trackers.dogma.settings import DogmaSettings
 from gridtrack.trackers.dogma.tracker import DogmaTracker, count_occupancy_rate
 from gridtrack.trackers.site_map import count_frames
 from gridtrack.trackers.training import searched_fit
 from gridtrack.trackers.training.card import card_for
-from gridtrack.trackers.training.excerpts import CachedSource
 from gridtrack.trackers.training.searched_fit import FINALISTS
 from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
 from tests.trackers.scores import of_every_stratum
 
+from scenes.frames import Frames, frame_of
 from scenes.scrolling import scrolled
 
 GRID = GridSpec(3, 0.2)
@@ -28,43 +29,29 @@ WALL, DOOR = (0, 0), (1, 1)
 
 
 def task(out, objective, options, source=None, **more):
-    source = source or Source()
+    source = source or yard()
     return FitTask([source], [source], objective, out, options, out.parent / "log", 3, "gridtrack train dogma", **more)
 
 
-class Source:
+def yard() -> Frames:
     """Forty frames: a wall in each, a door in every other frame, a row that is never seen."""
-
-    name, sha256, grid, period_s, site, classes = "yard@0s-5s", "0" * 64, GRID, PERIOD_S, "yard", ()
-
-    def __iter__(self):
-        for step in range(40):
-            visible, occupied = np.ones(GRID.shape, bool), np.zeros(GRID.shape, bool)
-            visible[2] = False
-            occupied[WALL], occupied[DOOR] = True, step % 2 == 0
-            points = GRID.cell_centres(occupied)
-            origin, owner = np.zeros((1, 2), np.float32), np.zeros(len(points), np.uint8)
-            yield GridFrame(step * 125_000_000, visible, occupied, SE2(), origin, points, owner)
-
-    def __len__(self):
-        return 40
+    visible, frames = np.ones(GRID.shape, bool), []
+    visible[2] = False
+    for step in range(40):
+        occupied = np.zeros(GRID.shape, bool)
+        occupied[WALL], occupied[DOOR] = True, step % 2 == 0
+        frames.append(frame_of(occupied, visible, grid=GRID, second=PERIOD_S * step))
+    return Frames(frames, GRID, PERIOD_S, "yard@0s-5s", "0" * 64, "yard")
 
 
 def test_the_occupancy_rate_is_the_share_of_each_cell_shrunk_to_the_base_rate() -> None:
-    rate, moves = count_occupancy_rate([Source(), Source()])
+    rate, moves = count_occupancy_rate([yard(), yard()])
     assert not moves
     base_rate = (40 + 20) / (6 * 40)
     assert rate[WALL] == pytest.approx((80 + 20 * base_rate) / 100)
     assert rate[DOOR] == pytest.approx((40 + 20 * base_rate) / 100)
     assert rate[0, 1] == pytest.approx(20 * base_rate / 100)
     assert rate[2] == pytest.approx([base_rate] * 3)
-
-
-def test_a_cached_excerpt_of_a_source_has_its_frames() -> None:
-    held = CachedSource.excerpt(Source(), 3, 8)
-    assert len(held) == 8
-    stamps = [frame.stamp_ns for frame in held]
-    assert stamps == [frame.stamp_ns for frame in held] == [step * 125_000_000 for step in range(3, 11)]
 
 
 def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch) -> None:
@@ -88,7 +75,7 @@ def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch)
     assert one.settings["acceleration"] == asked[int(np.argmin(losses))].acceleration
     assert len(set(losses)) == 11
     stream = StreamSpec(GRID, PERIOD_S, "yard", weights=paths[0])
-    assert np.array_equal(load_weights(stream, "dogma").arrays["occupancy_rate"], count_occupancy_rate([Source()])[0])
+    assert np.array_equal(load_weights(stream, "dogma").arrays["occupancy_rate"], count_occupancy_rate([yard()])[0])
     tracker = DogmaTracker(stream, DogmaSettings(acceleration=0.2))
     assert tracker._settings == DogmaSettings(**one.settings | {"acceleration": 0.2})
 
@@ -127,7 +114,7 @@ def test_a_site_starts_from_general_settings_and_searches_near_them(
     assert found_s[0] <= settings["free_decay_s"] <= found_s[1]
     assert abs(np.log(settings["free_decay_s"] / best_s)) == min(abs(np.log(s.free_decay_s / best_s)) for s in asked)
     arrays = load_weights(StreamSpec(GRID, PERIOD_S, "yard", weights=out), "dogma").arrays
-    assert np.array_equal(arrays["occupancy_rate"], count_occupancy_rate([Source()])[0])
+    assert np.array_equal(arrays["occupancy_rate"], count_occupancy_rate([yard()])[0])
 
 
 def test_weights_of_another_site_are_no_start(general, tmp_path) -> None:
@@ -137,13 +124,10 @@ def test_weights_of_another_site_are_no_start(general, tmp_path) -> None:
         DogmaTracker.fit(from_site)
 
 
-class Driven(Source):
+def driven() -> Frames:
     """The same frames in a window that moves."""
-
-    name = "drive@0s-5s"
-
-    def __iter__(self):
-        return (scrolled(frame, Shift(step % 2, step // 10), GRID) for step, frame in enumerate(super().__iter__()))
+    moved = [scrolled(frame, Shift(step % 2, step // 10), GRID) for step, frame in enumerate(yard())]
+    return replace(yard(), frames=moved, name="drive@0s-5s")
 
 
 def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monkeypatch) -> None:
@@ -151,20 +135,20 @@ def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monk
     reported: list[str] = []
     out = tmp_path / "yard.toml"
     both = of_every_stratum(0.5, 0.5, 16)
-    DogmaTracker.fit(task(out, lambda *_: both, DogmaSettings(particles=800), Driven(), report=reported.append))
+    DogmaTracker.fit(task(out, lambda *_: both, DogmaSettings(particles=800), driven(), report=reported.append))
     assert any("the sensor moves: no map of the place is learned" in line for line in reported)
     stream = StreamSpec(GRID, PERIOD_S, "yard", weights=out)
     rate = load_weights(stream, "dogma").arrays["occupancy_rate"]
     assert rate.min() == rate.max() > 0.0
     tracker = DogmaTracker(stream, DogmaSettings())
-    for frame in Driven():
+    for frame in driven():
         tracker.update(frame)
     assert np.isfinite(tracker.predict(3).occupancy).all()
 
 
 def test_a_source_with_a_sensor_elsewhere_is_counted_at_its_place() -> None:
-    aside = [scrolled(frame, Shift(0, 1), GRID) for frame in Source()]
-    home = [scrolled(frame, Shift(), GRID) for frame in Source()]
+    aside = [scrolled(frame, Shift(0, 1), GRID) for frame in yard()]
+    home = [scrolled(frame, Shift(), GRID) for frame in yard()]
     (visible, occupied), moves = count_frames([home, aside], GRID.cell_m, lambda frame: (frame.visible, frame.occupied))
     assert not moves
     assert visible[0].tolist() == [40, 80, 80]

@@ -16,13 +16,9 @@ from gridtrack.trackers.model_free.training import count_labelled_cells
 from gridtrack.trackers.training import searched_fit
 from gridtrack.trackers.training.labelled_scans import LabelledScans
 from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
-from tests.trackers.scores import of_every_stratum
+from tests.trackers.scores import no_score
 
 from scenes.street import GRID, Street, frame_of
-
-
-def no_score(tracker, source, steps):
-    return of_every_stratum(0.0, 0.0, steps)
 
 
 def fit(folder, tracker=KalmanTracker, street=None, **options):

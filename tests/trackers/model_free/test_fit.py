@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -21,13 +20,9 @@ from gridtrack.trackers.training.searched_fit import FINALISTS
 from gridtrack.trackers.training.weights import load_weights, read_card, save_weights
 from tests.trackers.scores import of_every_stratum
 
+from scenes.frames import Frames
 from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
 from scenes.scrolling import scrolled
-
-
-def test_without_weights_the_error_names_the_training_command():
-    with pytest.raises(WeightsError, match="gridtrack train kalman"):
-        KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall"), PipelineSettings())
 
 
 @pytest.mark.parametrize(
@@ -52,53 +47,25 @@ def test_weights_with_an_unknown_setting_are_refused(tmp_path):
         KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=path), PipelineSettings())
 
 
+def source(name="hall@0s-3s", **changed):
+    """Thirty frames of a walk."""
+    frames = [frame_of([place], step) for step, place in enumerate(walk((3.0, -1.5), (0.0, 1.0), 30))]
+    return replace(Frames(frames, GRID, PERIOD_S, name, "0" * 64, "hall"), **changed)
+
+
+def driven(name="hall@0s-3s"):
+    """The same walk in a window that moves."""
+    shifts = [Shift(-(step // 5), step // 2) for step in range(30)]
+    return source(name, frames=[scrolled(*each, GRID) for each in zip(source(), shifts, strict=True)])
+
+
 def fit(out, objective, options=None, train=None, validation=None, **more):
-    """Train `kalman`; returns the card."""
-    sources, options = (train or [Source()], [validation or Source()]), options or ModelFreeSettings()
+    """Train `kalman`; returns the path of the card."""
+    sources, options = (train or [source()], [validation or source()]), options or ModelFreeSettings()
     KalmanTracker.fit(
         FitTask(*sources, objective, out, options, out.parent / "log", 3, "gridtrack train kalman", **more)
     )
     return out
-
-
-class Source:
-    """A source of 30 frames."""
-
-    name, sha256, grid, period_s, site, classes = "hall@0s-3s", "0" * 64, GRID, PERIOD_S, "hall", ()
-
-    def __init__(self):
-        self.frames = [frame_of([place], step) for step, place in enumerate(walk((3.0, -1.5), (0.0, 1.0), 30))]
-
-    def __iter__(self):
-        return iter(self.frames)
-
-    def __len__(self):
-        return len(self.frames)
-
-
-def test_fit_finds_the_best_settings_and_keeps_given_ones(tmp_path, monkeypatch):
-    monkeypatch.setattr(searched_fit, "SEARCH_ITERATIONS", 14)
-    asked = []
-
-    def score(tracker, source, steps):
-        settings = tracker._settings
-        asked.append(settings)
-        far = abs(np.log(settings.acceleration / 0.3))
-        return of_every_stratum(1.0 - far, far, steps)
-
-    paths = [tmp_path / run / "hall.toml" for run in ("one", "two")]
-    for path in paths:
-        fit(path, score, ModelFreeSettings(link_m=0.77))
-    one, two = (read_card(path) for path in paths)
-    assert one == two
-    assert all(settings.link_m == 0.77 for settings in asked)
-    assert asked[0].residence_speed == PipelineSettings().residence_speed
-    losses = [abs(np.log(settings.acceleration / 0.3)) for settings in asked[:14]]
-    assert one.settings["acceleration"] == pytest.approx(asked[int(np.argmin(losses))].acceleration)
-    assert len(set(losses)) > 11
-    assert any(a != b for a, b in pairwise(losses))
-    tracker = KalmanTracker(StreamSpec(GRID, PERIOD_S, "hall", weights=paths[0]), PipelineSettings(acceleration=0.2))
-    assert tracker._settings == ModelFreeSettings(**one.settings | {"acceleration": 0.2})
 
 
 def fit_hall(tmp_path, score, reported, validation=None):
@@ -107,14 +74,13 @@ def fit_hall(tmp_path, score, reported, validation=None):
 
 def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, monkeypatch):
     monkeypatch.setattr(searched_fit, "SEARCH_ITERATIONS", 8)
-    validation, searched, compared = Source(), [], []
-    validation.name = "hall@3s-6s"
+    validation, searched, compared = source("hall@3s-6s"), [], []
 
-    def score(tracker, source, steps):
+    def score(tracker, scored, steps):
         """In training, more acceleration is better; in validation, less."""
         value = tracker._settings.acceleration
-        (compared if source is validation else searched).append(value)
-        return of_every_stratum(value if source is not validation else 1.0 - value, 0.0, steps)
+        (compared if scored is validation else searched).append(value)
+        return of_every_stratum(value if scored is not validation else 1.0 - value, 0.0, steps)
 
     reported = []
     fit_hall(tmp_path, score, reported, validation)
@@ -122,6 +88,9 @@ def test_the_validation_recordings_decide_between_the_best_settings(tmp_path, mo
     assert compared[:FINALISTS] == best
     assert read_card(tmp_path / "hall.toml").settings["acceleration"] == best[-1]
     assert any(line.startswith(f"number {FINALISTS} of the {FINALISTS} best is chosen") for line in reported)
+    stream = StreamSpec(GRID, PERIOD_S, "hall", weights=tmp_path / "hall.toml")
+    settings = ModelFreeSettings(**read_card(tmp_path / "hall.toml").settings | {"acceleration": 0.2})
+    assert KalmanTracker(stream, PipelineSettings(acceleration=0.2))._settings == settings
 
 
 def test_a_stretch_without_scores_is_refused_in_one_line(tmp_path):
@@ -171,18 +140,10 @@ def test_an_interrupted_search_keeps_the_weights_of_an_earlier_training(tmp_path
     assert (tmp_path / "hall.toml").read_bytes() == earlier
 
 
-class Driven(Source):
-    """The same walk in a window that moves."""
-
-    def __init__(self):
-        super().__init__()
-        self.frames = [scrolled(frame, Shift(-(step // 5), step // 2), GRID) for step, frame in enumerate(self.frames)]
-
-
 def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monkeypatch):
     monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 1)
     reported = []
-    out = fit(tmp_path / "hall.toml", Scores(), train=[Driven()], validation=Driven(), report=reported.append)
+    out = fit(tmp_path / "hall.toml", Scores(), train=[driven()], validation=driven(), report=reported.append)
     assert any("the sensor moves: no map of the place is learned" in line for line in reported)
     stream = StreamSpec(GRID, PERIOD_S, "hall", weights=out)
     arrays = load_weights(stream, "kalman").arrays
@@ -190,37 +151,31 @@ def test_training_on_a_moving_sensor_learns_no_map_and_reports_it(tmp_path, monk
     assert (arrays["neighbourhood_rate"] == OUTSIDE_MAP).all()
     assert arrays["residence"][0, 1] > 0.05  # counted in cells that were open before
     tracker = KalmanTracker(stream, PipelineSettings())
-    for frame in Driven():
+    for frame in driven():
         tracker.update(frame)
     assert np.isfinite(tracker.predict(3).occupancy).all()
 
 
-class Fine(Source):
+def fine():
     """The same walk at another site, in half the cells at twice the rate."""
-
-    name, sha256, period_s, site = "yard@0s-1.5s", "1" * 64, PERIOD_S / 2, "yard"
-    grid = GridSpec(2 * GRID.size, GRID.cell_m / 2, GRID.origin)
-
-    def __init__(self):
-        self.frames = [
-            replace(frame, visible=np.kron(frame.visible, CELLS), occupied=np.kron(frame.occupied, CELLS))
-            for frame in Source().frames
-        ]
-
-
-CELLS = np.ones((2, 2), bool)
+    grid, quarters = GridSpec(2 * GRID.size, GRID.cell_m / 2, GRID.origin), np.ones((2, 2), bool)
+    frames = [
+        replace(frame, visible=np.kron(frame.visible, quarters), occupied=np.kron(frame.occupied, quarters))
+        for frame in source()
+    ]
+    return Frames(frames, grid, PERIOD_S / 2, "yard@0s-1.5s", "1" * 64, "yard")
 
 
 def test_a_general_training_learns_no_map_and_runs_on_any_grid_and_period(tmp_path, monkeypatch):
     monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 1)
-    out = fit(tmp_path / "general.toml", Scores(), train=[Source(), Fine()], validation=Fine(), general=True)
+    out = fit(tmp_path / "general.toml", Scores(), train=[source(), fine()], validation=fine(), general=True)
     card = read_card(out)
-    assert (card.general, card.cells_m) == (True, (Fine.grid.cell_m, GRID.cell_m))
-    for source in (Source(), Fine()):
-        stream = StreamSpec(source.grid, source.period_s, "elsewhere", weights=out)
+    assert (card.general, card.cells_m) == (True, (GRID.cell_m / 2, GRID.cell_m))
+    for own in (source(), fine()):
+        stream = StreamSpec(own.grid, own.period_s, "elsewhere", weights=out)
         assert load_weights(stream, "kalman").arrays["occupancy_rate"].shape == (1, 1)
         tracker = KalmanTracker(stream, PipelineSettings())
-        for frame in source:
+        for frame in own:
             tracker.update(frame)
         assert np.isfinite(tracker.predict(3).occupancy).all()
         assert tracker.tracks
@@ -230,7 +185,7 @@ def general_weights(folder):
     """General weights with the settings for a training at a site."""
     path = folder / "general.toml"
     settings = PipelineSettings(acceleration=0.31, link_m=0.6)
-    task = FitTask([Source()], [], None, path, settings, folder / "log", general=True)
+    task = FitTask([source()], [], None, path, settings, folder / "log", general=True)
     save_weights(path, card_for("kalman", task, settings.model_dump()), {})
     return path
 
@@ -257,16 +212,15 @@ def test_a_site_searches_near_general_settings_and_its_map_settings_in_the_whole
 
 
 @pytest.mark.parametrize(
-    ("source", "with_map", "chosen"),
-    [(Source, 0.485, "none"), (Source, 0.495, "fitted"), (Source, 0.7, "fitted"), (Driven, 0.3, "fitted")],
+    ("made", "with_map", "chosen"),
+    [(source, 0.485, "none"), (source, 0.495, "fitted"), (source, 0.7, "fitted"), (driven, 0.3, "fitted")],
 )
 def test_the_validation_recordings_decide_whether_the_map_of_the_place_is_used(
-    tmp_path, monkeypatch, source, with_map, chosen
+    tmp_path, monkeypatch, made, with_map, chosen
 ):
     """Objects that stand during a whole short training are walls on its map; only a map knows hidden cells."""
     monkeypatch.setattr("gridtrack.trackers.training.searched_fit.SEARCH_ITERATIONS", 3)
-    general, validation, reported = general_weights(tmp_path), source(), []
-    validation.name = "hall@3s-6s"
+    general, validation, reported = general_weights(tmp_path), made("hall@3s-6s"), []
 
     def score(tracker, scored, steps):
         without = tracker._settings.background == "none"
@@ -274,7 +228,7 @@ def test_the_validation_recordings_decide_whether_the_map_of_the_place_is_used(
         return of_every_stratum(0.5 if without else with_map, 0.0, steps)
 
     more = {"report": reported.append, "start": general}
-    at_site = fit(tmp_path / "hall.toml", score, train=[source()], validation=validation, **more)
+    at_site = fit(tmp_path / "hall.toml", score, train=[made()], validation=validation, **more)
     assert read_card(at_site).settings["background"] == chosen
     assert any("the map is not used" in line for line in reported) == (chosen == "none")
 
@@ -307,8 +261,8 @@ def open_everywhere():
 
 def test_residence_and_calibration_are_counted_in_the_world():
     """A return that stays in place in a window that moves is in place."""
-    source = Source()
-    still = [replace(source.frames[0], stamp_ns=frame.stamp_ns) for frame in source.frames]
+    first, *_ = frames = source().frames
+    still = [replace(first, stamp_ns=frame.stamp_ns) for frame in frames]
     tables = []
     for moves in (0, 1):
         frames = [

@@ -22,32 +22,24 @@ TURNING = np.array([1.0, -2.0, 3.0, 6.0, 4.0, 1.2])
 NOTHING = np.zeros((1, 6, 6))
 
 
-def simulate(state, seconds, model, rng, samples, substeps):
-    """Euler-Maruyama: samples (S, 6) of the state after `seconds`, straight from the differential equations."""
-    states, dt = np.tile(state, (samples, 1)), seconds / substeps
+def simulate(states, seconds, model, rng, substeps):
+    """Euler-Maruyama: states (S, 6) after `seconds`, straight from the differential equations."""
+    dt = seconds / substeps
+    memory = np.array([model.velocity_memory_s, model.velocity_memory_s, model.turn_memory_s])
     for _ in range(substeps):
         _, _, _, vx, vy, rate = states.T
-        drift = np.stack(
-            [
-                vx,
-                vy,
-                rate,
-                -rate * vy - vx / model.velocity_memory_s,
-                rate * vx - vy / model.velocity_memory_s,
-                -rate / model.turn_memory_s,
-            ],
-            axis=1,
-        )
+        drift = np.stack([vx, vy, rate, -rate * vy, rate * vx, np.zeros(len(states))], axis=1)
+        drift[:, 3:] -= states[:, 3:] / memory
         noise = np.zeros_like(states)
-        noise[:, 3:5] = model.acceleration * rng.standard_normal((samples, 2))
-        noise[:, 3:5] += model.speed_noise * rng.standard_normal((samples, 1)) * states[:, 3:5]
-        noise[:, 5] = model.turn_acceleration * rng.standard_normal(samples)
+        noise[:, 3:5] = model.acceleration * rng.standard_normal((len(states), 2))
+        noise[:, 5] = model.turn_acceleration * rng.standard_normal(len(states))
+        noise[:, 3:5] += model.speed_noise * rng.standard_normal((len(states), 1)) * states[:, 3:5]
         states = states + drift * dt + noise * np.sqrt(dt)
     return states
 
 
 def test_mean_and_noise_of_one_period_follow_from_the_differential_equations():
-    samples = simulate(TURNING, MODEL.period_s, MODEL, np.random.default_rng(0), 20_000, 100)
+    samples = simulate(np.tile(TURNING, (20_000, 1)), MODEL.period_s, MODEL, np.random.default_rng(0), 100)
     means, covariances = propagate(TURNING[None], NOTHING, 1, MODEL)
     spread = samples.std(axis=0)
     off = (covariances[0, 1] - np.cov(samples.T)) / np.outer(spread, spread)
@@ -57,7 +49,7 @@ def test_mean_and_noise_of_one_period_follow_from_the_differential_equations():
 
 def test_the_mean_follows_a_turning_object_for_a_second():
     still = MODEL._replace(acceleration=1e-9, speed_noise=1e-9, turn_acceleration=1e-9)
-    (truth,) = simulate(TURNING, 1.0, still, np.random.default_rng(0), 1, 20_000)
+    (truth,) = simulate(TURNING[None], 1.0, still, np.random.default_rng(0), 20_000)
     means, _ = propagate(TURNING[None], NOTHING, 8, MODEL)
     assert np.allclose(means[0, 8], truth, atol=1e-3)
 

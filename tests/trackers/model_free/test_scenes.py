@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.common.raycast import cast_scan
-from gridtrack.common.scan import Scan
+from gridtrack.simulation.laser import Laser
 from gridtrack.trackers.model_free.background import BackgroundMap
 from gridtrack.trackers.model_free.factor_graph import FactorGraphEstimator
 from gridtrack.trackers.model_free.kalman import KalmanEstimator
@@ -18,9 +16,11 @@ from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import rotation
 from gridtrack.trackers.model_free.tracks import Status
 
+from scenes.frames import scanned
+
 GRID = GridSpec(100, 0.2, (-2.0, -10.0))
 PERIOD_S = 0.125
-BEAMS = np.linspace(-np.pi / 2, np.pi / 2, 721)
+LASER = Laser(angle_min=-np.pi / 2, angle_increment=np.pi / 720, beams=721, range_min=0.02, range_max=25.0)
 PERSON = np.array([(0.25 * np.cos(a), 0.15 * np.sin(a)) for a in np.linspace(0, 2 * np.pi, 16, endpoint=False)])
 CAR = np.array([(-2.2, -0.9), (2.2, -0.9), (2.2, 0.9), (-2.2, 0.9)])
 POST = np.array([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)])
@@ -29,27 +29,11 @@ TRAFFIC = {"link_m": 0.6, "surface_noise_m": 0.1, "reach_m": 0.6, "velocity_memo
 ESTIMATORS = pytest.mark.parametrize("estimator", [KalmanEstimator, FactorGraphEstimator])
 
 
-def scanned(bodies, random=None, raw=False) -> GridFrame:
+def seen(bodies, random=None, raw=False) -> GridFrame:
     """The frame of a laser at the origin, of bodies (outline (N, 2), x, y, heading); with `random`, noise of 0.03 m."""
-    ranges = np.full(BEAMS.size, np.inf)
-    directions = np.stack([np.cos(BEAMS), np.sin(BEAMS)], 1)
-    for outline, x, y, heading in bodies:
-        corners = outline @ rotation(heading).T + [x, y]
-        for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            side = end - start
-            across = directions[:, 0] * side[1] - directions[:, 1] * side[0]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                along = (start[0] * side[1] - start[1] * side[0]) / across
-                share = (start[0] * directions[:, 1] - start[1] * directions[:, 0]) / across
-            hit = (along > 0) & (share >= 0) & (share <= 1)
-            ranges[hit] = np.minimum(ranges[hit], along[hit])
-    if random is not None:
-        ranges += random.normal(0.0, 0.03, ranges.size)
-    visible, occupied = np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool)
-    step = BEAMS[1] - BEAMS[0]
-    returns = cast_scan(Scan(0, ranges.astype(np.float32), BEAMS[0], step, 0.02, 25.0), GRID, SE2(), visible, occupied)
-    points = returns if raw else GRID.cell_centres(occupied)
-    return GridFrame(0, visible, occupied, SE2(), np.zeros((1, 2), np.float32), points, np.zeros(len(points), np.uint8))
+    outlines = [outline @ rotation(heading).T + [x, y] for outline, x, y, heading in bodies]
+    noise = None if random is None else random.normal(0.0, 0.03, LASER.beams)
+    return scanned(LASER, outlines, GRID, noise=noise, raw=raw)
 
 
 def pipeline_of(estimator, **settings) -> Pipeline:
@@ -74,8 +58,8 @@ def test_an_object_through_two_seconds_of_full_occlusion_is_the_same_track(estim
     hidden, identities = 0, []
     for step in range(64):
         y = -4.0 + 1.2 * step * PERIOD_S
-        frame = scanned([(truck, 4.0, 0.0, np.pi / 2), (PERSON, 6.0, y, 0.0)])
-        alone = scanned([(truck, 4.0, 0.0, np.pi / 2)])
+        frame = seen([(truck, 4.0, 0.0, np.pi / 2), (PERSON, 6.0, y, 0.0)])
+        alone = seen([(truck, 4.0, 0.0, np.pi / 2)])
         pipeline.update(frame)
         hidden += np.array_equal(frame.occupied, alone.occupied)
         if step > 10:
@@ -94,7 +78,7 @@ def test_two_people_who_cross_keep_their_identities(estimator, association):
     first, second = set(), set()
     for step in range(56):
         way = 1.2 * (step * PERIOD_S - 3.5)
-        pipeline.update(scanned([(PERSON, 5.0, way, np.pi / 2), (PERSON, 5.6, -way, np.pi / 2)]))
+        pipeline.update(seen([(PERSON, 5.0, way, np.pi / 2), (PERSON, 5.6, -way, np.pi / 2)]))
         if step > 10 and abs(way) > 1.0:
             first.add(at(pipeline, 5.0, way)[0].identity)
             second.add(at(pipeline, 5.6, -way)[0].identity)
@@ -105,14 +89,14 @@ def test_two_people_who_cross_keep_their_identities(estimator, association):
 @ESTIMATORS
 def test_a_car_that_parks_becomes_background_and_one_that_leaves_is_tracked_again(estimator):
     pipeline = pipeline_of(estimator, **TRAFFIC, background_merge_s=5.0, adaptation_s=3.0)
-    parked = scanned([(CAR, 8.0, 0.0, np.pi / 2)])
+    parked = seen([(CAR, 8.0, 0.0, np.pi / 2)])
     for _ in range(64):
         pipeline.update(parked)
     assert pipeline.tracks == []
     assert pipeline.forecast(8)[8][parked.occupied].mean() > 0.4
     for step in range(40):
         y = (step * PERIOD_S) ** 2 / 2.0
-        pipeline.update(scanned([(CAR, 8.0, y, np.pi / 2)]))
+        pipeline.update(seen([(CAR, 8.0, y, np.pi / 2)]))
         if step == 24:
             track, distance = at(pipeline, 7.1, y)
             assert distance < 0.5
@@ -126,7 +110,7 @@ def test_a_person_merges_into_a_group_and_out_of_it(estimator):
     count = []
     for step in range(120):
         y = 2.5 - min(2.0, 0.8 * step * PERIOD_S) + max(0.0, 0.8 * (step - 80) * PERIOD_S)
-        pipeline.update(scanned([(PERSON, 5.0, 0.0, np.pi / 2), (PERSON, 5.0, y, np.pi / 2)]))
+        pipeline.update(seen([(PERSON, 5.0, 0.0, np.pi / 2), (PERSON, 5.0, y, np.pi / 2)]))
         if step < 10:
             continue
         count.append(len({at(pipeline, 4.85, place)[0].identity for place in (0.0, y)}))
@@ -142,7 +126,7 @@ def test_a_vehicle_seen_in_two_pieces_becomes_one(estimator):
     count = []
     for step in range(24):
         y = -1.4 + 0.8 * step * PERIOD_S
-        frame = scanned([(POST, 3.0, 0.0, 0.0), (CAR, 8.0, y, np.pi / 2)])
+        frame = seen([(POST, 3.0, 0.0, 0.0), (CAR, 8.0, y, np.pi / 2)])
         rows = np.flatnonzero(frame.occupied[:, GRID.cells_of(np.array([[7.15, 0.0]]))[0][0, 1]])
         assert np.diff(rows).max() * GRID.cell_m > 0.6
         pipeline.update(frame)
@@ -159,7 +143,7 @@ def test_two_legs_that_part_are_one_person(estimator):
     for step in range(24):
         apart = 0.25 * np.sin(np.pi * step / 12) ** 2
         y = -1.5 + 1.0 * step * PERIOD_S
-        pipeline.update(scanned([(0.6 * PERSON, 3.0 - apart, y, 0.0), (0.6 * PERSON, 3.0 + apart, y + apart, 0.0)]))
+        pipeline.update(seen([(0.6 * PERSON, 3.0 - apart, y, 0.0), (0.6 * PERSON, 3.0 + apart, y + apart, 0.0)]))
         assert len(pipeline.tracks) == 1, step
 
 
@@ -169,7 +153,7 @@ def test_the_hidden_part_of_a_visible_body_is_forecast(estimator):
     screen = np.array([(-0.1, -0.8), (0.1, -0.8), (0.1, 0.8), (-0.1, 0.8)])
     for step in range(21):
         y = -2.5 + 1.5 * step * PERIOD_S
-        frame = scanned([(screen, 3.0, 0.9, 0.0), (CAR, 8.0, y, np.pi / 2)])
+        frame = seen([(screen, 3.0, 0.9, 0.0), (CAR, 8.0, y, np.pi / 2)])
         pipeline.update(frame)
     front = GRID.cells_of(np.column_stack([np.full(6, 7.1), y + np.linspace(0.5, 2.0, 6)]))[0]
     rear = GRID.cells_of(np.column_stack([np.full(6, 7.1), y - np.linspace(1.2, 2.0, 6)]))[0]
@@ -192,7 +176,7 @@ def test_the_velocity_of_a_car_is_known(estimator, raw, limit, turn_rate):
         x, y, heading = 8.0, -5.0, np.pi / 2
         for step in range(24):
             velocity = 3.0 * np.array([np.cos(heading), np.sin(heading)])
-            pipeline.update(scanned([(CAR, x, y, heading)], random, raw))
+            pipeline.update(seen([(CAR, x, y, heading)], random, raw))
             if step >= 8:
                 track, _ = at(pipeline, x, y)
                 errors.append(track.estimator.mean[3:5] - reference_velocity(track, velocity, turn_rate, x, y))

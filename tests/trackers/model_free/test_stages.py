@@ -7,8 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.model_free.background import OUTSIDE_MAP, Background, BackgroundMap, fit_background
 from gridtrack.trackers.model_free.residence import (
     NOT_OCCUPIED,
@@ -19,39 +17,26 @@ from gridtrack.trackers.model_free.residence import (
 )
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.tracks import existence_when_detected, existence_when_missed
-from gridtrack.trackers.site_map import PRIOR_FRAMES
+
+from scenes import frames
 
 
 def frame_of(visible, occupied):
-    nothing = np.empty((0, 2), np.float32)
-    return GridFrame(0, visible, occupied, SE2(), np.zeros((1, 2), np.float32), nothing, np.empty(0, np.uint8))
+    return frames.frame_of(occupied, visible)
 
 
 # Background
 
 
-def test_the_occupancy_rate_is_the_share_of_each_cell_shrunk_to_the_base_rate():
-    visible, occupied = np.zeros((5, 5), bool), np.zeros((5, 5), bool)
-    visible[:2] = True
-    occupied[0, 0] = True
-    empty = np.zeros((5, 5), bool)
-    background, moves = fit_background([[frame_of(visible, occupied)] * 3, [frame_of(visible, empty)]], 0.2)
-    base_rate = 3 / 40  # three occupied among ten visible cells in four frames
-    assert background.occupancy_rate[0, 0] == pytest.approx((3 + PRIOR_FRAMES * base_rate) / (4 + PRIOR_FRAMES))
-    assert background.occupancy_rate[1, 4] == pytest.approx(PRIOR_FRAMES * base_rate / (4 + PRIOR_FRAMES))
-    assert background.occupancy_rate[4, 4] == pytest.approx(base_rate)
-    assert not moves
-
-
 def test_the_neighbourhood_rate_is_high_at_a_noisy_wall_and_not_at_an_equally_busy_cell():
     seen = np.ones((5, 9), bool)
-    frames = []
+    shown = []
     for step in range(1000):
         occupied = np.zeros((5, 9), bool)
         occupied[2, 1 + step % 2] = True
         occupied[2, 6:8] = step % 2 == 0
-        frames.append(frame_of(seen, occupied))
-    background, _ = fit_background([frames], 0.2)
+        shown.append(frame_of(seen, occupied))
+    background, _ = fit_background([shown], 0.2)
     assert background.occupancy_rate[2, [1, 2, 6, 7]] == pytest.approx(0.5, abs=0.01)
     assert (background.neighbourhood_rate[1:4, 1:3] > 0.98).all()
     assert (background.neighbourhood_rate[:, 5:] < 0.55).all()
@@ -175,8 +160,8 @@ def test_the_age_of_a_return_continues_in_a_neighbour_cell_and_restarts_elsewher
 
 def test_the_life_table_counts_returns_in_place_in_visible_cells():
     seen, hidden = np.ones((5, 5), bool), np.zeros((5, 5), bool)
-    frames = [frame_of(seen, cells_at((1, 1))), frame_of(seen, cells_at((1, 1))), frame_of(hidden, cells_at())]
-    table = fit_residence([frames] * 100, lambda: lambda frame: np.ones((5, 5), bool), (3, 3), 0.2)
+    shown = [frame_of(seen, cells_at((1, 1))), frame_of(seen, cells_at((1, 1))), frame_of(hidden, cells_at())]
+    table = fit_residence([shown] * 100, lambda: lambda frame: np.ones((5, 5), bool), (3, 3), 0.2)
     known = 1.0 / (1.0 + PRIOR_RETURNS / 100)
     assert table[0] == pytest.approx([known, known, 0.0])  # after two steps nothing is seen: the prior stands
     assert table[1] == pytest.approx([known, 0.0, 0.0])

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, with_neighbours
+from gridtrack.common.grid import with_neighbours
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.model_free.kalman import KalmanEstimator, KalmanTracker
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.training.weights import save_weights
 
+from scenes import frames
 from scenes.hall import GLIDING, GRID, OPEN, PERIOD_S, card, frame_of, walk
 
 
@@ -124,15 +124,10 @@ def test_a_hidden_object_is_still_forecast_and_a_vanished_one_is_not(tracker):
 def test_the_box_of_an_object_is_as_large_as_the_cells_that_it_spans(tracker):
     frame = frame_of([])
     frame.occupied[30, 40], frame.occupied[30, 43] = True, True
-    points = GRID.cell_centres(frame.occupied)
     for step in range(8):
-        tracker.update(
-            GridFrame(
-                step * 100_000_000, frame.visible, frame.occupied, SE2(), frame.origins, points, np.zeros(2, np.uint8)
-            )
-        )
+        tracker.update(frames.frame_of(frame.occupied, frame.visible, grid=GRID, second=0.1 * step))
     (one,) = tracker.predict(0).objects
-    assert one.box[:2] == pytest.approx(points.mean(axis=0), abs=0.05)
+    assert one.box[:2] == pytest.approx(GRID.cell_centres(frame.occupied).mean(axis=0), abs=0.05)
     assert one.box[3:] == pytest.approx((0.4, 0.1), abs=0.02)
 
 
@@ -174,8 +169,7 @@ def test_step_0_is_the_observation(tracker):
 
 def test_an_empty_stream_is_forecast_as_background(tracker):
     nothing = np.zeros(GRID.shape, bool)
-    no_points = np.empty((0, 2), np.float32)
-    tracker.update(GridFrame(0, nothing, nothing, SE2(), no_points, no_points, np.empty(0, np.uint8)))
+    tracker.update(frames.frame_of(nothing, nothing))
     occupancy = tracker.predict(2).occupancy
     assert occupancy.shape == (3, *GRID.shape)
     assert occupancy.max() < 2e-3

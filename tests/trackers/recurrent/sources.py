@@ -8,8 +8,7 @@ import numpy as np
 import torch
 
 from gridtrack.common.config import validated
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame
+from gridtrack.common.grid import GridSpec, LabelledFrame
 from gridtrack.trackers.contract import FitTask, stream_of
 from gridtrack.trackers.recurrent.conv_lstm import ConvLSTM, ConvLSTMSettings
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
@@ -19,6 +18,8 @@ from gridtrack.trackers.recurrent.network import channels_last
 from gridtrack.trackers.recurrent.settings import DeepTrackingRNNSettings, DilatedConvGRUSettings
 from tests.trackers.scores import of_every_stratum
 
+from scenes import frames
+
 TRACKERS = [DilatedConvGRUTracker, DeepTrackingRNNTracker]
 SMALL = {DilatedConvGRUTracker: {"channels": 4, "stage": "occupancy"}, DeepTrackingRNNTracker: {"variant": "paper"}}
 """Options of tiny networks."""
@@ -27,12 +28,8 @@ SHORT = {"batch": 2, "warm_up": 0, "updates": 1, "validate_every": 1, "precision
 
 def frame_of(visible, occupied, *, stamp_s=0.0, cell_m=0.5, row=0, column=0):
     """A frame with its window at a cell of the world."""
-    visible, occupied = np.asarray(visible, bool), np.asarray(occupied, bool)
-    points = GridSpec(len(visible), cell_m).cell_centres(occupied)
-    return GridFrame(
-        round(stamp_s * 1e9), visible, occupied, SE2(column * cell_m, row * cell_m), np.zeros((1, 2), np.float32),
-        points, np.zeros(len(points), np.uint8),
-    )  # fmt: skip
+    grid = GridSpec(len(visible), cell_m)
+    return frames.frame_of(occupied, visible, grid=grid, second=stamp_s, x=column * cell_m, y=row * cell_m)
 
 
 class Recording:

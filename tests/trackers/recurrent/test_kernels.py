@@ -15,7 +15,7 @@ from gridtrack.trackers.recurrent.inference import InferenceNetwork  # noqa: E40
 from gridtrack.trackers.recurrent.kernels import convgru as convgru_kernels  # noqa: E402
 from gridtrack.trackers.recurrent.kernels import rnn as rnn_kernels  # noqa: E402
 from gridtrack.trackers.recurrent.kernels.convolutions import WinogradConvolution  # noqa: E402
-from gridtrack.trackers.recurrent.kernels.gates import StaticMemory, differentiable_gates, fused_gates  # noqa: E402
+from gridtrack.trackers.recurrent.kernels.gates import fused_gates  # noqa: E402
 from gridtrack.trackers.recurrent.network import as_cells, resolution_of, set_resolution  # noqa: E402
 from gridtrack.trackers.recurrent.settings import GATES  # noqa: E402
 from tests.trackers.recurrent.sources import convgru, rnn  # noqa: E402
@@ -143,36 +143,6 @@ def test_the_fused_gates_equal_the_gates_also_where_they_are_saturated(bfloat16,
 
     expected = convgru_gates(x, h_conv, biases, h)[0].permute(1, 2, 0)
     torch.testing.assert_close(found, expected, rtol=0, atol=2e-6)
-
-
-@pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16])
-@pytest.mark.parametrize("with_input", [True, False])
-def test_the_differentiable_gates_equal_the_gates_and_their_gradient(with_input, precision):
-    layer = convgru(9, static_gates=("keep", "reset")).requires_grad_().layers[0]
-    biases = tuple(layer.biases[gate] for gate in GATES)
-    x, h_conv, h, above = (random(2, c, 9, 9).requires_grad_() for c in (12, 12, 4, 4))
-    x_conv = x.to(precision) if with_input else None
-    leaves = (*biases, h, h_conv, x)[: None if with_input else -1]
-
-    expected = convgru_gates(x_conv, h_conv.to(precision), biases, h)
-    found, rounded = differentiable_gates(x_conv, h_conv.to(precision), StaticMemory(biases, 9), h)
-
-    torch.testing.assert_close(found, expected, rtol=0, atol=2e-6)
-    assert rounded is None if precision == torch.float32 else torch.equal(rounded, found.bfloat16())
-    tolerance = {"rtol": 1e-5, "atol": 1e-5} if precision == torch.float32 else {"rtol": 2**-7, "atol": 1e-4}
-    for found_gradient, expected_gradient in zip(
-        torch.autograd.grad(found, leaves, above), torch.autograd.grad(expected, leaves, above), strict=True
-    ):
-        torch.testing.assert_close(found_gradient, expected_gradient, **tolerance)
-
-
-def test_a_step_does_not_change_its_input_state():
-    variant = convgru_kernels.InferenceConvGRU(convgru(21))
-    x, *_ = frames(21)
-    state = variant.step(x, variant.initial(1))
-    kept = [h.clone() for h in state]
-    variant.step(x, variant.step(None, state))
-    assert all(torch.equal(h, before) for h, before in zip(state, kept, strict=True))
 
 
 def test_an_empty_input_is_not_convolved():

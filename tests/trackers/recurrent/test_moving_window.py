@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
+pytest.importorskip("lightning")
 
 from gridtrack.common.geometry import SE2  # noqa: E402
 from gridtrack.common.grid import GridSpec, Shift, rolled  # noqa: E402
 from gridtrack.trackers.contract import StreamSpec  # noqa: E402
+from gridtrack.trackers.recurrent.conv_lstm import ConvLSTMTracker  # noqa: E402
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNTracker  # noqa: E402
-from gridtrack.trackers.recurrent.network import as_cells, as_tensor  # noqa: E402
+from gridtrack.trackers.recurrent.network import as_cells, as_tensor, map_state, tensors_of  # noqa: E402
 from gridtrack.trackers.recurrent.network_tracker import MOST_MISSED  # noqa: E402
 from gridtrack.trackers.recurrent.transfer import PastStates  # noqa: E402
-from tests.trackers.recurrent.sources import convgru, frame_of, rnn  # noqa: E402
+from tests.trackers.recurrent.sources import Drive, convgru, fit, forecast_of, frame_of, rnn, trained  # noqa: E402
 
 PERIOD_S = 0.25
 NO_MAP = {"static_gates": ()}
@@ -129,6 +131,26 @@ def test_a_state_that_was_rolled_lies_in_memory_as_one_that_a_convolution_made()
     assert again.data_ptr() == state.data_ptr()
     assert again.stride() == state.stride()
     assert torch.cat([again, again], dim=1).is_contiguous(memory_format=torch.channels_last)
+
+
+def test_a_nested_state_keeps_its_place_in_the_world_and_cells_beyond_it_are_unseen(tmp_path):
+    card = tmp_path / "drive.toml"
+    fit(ConvLSTMTracker, card, [Drive()], layers=2, channels=3)
+    tracker = trained(ConvLSTMTracker, card, Drive())
+    forecast_of(tracker, Drive(5, start=30), 0)
+    rolled = tracker.network.rolled(tracker.state, (0, 2), 5)
+    unseen = map_state(torch.from_numpy, tracker.network.unseen(5))
+    assert len(list(tensors_of(rolled))) == 4
+    for old, new, fill in zip(*map(tensors_of, (tracker.state, rolled, unseen)), strict=True):
+        assert torch.equal(new[..., :-2], old[..., 2:])
+        assert torch.equal(new[0, :, 3, -1], fill)
+    nothing = np.zeros((2, 12, 12))
+    tracker.update(frame(nothing, number=5, column=99))
+    never = trained(ConvLSTMTracker, card, Drive())
+    for t in range(6):
+        never.update(frame(nothing, number=t))
+    centre = np.s_[:, 4:9, 4:9]
+    np.testing.assert_allclose(tracker.predict(0).occupancy[centre], never.predict(0).occupancy[centre], atol=1e-5)
 
 
 def test_the_past_states_of_a_tracker_are_in_the_window_of_its_last_frame():

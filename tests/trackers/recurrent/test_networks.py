@@ -23,18 +23,18 @@ def parameters(network) -> int:
     return sum(p.numel() for p in network.parameters())
 
 
-def test_convgru_has_the_number_of_parameters_of_its_equations():
-    assert parameters(DilatedConvGRU(100, DilatedConvGRUSettings(), classes=4)) == 1_476_149
-
-
-@pytest.mark.parametrize(("variant", "expected"), [("code", 78_449), ("paper", 11_193)])
-def test_deep_tracking_rnn_has_the_published_number_of_parameters(variant, expected):
-    assert parameters(DeepTrackingRNN(100, DeepTrackingRNNSettings(variant=variant))) == expected
-
-
-@pytest.mark.parametrize(("resolution_input", "expected"), [(False, 47_569), (True, 47_569 + 3 * 4 * 16 * 2)])
-def test_conv_lstm_has_the_number_of_parameters_of_its_equations(resolution_input, expected):
-    assert parameters(ConvLSTM(100, ConvLSTMSettings(resolution_input=resolution_input))) == expected
+@pytest.mark.parametrize(
+    ("network", "expected"),
+    [
+        (DilatedConvGRU(100, DilatedConvGRUSettings(), classes=4), 1_476_149),
+        (DeepTrackingRNN(100, DeepTrackingRNNSettings(variant="code")), 78_449),
+        (DeepTrackingRNN(100, DeepTrackingRNNSettings(variant="paper")), 11_193),
+        (ConvLSTM(100, ConvLSTMSettings()), 47_569),
+        (ConvLSTM(100, ConvLSTMSettings(resolution_input=True)), 47_569 + 3 * 4 * 16 * 2),
+    ],
+)
+def test_a_network_has_the_published_number_of_parameters_or_that_of_its_equations(network, expected):
+    assert parameters(network) == expected
 
 
 def test_a_conv_lstm_layer_equals_its_equations_with_eight_separate_convolutions():
