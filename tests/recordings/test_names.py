@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gridtrack.common.errors import ConfigurationError, GridtrackError, RecordingError
+from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.evaluation.referee.splits import Sampling, plan_split
 from gridtrack.recordings import RecordingInfo, import_recording, open_recording, write_native
 from gridtrack.recordings.stream import open_stream
@@ -46,12 +46,6 @@ def test_a_file_with_invalid_names_is_one_line_of_error(hostile: Callable[..., P
     with pytest.raises(ConfigurationError, match=ALLOWED) as caught:
         open_stream(path)
     assert "\n" not in str(caught.value)
-
-
-def test_a_stretch_that_is_a_path_is_refused_in_a_split(hostile: Callable[..., Path]) -> None:
-    path = hostile(stretches={"../../x": (0.0, 8.0)})
-    with pytest.raises(GridtrackError, match=ALLOWED):
-        plan_split(f"{path}@../../x", None, SECOND)
 
 
 def test_results_have_the_name_of_the_file_with_characters_that_a_folder_may_have(write, scan) -> None:

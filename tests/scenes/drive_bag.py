@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -80,49 +81,73 @@ class Ros:
         self.version, self.store = version, ROS1 if version == 1 else ROS2
 
     def make(self, kind: str, **fields: Any) -> Any:
-        return self.store.types[kind](**fields)
+        """A message; fields that are not given are zero, empty or false."""
+        defined = self.store.fielddefs[kind][1]
+        zeros = {name: self._zero(*node) for name, node in defined if name not in fields}
+        return self.store.types[kind](**zeros, **fields)
+
+    def _zero(self, node: Nodetype, of: Any) -> Any:
+        if node == Nodetype.NAME:
+            return self.make(of)
+        if node == Nodetype.BASE:
+            return "" if of[0] == "string" else np.dtype(of[0]).type().item()
+        (item, of_item), length = of
+        count = length if node == Nodetype.ARRAY else 0
+        if item == Nodetype.BASE and of_item[0] != "string":
+            return np.zeros(count, of_item[0])
+        return [self._zero(item, of_item) for _ in range(count)]
 
     def header(self, at_ms: float, frame: str) -> Any:
-        stamp_ns = START_NS + round(at_ms * MS)
+        return self.stamped(START_NS + round(at_ms * MS), frame)
+
+    def stamped(self, stamp_ns: int, frame: str) -> Any:
+        """A header with this stamp, nanoseconds since 1970."""
         stamp = self.make("builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
-        sequence = {"seq": 0} if self.version == 1 else {}
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame, **sequence)
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+    def laser_scan(self, scan: Scan, frame: str = "laser") -> Any:
+        """The message of a scan."""
+        return self.make(
+            LASER,
+            header=self.stamped(scan.stamp_ns, frame),
+            angle_min=scan.angle_min,
+            angle_max=scan.last_angle or scan.angle_min + scan.angle_increment * (scan.ranges.size - 1),
+            angle_increment=scan.angle_increment,
+            time_increment=scan.time_increment_s,
+            scan_time=0.1,
+            range_min=scan.range_min,
+            range_max=scan.range_max,
+            ranges=scan.ranges,
+        )
 
     def laser(self, at_ms: float, ranges: NDArray[np.float32], laser: Laser, frame: str = "") -> Message:
-        message = self.make(
-            LASER,
-            header=self.header(at_ms, frame or f"{laser.name}_laser"),
-            angle_min=laser.angle_min,
-            angle_max=laser.angle_min + laser.angle_increment * (laser.beams - 1),
-            angle_increment=laser.angle_increment,
-            time_increment=0.0,
-            scan_time=0.1,
-            range_min=0.05,
-            range_max=20.0,
-            ranges=ranges,
-            intensities=np.empty(0, np.float32),
-        )
-        return (f"/{laser.name}_scan", LASER, START_NS + round(at_ms * MS), message)
+        scan = Scan(START_NS + round(at_ms * MS), ranges, laser.angle_min, laser.angle_increment, 0.05, 20.0)
+        return (f"/{laser.name}_scan", LASER, scan.stamp_ns, self.laser_scan(scan, frame or f"{laser.name}_laser"))
 
-    def cloud(self, at_ms: float, points: NDArray[np.float64], topic: str = "/points") -> Message:
-        """Points (N, 3) of float32 x, y, z, metres in the frame `lidar`."""
+    def point_cloud(self, points: NDArray[np.float64], stamp_ns: int, frame: str = "laser") -> Any:
+        """Points (N, 3) with padding and a field of another type in between, as in the messages of drivers."""
+        kind = np.dtype({"names": ["x", "y", "z"], "formats": ["<f4"] * 3, "offsets": [0, 4, 8], "itemsize": 32})
+        packed = np.zeros(len(points), kind)
+        packed["x"], packed["y"], packed["z"] = points.T
         fields = [
-            self.make("sensor_msgs/msg/PointField", name=name, offset=4 * k, datatype=7, count=1)
-            for k, name in enumerate("xyz")
+            self.make("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=datatype, count=1)
+            for name, offset, datatype in (("x", 0, 7), ("y", 4, 7), ("ring", 16, 4), ("z", 8, 7))
         ]
-        message = self.make(
+        return self.make(
             CLOUD,
-            header=self.header(at_ms, "lidar"),
+            header=self.stamped(stamp_ns, frame),
             height=1,
             width=len(points),
             fields=fields,
-            is_bigendian=False,
-            point_step=12,
-            row_step=12 * len(points),
-            data=np.frombuffer(points.astype("<f4").tobytes(), np.uint8),
-            is_dense=True,
+            point_step=32,
+            row_step=32 * len(points),
+            data=np.frombuffer(packed.tobytes(), np.uint8),
         )
-        return (topic, CLOUD, START_NS + round(at_ms * MS), message)
+
+    def cloud(self, at_ms: float, points: NDArray[np.float64], topic: str = "/points") -> Message:
+        """Points (N, 3), metres, in the frame `lidar`."""
+        stamp_ns = START_NS + round(at_ms * MS)
+        return (topic, CLOUD, stamp_ns, self.point_cloud(points, stamp_ns, "lidar"))
 
     def transforms(self, at_ms: float, *links: tuple[str, str, SE3], topic: str = "/tf") -> Message:
         stamped = [
@@ -143,16 +168,8 @@ class Ros:
     def odometry(
         self, at_ms: float, pose: SE2, topic: str = "/odom", frame: str = "odom", child: str = "base_link"
     ) -> Message:
-        zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-        twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
-        covariance = np.zeros(36)
-        message = self.make(
-            ODOMETRY,
-            header=self.header(at_ms, frame),
-            child_frame_id=child,
-            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=self._pose(pose), covariance=covariance),
-            twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance),
-        )
+        placed = self.make("geometry_msgs/msg/PoseWithCovariance", pose=self._pose(pose))
+        message = self.make(ODOMETRY, header=self.header(at_ms, frame), child_frame_id=child, pose=placed)
         return (topic, ODOMETRY, START_NS + round(at_ms * MS), message)
 
     def pose(self, at_ms: float, pose: SE2, topic: str = "/pose", frame: str = "world") -> Message:

@@ -60,7 +60,6 @@ class Outputs:
         """An occupancy grid of `values` (H, W), percentages; `info` replaces fields of its MapMetaData."""
         values = np.asarray(values, np.int8)
         fields: dict[str, Any] = {
-            "map_load_time": self.ros.make("builtin_interfaces/msg/Time", sec=0, nanosec=0),
             "resolution": cell_m,
             "width": values.shape[1],
             "height": values.shape[0],
@@ -89,7 +88,6 @@ class Outputs:
             at_ms,
             info=info,
             layers=["elevation", "p"],
-            basic_layers=[],
             data=[other, layer],
             outer_start_index=start[0],
             inner_start_index=start[1],
@@ -118,8 +116,7 @@ class Outputs:
     ) -> Any:
         """A PredictedObject; `paths`: confidence and poses that are half a second apart."""
         make, package = self.ros.make, "autoware_perception_msgs/msg"
-        zero = make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-        linear = make("geometry_msgs/msg/Vector3", x=twist[0], y=twist[1], z=0.0)
+        linear = make("geometry_msgs/msg/Vector3", x=twist[0], y=twist[1])
         covariance = np.zeros(36)
         covariance[0] = covariance[7] = variance
         kinematics = make(
@@ -129,19 +126,13 @@ class Outputs:
             ),
             initial_twist_with_covariance=make(
                 "geometry_msgs/msg/TwistWithCovariance",
-                twist=make("geometry_msgs/msg/Twist", linear=linear, angular=zero),
-                covariance=np.zeros(36),
-            ),
-            initial_acceleration_with_covariance=make(
-                "geometry_msgs/msg/AccelWithCovariance",
-                accel=make("geometry_msgs/msg/Accel", linear=zero, angular=zero),
-                covariance=np.zeros(36),
+                twist=make("geometry_msgs/msg/Twist", linear=linear),
             ),
             predicted_paths=[
                 make(
                     f"{package}/PredictedPath",
                     path=[self.pose(one) for one in poses],
-                    time_step=make("builtin_interfaces/msg/Duration", sec=0, nanosec=500 * MS),
+                    time_step=make("builtin_interfaces/msg/Duration", nanosec=500 * MS),
                     confidence=confidence,
                 )
                 for confidence, poses in paths
@@ -154,12 +145,7 @@ class Outputs:
             existence_probability=existence,
             classification=[make(f"{package}/ObjectClassification", label=label, probability=0.9)],
             kinematics=kinematics,
-            shape=make(
-                f"{package}/Shape",
-                type=0,
-                footprint=make("geometry_msgs/msg/Polygon", points=[]),
-                dimensions=dimensions,
-            ),
+            shape=make(f"{package}/Shape", dimensions=dimensions),
         )
 
     def leg_trackers(self, at_ms: float, *people: tuple[int, float, float]) -> Message:

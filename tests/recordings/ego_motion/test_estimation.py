@@ -228,14 +228,6 @@ def test_the_description_says_that_the_scans_do_not_constrain_the_motion() -> No
     assert "s, use the motion before instead of the match or a part of it" in found.describe("kiss-icp")
 
 
-def test_along_a_bare_street_the_pose_follows_odometry() -> None:
-    scans = behind_a_car(BARE_STREET, odometry_noise=0.02)
-    found = refined(scans)
-    assert {quality.outcome for quality in found.qualities[1:]} == {"partial"}
-    drifted = scans[-1].world_T_sensor.x - true_pose(scans[-1]).x
-    assert last_error_m(scans, found) < abs(drifted) + 0.1
-
-
 def test_the_description_says_that_a_queue_beside_the_sensor_may_drag_the_pose() -> None:
     """Between bare houses a queue that sets off cannot be distinguished from a robot that slows down."""
 

@@ -170,21 +170,15 @@ def test_poses_of_zero_rotation_are_read_as_no_rotation(mcap) -> None:
     assert any(f"poses on /pose {ZEROS}" in line for line in recording.warnings)
 
 
-def test_a_laser_pose_of_zero_rotation_is_read_as_no_rotation(mcap) -> None:
-    message = scan_message(0, made.FRONT, in_base=True)
+@pytest.mark.parametrize("in_base", [True, False], ids=["a position alone", "an empty pose"])
+def test_a_laser_pose_without_rotation_is_read_as_no_rotation_and_an_empty_one_as_none(mcap, in_base: bool) -> None:
+    message = scan_message(0, made.FRONT, in_base)
+    message.pose.SetInParent()
     without_rotation(message.pose)
     recording = open_recording(mcap([("/front", 0, message)]), strict=True)
-    (scan,) = recording.scans()
-    assert scan.world_T_sensor == SE2(0.3, 0.1)
-    assert any(f"poses of the laser in the scans on /front {ZEROS}" in line for line in recording.warnings)
-
-
-def test_an_empty_laser_pose_is_none(mcap) -> None:
-    message = scan_message(0, made.FRONT)
-    message.pose.SetInParent()
-    recording = open_recording(mcap([("/front", 0, message)]))
-    assert [scan.world_T_sensor for scan in recording.scans()] == [SE2()]
-    assert not any(ZEROS in line for line in recording.warnings)
+    assert [scan.world_T_sensor for scan in recording.scans()] == [SE2(0.3, 0.1) if in_base else SE2()]
+    reported = f"poses of the laser in the scans on /front {ZEROS}"
+    assert any(reported in line for line in recording.warnings) == in_base
 
 
 def test_a_scan_with_a_laser_pose_that_is_not_finite_is_left_out(mcap) -> None:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,51 +30,6 @@ from scenes.drive_bag import CLOUD, LASER, Message, Ros
 
 ROS1, ROS2 = Ros(1), Ros(2)
 STRING = "std_msgs/msg/String"
-
-
-def header(ros: Ros, stamp_ns: int) -> Any:
-    stamp = ros.make("builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
-    sequence = {"seq": 0} if ros is ROS1 else {}
-    return ros.make("std_msgs/msg/Header", stamp=stamp, frame_id="laser", **sequence)
-
-
-def laser(ros: Ros, scan: Scan) -> Any:
-    return ros.make(
-        LASER,
-        header=header(ros, scan.stamp_ns),
-        angle_min=scan.angle_min,
-        angle_max=scan.last_angle or scan.angle_min + scan.angle_increment * (scan.ranges.size - 1),
-        angle_increment=scan.angle_increment,
-        time_increment=scan.time_increment_s,
-        scan_time=0.1,
-        range_min=scan.range_min,
-        range_max=scan.range_max,
-        ranges=scan.ranges,
-        intensities=np.empty(0, np.float32),
-    )
-
-
-def cloud(ros: Ros, points: np.ndarray, stamp_ns: int = 5) -> Any:
-    """Points (N, 3) with padding and a field of another type in between, as in the messages of drivers."""
-    kind = np.dtype({"names": ["x", "y", "z"], "formats": ["<f4"] * 3, "offsets": [0, 4, 8], "itemsize": 32})
-    packed = np.zeros(len(points), kind)
-    packed["x"], packed["y"], packed["z"] = points.T
-    fields = [
-        ros.make("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=datatype, count=1)
-        for name, offset, datatype in (("x", 0, 7), ("y", 4, 7), ("ring", 16, 4), ("z", 8, 7))
-    ]
-    return ros.make(
-        CLOUD,
-        header=header(ros, stamp_ns),
-        height=1,
-        width=len(points),
-        fields=fields,
-        is_bigendian=False,
-        point_step=32,
-        row_step=32 * len(points),
-        data=np.frombuffer(packed.tobytes(), np.uint8),
-        is_dense=False,
-    )
 
 
 def ros1_mcap(path: Path, messages: Iterable[Message], before: Iterable[tuple[str, bytes]] = ()) -> Path:
@@ -112,7 +66,7 @@ def scans(scan) -> list[Scan]:
 
 
 def messages_of(ros: Ros, scans: Iterable[Scan]) -> list[Message]:
-    lasers = [(f"/{one.sensor}", LASER, one.stamp_ns + 10_000_000, laser(ros, one)) for one in scans]
+    lasers = [(f"/{one.sensor}", LASER, one.stamp_ns + 10_000_000, ros.laser_scan(one)) for one in scans]
     chatter = ros.make(STRING, data="hello")
     return [m for one in lasers for m in (one, ("/chatter", STRING, one[2] + 1_000_000, chatter))]
 
@@ -232,7 +186,7 @@ def test_laser_scans_round_trip_all_and_of_one_topic(kind: str, tmp_path: Path, 
 
 
 def test_headers_without_a_stamp_get_the_time_of_reception_and_a_warning(tmp_path: Path, scans: list[Scan]) -> None:
-    messages = [("/scan", LASER, 10**9 + k, laser(ROS1, replace(s, stamp_ns=0))) for k, s in enumerate(scans[:3])]
+    messages = [("/scan", LASER, 10**9 + k, ROS1.laser_scan(replace(s, stamp_ns=0))) for k, s in enumerate(scans[:3])]
     recording = open_recording(ROS1.write(tmp_path / "a.bag", messages))
     assert [s.stamp_ns for s in recording.scans()] == [10**9, 10**9 + 1, 10**9 + 2]
     assert len(recording.warnings) == 1
@@ -240,7 +194,9 @@ def test_headers_without_a_stamp_get_the_time_of_reception_and_a_warning(tmp_pat
 
 
 def test_many_equal_stamps_name_the_time_of_reception(tmp_path: Path, scans: list[Scan]) -> None:
-    same = [("/scan", LASER, 10**9 * (k + 1), laser(ROS1, replace(s, stamp_ns=7))) for k, s in enumerate(scans[:20:2])]
+    same = [
+        ("/scan", LASER, 10**9 * (k + 1), ROS1.laser_scan(replace(s, stamp_ns=7))) for k, s in enumerate(scans[:20:2])
+    ]
     path = ROS1.write(tmp_path / "a.bag", same)
     (warning,) = open_recording(path).overview().warnings
     assert (
@@ -267,7 +223,7 @@ def test_stamps_in_bursts_are_a_warning_with_the_rate(tmp_path: Path, scans: lis
     even = [10**9 + 10**8 * k for k in range(40)]
     for stamped, count in ((stamps, 1), (even, 0)):
         made = [replace(scans[0], stamp_ns=stamp) for stamp in stamped]
-        received = [("/scan", LASER, 10**9 + 10**8 * k, laser(ROS1, scan)) for k, scan in enumerate(made)]
+        received = [("/scan", LASER, 10**9 + 10**8 * k, ROS1.laser_scan(scan)) for k, scan in enumerate(made)]
         path = ROS1.write(tmp_path / f"{count}.bag", received)
         bursts = [line for line in open_recording(path).overview().warnings if "come in bursts" in line]
         assert len(bursts) == count
@@ -278,7 +234,7 @@ def test_stamps_in_bursts_are_a_warning_with_the_rate(tmp_path: Path, scans: lis
 
 @pytest.mark.parametrize("increment_s", [-1e-4, 1.0, math.nan, math.inf])
 def test_impossible_beam_times_are_unknown(tmp_path: Path, scans: list[Scan], increment_s: float) -> None:
-    message = laser(ROS1, replace(scans[0], time_increment_s=increment_s))
+    message = ROS1.laser_scan(replace(scans[0], time_increment_s=increment_s))
     (found,) = open_recording(ROS1.write(tmp_path / "a.bag", [("/scan", LASER, 10**9, message)])).scans()
     assert found.time_increment_s == 0.0
 
@@ -328,7 +284,7 @@ def test_an_mcap_file_cut_inside_its_only_chunk_gives_the_messages_before_the_cu
         channel = writer.register_channel("/scan", "cdr", schema)
         for one in scans * 20:
             random = np.random.default_rng(one.stamp_ns).uniform(0, 5, 36).astype(np.float32)
-            data = bytes(ROS2.store.serialize_cdr(laser(ROS2, replace(one, ranges=random)), LASER))
+            data = bytes(ROS2.store.serialize_cdr(ROS2.laser_scan(replace(one, ranges=random)), LASER))
             writer.add_message(channel, one.stamp_ns, data, one.stamp_ns)
         writer.finish()
     content = path.read_bytes()
@@ -369,7 +325,7 @@ def test_a_height_slice_has_the_nearest_point_of_each_bearing(tmp_path: Path) ->
     points = np.array(
         [[2.0, 0.1, 0.5], [4.0, 0.2, 0.5], [1.0, 0.0, 1.5], [-0.1, 3.0, 0.6], [math.nan, 0.0, 0.5], [60.0, 0.1, 0.5]]
     )
-    path = ROS2.write(tmp_path / "a", [("/points", CLOUD, 5, cloud(ROS2, points))])
+    path = ROS2.write(tmp_path / "a", [("/points", CLOUD, 5, ROS2.point_cloud(points, 5))])
     cut = CloudSlice(low_m=0.0, high_m=1.0, beams=36)
     (scan,) = open_recording(path, topic="/points", cloud_slice=cut).scans()
     angles = scan.angle_min + scan.angle_increment * np.arange(36)
@@ -382,7 +338,7 @@ def test_a_height_slice_has_the_nearest_point_of_each_bearing(tmp_path: Path) ->
 
 
 def test_a_bearing_without_points_is_free_or_unknown(tmp_path: Path) -> None:
-    path = ROS2.write(tmp_path / "a", [("/points", CLOUD, 5, cloud(ROS2, np.array([[2.0, 0.1, 0.5]])))])
+    path = ROS2.write(tmp_path / "a", [("/points", CLOUD, 5, ROS2.point_cloud(np.array([[2.0, 0.1, 0.5]]), 5))])
     seen = {}
     for empty in ("free", "unknown"):
         cut = CloudSlice(low_m=0.0, high_m=1.0, beams=36, range_max_m=6.0, empty=empty)
@@ -406,7 +362,7 @@ TALL = np.random.default_rng(0).uniform(-2.0, 2.0, (99, 3))
 def test_a_scan_has_the_bearings_of_a_coarse_cloud(beams: int, phase_rad: float, tmp_path: Path) -> None:
     """Twice as many bearings would leave every other beam empty, and free through the walls."""
     messages = [
-        ("/points", CLOUD, 10**8 * (k + 1), cloud(ROS2, ring(beams, phase_rad, 30 * k), stamp_ns=10**8 * (k + 1)))
+        ("/points", CLOUD, 10**8 * (k + 1), ROS2.point_cloud(ring(beams, phase_rad, 30 * k), 10**8 * (k + 1)))
         for k in range(3)
     ]
     path = ROS2.write(tmp_path / "a", messages)
@@ -426,14 +382,14 @@ def test_a_scan_has_the_bearings_of_a_coarse_cloud(beams: int, phase_rad: float,
 def test_a_dense_or_irregular_cloud_keeps_the_usual_bearings(tmp_path: Path) -> None:
     random = np.random.default_rng(3).uniform(-4, 4, (200, 3)) * [1, 1, 0.1] + [0, 0, 0.5]
     for name, points in (("dense", ring(1800, 0.0)), ("irregular", random)):
-        path = ROS2.write(tmp_path / name, [("/points", CLOUD, 5, cloud(ROS2, points))])
+        path = ROS2.write(tmp_path / name, [("/points", CLOUD, 5, ROS2.point_cloud(points, 5))])
         (scan,) = open_recording(path, topic="/points", cloud_slice=CloudSlice(low_m=0.0, high_m=1.0)).scans()
         assert scan.ranges.size == 720
 
 
 def test_the_first_echo_of_a_beam_is_read(tmp_path: Path, scans: list[Scan]) -> None:
     kind = "sensor_msgs/msg/MultiEchoLaserScan"
-    one = laser(ROS2, scans[0])
+    one = ROS2.laser_scan(scans[0])
     echoes = [np.array([r, 9.0], np.float32) if np.isfinite(r) else np.empty(0, np.float32) for r in scans[0].ranges]
     fields = {name: getattr(one, name) for name in one.__dataclass_fields__ if not name.startswith("_")}
     ranges = [ROS2.make("sensor_msgs/msg/LaserEcho", echoes=echo) for echo in echoes]
@@ -447,10 +403,10 @@ def test_the_first_echo_of_a_beam_is_read(tmp_path: Path, scans: list[Scan]) -> 
 @pytest.mark.parametrize("fields", [True, False])
 def test_an_empty_cloud_is_a_scan_without_information(fields: bool, tmp_path: Path) -> None:
     """As written by a filter that passes no point; some drivers write no row_step."""
-    whole = replace(cloud(ROS2, np.array([[2.0, 0.1, 0.5]])), row_step=0)
+    whole = replace(ROS2.point_cloud(np.array([[2.0, 0.1, 0.5]]), 5), row_step=0)
     empty = replace(whole, width=0, data=np.empty(0, np.uint8), fields=whole.fields if fields else [])
     messages = [
-        ("/points", CLOUD, at, replace(empty if k == 2 else whole, header=header(ROS2, at)))
+        ("/points", CLOUD, at, replace(empty if k == 2 else whole, header=ROS2.stamped(at, "laser")))
         for k in range(5)
         for at in (10**8 * (k + 1),)
     ]
@@ -557,7 +513,7 @@ def test_a_recording_of_clouds_alone_gives_the_command_with_topic_and_heights(
     points: np.ndarray, heights: str, tmp_path: Path
 ) -> None:
     """The slice of a flat cloud contains it: an empty slice would be free everywhere."""
-    path = ROS1.write(tmp_path / "a.bag", [("/points", CLOUD, 5, cloud(ROS1, points))])
+    path = ROS1.write(tmp_path / "a.bag", [("/points", CLOUD, 5, ROS1.point_cloud(points, 5))])
     command = f"a.bag --out a-one.mcap --topic /points --cloud-slice {heights}`"
     with pytest.raises(RecordingError, match=f"no laser scans: take them from a slice of the point cloud.*{command}"):
         list(open_recording(path).scans())
@@ -566,7 +522,7 @@ def test_a_recording_of_clouds_alone_gives_the_command_with_topic_and_heights(
 
 
 def test_a_cloud_that_declares_more_points_than_it_has_is_refused(tmp_path: Path) -> None:
-    message = replace(cloud(ROS1, np.ones((3, 3))), width=1000)
+    message = replace(ROS1.point_cloud(np.ones((3, 3)), 5), width=1000)
     path = ROS1.write(tmp_path / "a.bag", [("/points", CLOUD, 5, message)])
     with pytest.raises(RecordingError, match="1 x 1000 points in 96 bytes"):
         list(open_recording(path, topic="/points", cloud_slice=CloudSlice(low_m=0, high_m=2)).scans())

@@ -5,20 +5,15 @@ from __future__ import annotations
 import math
 
 import pytest
-from rosbags.typesys import get_types_from_msg
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings import import_recording
-from gridtrack.recordings.output_definitions import ROS1_OUTPUTS, ROS2_OUTPUTS
 
+from scenes import output_bag as outputs
 from scenes.drive_bag import FRONT, MS, REAR, START_NS, Ros, robot_at, two_scanner_drive
 
 ROS = {1: Ros(1), 2: Ros(2)}
-for _ros, _definitions in zip(ROS.values(), (ROS1_OUTPUTS, ROS2_OUTPUTS), strict=True):
-    for _kind, _text in _definitions.items():
-        if _kind not in _ros.store.types:
-            _ros.store.register(get_types_from_msg(_text, _kind))
 STAMPS_MS = (500, 1000, 1500)
 
 
@@ -28,7 +23,7 @@ def walker_at(at_ms: float) -> tuple[float, float]:
 
 
 def pose(ros: Ros, x: float, y: float):
-    return ros._pose(SE2(x, y))
+    return outputs.Outputs(ros).pose(SE2(x, y))
 
 
 def leg_tracker(ros: Ros, at_ms: float, x: float, y: float, frame: str):
@@ -36,13 +31,12 @@ def leg_tracker(ros: Ros, at_ms: float, x: float, y: float, frame: str):
 
 
 def leg_tracker_array(ros: Ros, at_ms: float, x: float, y: float, frame: str):
-    person = ros.make("leg_tracker/msg/Person", pose=pose(ros, x, y), id=4)
-    return ros.make("leg_tracker/msg/PersonArray", header=ros.header(at_ms, frame), people=[person])
+    people = [leg_tracker(ros, at_ms, x, y, frame)]
+    return ros.make("leg_tracker/msg/PersonArray", header=ros.header(at_ms, frame), people=people)
 
 
 def people_msgs(ros: Ros, at_ms: float, x: float, y: float, frame: str, name: str = "anna"):
-    points = {key: ros.make("geometry_msgs/msg/Point", x=x, y=y, z=0.0) for key in ("position", "velocity")}
-    person = ros.make("people_msgs/msg/Person", name=name, **points, reliability=1.0, tagnames=[], tags=[])
+    person = ros.make("people_msgs/msg/Person", name=name, position=ros.make("geometry_msgs/msg/Point", x=x, y=y))
     return ros.make("people_msgs/msg/People", header=ros.header(at_ms, frame), people=[person])
 
 
@@ -99,12 +93,7 @@ def test_positions_may_be_in_any_frame_that_carries_a_sensor_even_upside_down(tm
 @pytest.mark.parametrize(
     ("make", "frame", "people", "message"),
     [
-        (
-            leg_tracker,
-            "",
-            "/people",
-            "name no frame: add it, --people /people@FRAME, one of odom, base_foot",
-        ),
+        (leg_tracker, "", "/people", "name no frame: add it, --people /people@FRAME, one of odom, base_foot"),
         (leg_tracker_array, "map", "/people", "positions in the frame 'map': "),
         (poses, "odom", "/people", "the poses of /people have no identity: if each place in the array is one person's"),
         (unnamed, "odom", "/people", "a person of /people has no name, so no identity"),

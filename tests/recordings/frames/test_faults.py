@@ -80,13 +80,6 @@ def test_a_fault_is_one_warning_and_an_error_with_strict(bag: Bag, fault: list[m
     assert warning in str(error.value)
 
 
-def test_transforms_of_one_frame_on_two_topics_are_a_warning_and_the_first_topic_is_used(bag: Bag) -> None:
-    recording = open_recording(bag(*FRONT, STATIC, *((f"/tf{k % 2}", *rest) for k, (_, *rest) in enumerate(MOVING, 1))))
-    assert made.walls_stay(recording.scans())
-    assert recording.info.poses.endswith("from /tf1, /tf_static; longest gap 0.08 s")
-    assert "transforms of frame 'base_link' are on several topics, /tf1, /tf0" in the_warning(recording)
-
-
 def test_a_cycle_is_one_line(bag: Bag) -> None:
     links = [("a", "b", SE3()), ("b", "c", SE3()), ("c", "a", SE3()), ("a", "front_laser", SE3())]
     path = bag(*FRONT, ROS.transforms(0, *links, topic="/tf_static"))

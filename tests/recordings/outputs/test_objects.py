@@ -120,54 +120,23 @@ def test_people_without_velocities_go_on_as_they_walked(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ros", [ROS1, ROS2])
 def test_every_type_of_message_gives_its_objects(tmp_path: Path, ros: made.Ros) -> None:
-    out = Outputs(ros)
-    header = ros.header(1000, FRAME)
-    zero = ros.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-    still = ros.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+    out, header = Outputs(ros), ros.header(1000, FRAME)
 
     def point(x: float, y: float) -> object:
-        return ros.make("geometry_msgs/msg/Point", x=x, y=y, z=0.0)
+        return ros.make("geometry_msgs/msg/Point", x=x, y=y)
 
-    at = ros.make("geometry_msgs/msg/PoseWithCovariance", pose=out.pose(SE2(2.1, 1.1)), covariance=np.zeros(36))
-    spencer = ros.make(
-        "spencer_tracking_msgs/msg/TrackedPerson",
-        track_id=3,
-        is_occluded=False,
-        is_matched=True,
-        detection_id=0,
-        age=ros.make("builtin_interfaces/msg/Duration", sec=1, nanosec=0),
-        pose=at,
-        twist=ros.make("geometry_msgs/msg/TwistWithCovariance", twist=still, covariance=np.zeros(36)),
-    )
-    person = ros.make(
-        "people_msgs/msg/Person",
-        name="a",
-        position=point(2.1, 1.1),
-        velocity=point(0.0, 0.0),
-        reliability=1.0,
-        tagnames=[],
-        tags=[],
-    )
-    circle = ros.make(
-        "obstacle_detector/msg/CircleObstacle", center=point(2.1, 1.1), velocity=zero, radius=0.9, true_radius=0.25
-    )
-    segment = ros.make(
-        "obstacle_detector/msg/SegmentObstacle", first_point=point(-3.1, 2.1), last_point=point(-3.1, 3.1)
-    )
-    box = ros.make(
-        "vision_msgs/msg/BoundingBox3D",
-        center=out.pose(SE2(2.1, 1.1)),
-        size=ros.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0),
-    )
-    if ros is ROS1:
-        result = ros.make("vision_msgs/msg/ObjectHypothesisWithPose", id=1, score=1.0, pose=at)
-        cloud = out.ros.cloud(0, np.zeros((0, 3)))[3]
-        detection = {"source_cloud": cloud}
-    else:
-        hypothesis = ros.make("vision_msgs/msg/ObjectHypothesis", class_id="person", score=1.0)
-        result = ros.make("vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=at)
-        detection = {"id": "a"}
-    detected = ros.make("vision_msgs/msg/Detection3D", header=header, results=[result], bbox=box, **detection)
+    at = ros.make("geometry_msgs/msg/PoseWithCovariance", pose=out.pose(SE2(2.1, 1.1)))
+    spencer = ros.make("spencer_tracking_msgs/msg/TrackedPerson", track_id=3, is_matched=True, pose=at)
+    person = ros.make("people_msgs/msg/Person", name="a", position=point(2.1, 1.1), reliability=1.0)
+    circle = ros.make("obstacle_detector/msg/CircleObstacle", center=point(2.1, 1.1), radius=0.9, true_radius=0.25)
+    ends = {"first_point": point(-3.1, 2.1), "last_point": point(-3.1, 3.1)}
+    segment = ros.make("obstacle_detector/msg/SegmentObstacle", **ends)
+    box = ros.make("vision_msgs/msg/BoundingBox3D", center=out.pose(SE2(2.1, 1.1)))
+    found: dict[str, Any] = {"id": 1, "score": 1.0}
+    if ros is ROS2:
+        found = {"hypothesis": ros.make("vision_msgs/msg/ObjectHypothesis", class_id="person", score=1.0)}
+    result = ros.make("vision_msgs/msg/ObjectHypothesisWithPose", pose=at, **found)
+    detected = ros.make("vision_msgs/msg/Detection3D", header=header, results=[result], bbox=box)
     messages = {
         "/spencer": ("spencer_tracking_msgs/msg/TrackedPersons", {"tracks": [spencer]}),
         "/persons": ("people_msgs/msg/People", {"people": [person]}),
