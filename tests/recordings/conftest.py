@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import RecordingInfo, write_native
+from gridtrack.recordings.stream import frame_digest
 
 START_NS = 1_700_000_000_123_456_789
 PERIOD_NS = 100_000_000
@@ -21,6 +24,15 @@ def make_scan(k: int, sensor: str = "scan", pose: SE2 | None = None, offset_ns: 
     ranges = np.random.default_rng(k).uniform(0.5, 4.5, beams).astype(np.float32)
     ranges[:3] = np.inf, np.nan, -np.inf
     return Scan(START_NS + k * PERIOD_NS + offset_ns, ranges, -1.5, 3.0 / (beams - 1), 0.05, 5.0, sensor, pose or SE2())
+
+
+def one_beam(scan: Scan, distance: float, **changes: object) -> Scan:
+    """A scan with one return, straight ahead."""
+    return replace(scan, ranges=np.array([distance], np.float32), angle_min=0.0, angle_increment=0.0, **changes)
+
+
+def digests(frames: Iterable[GridFrame]) -> list[bytes]:
+    return [frame_digest(frame) for frame in frames]
 
 
 @pytest.fixture

@@ -16,7 +16,8 @@ from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.formats import native
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile
 from gridtrack.recordings.recording import NoScansError
-from gridtrack.recordings.stream import GridStream, frame_digest
+from gridtrack.recordings.stream import GridStream
+from tests.recordings.conftest import digests
 
 from scenes import drive_bag as made
 
@@ -53,10 +54,6 @@ def in_small_chunks(path: Path, out: Path) -> Path:
             writer.add_message(channels[channel.topic], stamp_ns, data, stamp_ns)
         writer.finish()
     return out
-
-
-def digests(frames) -> list[bytes]:
-    return [frame_digest(frame) for frame in frames]
 
 
 def arriving(written: Written, first_s: float) -> tuple[GridStream, list[bytes]]:

@@ -12,10 +12,11 @@ import pytest
 
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2, same_pose
-from gridtrack.common.grid import GridFrame, GridSpec, window_about
+from gridtrack.common.grid import GridSpec, window_about
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.stream import frame_digest, open_stream
+from gridtrack.recordings.stream import open_stream
+from tests.recordings.conftest import digests, one_beam
 
 GRID = GridSpec(60, 0.2)
 FRONT, REAR = SE2(0.47, 0.13, 0.2), SE2(-0.5, 0.0, math.pi)
@@ -23,17 +24,8 @@ BEHIND = SE2(-2.0, 0.0, math.pi)
 SCANS = 40
 
 
-def one_beam(scan: Scan, distance: float, **changes: object) -> Scan:
-    """A scan with one return, straight ahead."""
-    return replace(scan, ranges=np.array([distance], np.float32), angle_min=0.0, angle_increment=0.0, **changes)
-
-
 def by_stamp(*scans: Iterable[Scan]) -> list[Scan]:
     return sorted((scan for of_sensor in scans for scan in of_sensor), key=lambda scan: scan.stamp_ns)
-
-
-def digests(frames: Iterable[GridFrame]) -> list[bytes]:
-    return [frame_digest(frame) for frame in frames]
 
 
 def test_several_sensors_share_the_frame_of_the_first(write, scan) -> None:

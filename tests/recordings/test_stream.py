@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import replace
 from itertools import pairwise
 
@@ -20,17 +19,9 @@ from gridtrack.recordings import open_recording, packaged_recording
 from gridtrack.recordings.degradation import degrader, parse_degradation
 from gridtrack.recordings.observation import cells_in_window
 from gridtrack.recordings.stream import GridStream, frame_digest, open_stream
+from tests.recordings.conftest import digests, one_beam
 
 GRID = GridSpec(60, 0.2)
-
-
-def digests(frames: Iterable[GridFrame]) -> list[bytes]:
-    return [frame_digest(frame) for frame in frames]
-
-
-def one_beam(scan: Scan, distance: float, **changes: object) -> Scan:
-    """A scan with one return, straight ahead."""
-    return replace(scan, ranges=np.array([distance], np.float32), angle_min=0.0, angle_increment=0.0, **changes)
 
 
 def test_frames_are_the_scans_cast_into_the_grid(write, scan) -> None:

@@ -184,6 +184,18 @@ def test_a_class_knows_its_registered_name_and_so_does_one_that_inherits_from_it
         registry.registered_name(Tracker)
 
 
+def test_files_are_read_again_only_after_a_change_of_the_path(
+    install: Install, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install("one", {"first": "a:b"})
+    assert "first" in registry.entries()
+    with monkeypatch.context() as unread:
+        unread.setattr("importlib.metadata.PathDistribution.read_text", None)
+        assert registry.entries()["first"].distribution == "one 1.0"
+    install("two", {"second": "a:b"})
+    assert {"first", "second"} <= set(registry.entries())
+
+
 def test_an_unknown_name_gets_a_suggestion() -> None:
     with pytest.raises(PluginError, match="there is no tracker 'persistance'; did you mean 'persistence'"):
         registry.load("persistance")

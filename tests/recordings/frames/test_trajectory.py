@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,12 @@ from gridtrack.common.geometry import SE2
 from gridtrack.recordings import framed_recording, open_recording, parse_mount
 from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.frames import trajectory
+from gridtrack.recordings.frames.chains import Chain, Link
 from gridtrack.recordings.frames.trajectory import (
     AllTransforms,
+    FramedScan,
     NewestTransforms,
+    ScansOnChains,
 )
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FarStamps
@@ -93,6 +97,33 @@ def test_more_transforms_than_the_limit_are_read_with_the_scans(bag: Callable[..
     path = bag(*drive(made.Ros(1)))
     monkeypatch.setattr(framed_recording, "MAX_TRANSFORMS", 30)
     assert made.walls_stay(open_recording(path).scans())
+
+
+@pytest.mark.parametrize("topic", ["/scan", "/other"])
+@pytest.mark.parametrize("far_ns", [-86_400 * SECOND_NS, -SECOND_NS, 2 * SECOND_NS, 5 * SECOND_NS, 86_400 * SECOND_NS])
+def test_scans_do_not_wait_behind_a_scan_with_a_stamp_far_off(scan, far_ns: int, topic: str) -> None:
+    """Transforms are received half a second after their stamp."""
+    chain = Chain("odom", (Link("base", "odom", "/tf", SE3(), moves=True),))
+    placed = ScansOnChains({"/scan": chain, "/other": chain}, [].append)
+    found = []
+    for k in range(40):
+        at_ns = k * SECOND_NS // 10
+        found += placed.transform(("/tf", "base"), at_ns - SECOND_NS // 2, SE3((k / 10.0 - 0.5, 0.0, 0.0)))
+        scans = {"/scan": at_ns, "/other": at_ns + 1} if k != 10 else {"/scan": at_ns, topic: at_ns + far_ns}
+        for own_topic, stamp_ns in scans.items():
+            found += placed.scan(FramedScan(own_topic, "base", replace(scan(k), stamp_ns=stamp_ns)))
+    correct = [one for one in found if one.stamp_ns != SECOND_NS + far_ns]
+    assert len(correct) > 60
+    assert [one.world_T_sensor.x for one in correct] == pytest.approx([one.stamp_ns / 1e9 for one in correct], abs=1e-6)
+
+
+def test_scans_after_a_common_gap_wait_for_their_transforms(scan) -> None:
+    placed = ScansOnChains({"/scan": Chain("odom", (Link("base", "odom", "/tf", SE3(), moves=True),))}, [].append)
+    found = []
+    for at_s in (0, 1, 2, 3, 60, 61, 62):
+        found += placed.scan(FramedScan("/scan", "base", replace(scan(0), stamp_ns=at_s * SECOND_NS)))
+        found += placed.transform(("/tf", "base"), at_s * SECOND_NS, SE3((float(at_s), 0.0, 0.0)))
+    assert [one.world_T_sensor.x for one in [*found, *placed.flush()]] == [0.0, 1.0, 2.0, 3.0, 60.0, 61.0, 62.0]
 
 
 def test_all_transforms_agree_with_the_newest_ones() -> None:
