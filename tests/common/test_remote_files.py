@@ -1,4 +1,4 @@
-"""Folders named by URLs: fetched whole, changed files only, no names outside the folder; and uploaded."""
+"""Files and folders named by URLs: fetched whole, changed files only, no names outside the folder; and uploaded."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import partial
 import pytest
 
 from gridtrack.common.errors import StoreError
-from gridtrack.common.remote_files import fetched_folder, list_folder, upload_folder
+from gridtrack.common.remote_files import fetched_file, fetched_folder, list_folder, upload_folder
 
 FOLDER = "memory://bucket/weights"
 
@@ -104,29 +104,38 @@ def test_a_folder_that_is_listed_in_part_is_an_error(store, monkeypatch):
             list_folder(FOLDER)
 
 
-def test_a_folder_with_a_file_of_another_size_is_not_kept(store, notes, cache, monkeypatch):
+@pytest.mark.parametrize("announced", [3, 9])
+def test_a_file_of_another_size_than_announced_is_not_kept(store, notes, cache, monkeypatch, announced):
     path = "/bucket/weights/kalman/hall.toml"
+    told = {"name": path, "size": announced, "type": "file"}
     with monkeypatch.context() as patched:
-        lists(patched, store, path, 9)
-        with pytest.raises(StoreError, match="received 4 bytes instead of 9; try again"):
-            fetched_folder(FOLDER, "weights", notes.append)
+        patched.setattr(type(store), "info", lambda files, path: told)
+        lists(patched, store, path, announced)
+        for fetch, url in ((fetched_folder, FOLDER), (fetched_file, f"memory:/{path}")):
+            with pytest.raises(StoreError, match=f"received 4 bytes instead of {announced}; try again"):
+                fetch(url, "weights", notes.append)
     assert content_of(cache) == {}
 
 
 @pytest.mark.parametrize(
     ("url", "message"),
     [
-        ("memory://bucket/none", "there is no such folder, or no file in it"),
-        ("memory://bucket/%2e%2e", r"'\.\.' cannot be the name of a local copy"),
+        ("memory://bucket/none", "there is no such folder, or no file in it|FileNotFoundError"),
+        (
+            "memory://bucket/%2e%2e",
+            r"'\.\.' cannot be the name of a local copy",
+        ),
+        ("memory://bucket/%2e%2e%2fhall.mcap", r"'(hall\.mcap|\.\./hall\.mcap)' cannot be the name of a local copy"),
         ("nowhere://bucket/weights", "Protocol not known: nowhere"),
         ("http://user:secret@127.0.0.1/weights", "leave user and password out of the URL"),
         ("memory://simplecache::memory://bucket/weights", "a chain of file systems"),
         ("http://127.0.0.1:9/weights", "cannot be fetched"),
     ],
 )
-def test_a_folder_that_cannot_be_fetched_is_one_line_of_error(url, message, store, notes):
+@pytest.mark.parametrize("fetch", [fetched_folder, fetched_file])
+def test_what_cannot_be_fetched_is_one_line_of_error(fetch, url, message, store, notes):
     with pytest.raises(StoreError, match=message) as raised:
-        fetched_folder(url, "weights", notes.append)
+        fetch(url, "weights", notes.append)
     assert "\n" not in str(raised.value)
     assert "secret" not in str(raised.value)
 
