@@ -7,8 +7,7 @@ from collections import Counter
 
 import pytest
 from fuzz.damage import SeededChoices
-from fuzz.readers import READERS
-from fuzz.rule import Inputs, finding
+from fuzz.rule import READERS, Inputs, finding
 
 CASES = 300
 """Damaged files of the corpus: made anew from their seeds, each seed for the next reader."""

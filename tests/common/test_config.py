@@ -10,7 +10,6 @@ from gridtrack.common.errors import (
     MAX_LINE_CHARS,
     ConfigurationError,
     GridtrackError,
-    RecordingError,
     bounded_line,
     did_you_mean,
 )
@@ -58,11 +57,6 @@ def test_an_unknown_option_is_refused_with_a_suggestion_in_one_line() -> None:
     assert "'robust' = 'perhaps'" in message
     assert "\n" not in message
     assert validated(Filter, {"gate_m": 2}, "kalman") == Filter(gate_m=2.0)
-
-
-def test_every_error_has_one_root() -> None:
-    assert issubclass(ConfigurationError, GridtrackError)
-    assert issubclass(RecordingError, GridtrackError)
 
 
 def test_suggestions() -> None:

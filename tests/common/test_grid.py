@@ -91,16 +91,6 @@ def test_values_stay_at_their_place_in_the_world_when_the_window_moves() -> None
     ]
 
 
-@settings(deadline=None)
-@given(st.tuples(st.integers(-7, 7), st.integers(-7, 7)), st.tuples(st.integers(-7, 7), st.integers(-7, 7)))
-def test_two_moves_of_the_window_keep_the_cells_that_both_keep(one: tuple[int, int], other: tuple[int, int]) -> None:
-    values = np.arange(1, 26).reshape(5, 5)
-    twice = rolled(rolled(values, Shift(*one), 0), Shift(*other), 0)
-    once = rolled(values, Shift(one[0] + other[0], one[1] + other[1]), 0)
-    kept = twice != 0
-    assert (twice[kept] == once[kept]).all()
-
-
 def test_rolled_cells_may_be_on_any_axes_and_take_an_array() -> None:
     values = np.arange(18).reshape(3, 3, 2)
     moved = rolled(values, Shift(1, 0), np.array([-1, -2]), axes=(0, 1))

@@ -12,18 +12,28 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from fuzz.readers import READERS
-from fuzz.rule import Inputs
-from fuzz.sources import DrawnChoices
+from fuzz.rule import READERS, Inputs
 
 KEPT = Path("runs/fuzz")
 MEMORY_BYTES, INPUT_S, EXAMPLES = 4 << 30, 10, 200
+
+
+@dataclass(frozen=True)
+class DrawnChoices:
+    """Choices that hypothesis draws, and makes smaller where an input breaks the rule."""
+
+    data: st.DataObject
+
+    def below(self, count: int) -> int:
+        """A number from 0 to count - 1."""
+        return int(self.data.draw(st.integers(0, count - 1)))
 
 
 class TooSlow(BaseException):

@@ -7,9 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from fuzz import recording_readers, result_readers, wire_readers
 from fuzz.damage import Choices
-from fuzz.readers import READERS
+from fuzz.reader import Reader
 from gridtrack.common.errors import MAX_LINE_CHARS, GridtrackError
+
+READERS: dict[str, Reader] = recording_readers.READERS | wire_readers.READERS | result_readers.READERS
+"""All readers of untrusted input, by name."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ BLOCK = 1 << 20
 
 class Attacks(Settings):
     attacks: tuple[tuple[str, str], ...] = ()
-    """Names of ATTACKS with their targets: a path, a port or a process."""
+    """Names of functions of this module with their targets: a path, a port or a process."""
 
 
 class Burglar(Tracker):
@@ -42,7 +42,7 @@ class Burglar(Tracker):
 
     def __init__(self, stream: StreamSpec, options: Any) -> None:
         super().__init__(stream, options)
-        found = [ATTACKS[name](target) for name, target in options.attacks]
+        found = [globals()[name](target) for name, target in options.attacks]
         print("found:", json.dumps(found), file=sys.stderr, flush=True)
 
     def reset(self, seed: int) -> None: ...
@@ -216,27 +216,3 @@ def senses_locks(path: str) -> list[str]:
 def variables(_: str) -> dict[str, str]:
     """Its environment."""
     return dict(os.environ)
-
-
-ATTACKS = {
-    function.__name__: function
-    for function in (
-        reads,
-        rewrites,
-        calls,
-        looks,
-        reads_memory,
-        kills,
-        kills_all,
-        outlives,
-        writes,
-        fills,
-        makes_a_namespace,
-        leaves_a_key,
-        finds_a_key,
-        leaves_pages,
-        finds_pages,
-        senses_locks,
-        variables,
-    )
-}

@@ -129,18 +129,20 @@ class TrainingHere:
         return ProcessExit(0, PEAK_KB)
 
 
-def received(content: bytes, max_body: int) -> Message:
-    """The message that the other end of the wire receives."""
+def received(content: bytes, max_body: int = 1 << 20) -> Message:
+    """The message that the other end of the wire receives, from all of the content."""
     left = memoryview(content)
 
     def fill(buffers: list[memoryview]) -> None:
         nonlocal left
         for buffer in buffers:
-            if buffer.nbytes:
-                buffer[:] = left[: buffer.nbytes]
-                left = left[buffer.nbytes :]
+            if buffer.nbytes > left.nbytes:
+                raise EOFError
+            buffer[:], left = left[: buffer.nbytes], left[buffer.nbytes :]
 
-    return receive(fill, max_body)
+    message = receive(fill, max_body)
+    assert not left.nbytes
+    return message
 
 
 @contextmanager

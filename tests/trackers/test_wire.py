@@ -23,27 +23,14 @@ from gridtrack.trackers import messages
 from gridtrack.trackers.contract import Forecast, StreamSpec, TrackedObject
 from gridtrack.trackers.wire import DTYPES, Message, WireError, encode, fill_from, receive, write_to
 
+from scenes.programs_here import received
+
 GRID = GridSpec(6, 0.5, (-1.0, 2.0))
 
 
 def sent(message: Message, max_body: int = 1 << 20) -> Message:
     """The message that the receiver decodes."""
     return received(b"".join(encode(message)), max_body)
-
-
-def received(data: bytes, max_body: int = 1 << 20) -> Message:
-    left = memoryview(data)
-
-    def fill(buffers: list[memoryview]) -> None:
-        nonlocal left
-        for buffer in buffers:
-            if buffer.nbytes > left.nbytes:
-                raise EOFError
-            buffer[:], left = left[: buffer.nbytes], left[buffer.nbytes :]
-
-    message = receive(fill, max_body)
-    assert not left.nbytes
-    return message
 
 
 arrays = st.dictionaries(

@@ -18,6 +18,7 @@ from gridtrack.simulation import junction, sumo, traffic
 from gridtrack.simulation.junction import JUNCTION_SET, layout, road_users, simulate_junction
 from gridtrack.simulation.junction.road_users import Patience
 from gridtrack.simulation.tracks_file import read_tracks, write_tracks
+from gridtrack.simulation.traffic import inside
 
 NETWORK = Path(junction.__file__).with_name("network.net.xml")
 TESTS = [name for name in JUNCTION_SET if name.startswith("test-")]
@@ -37,13 +38,6 @@ def street_points() -> np.ndarray:
             shares = np.linspace(0.0, 1.0, 30)[:, None]
             points += [start + shares * (end - start) + side * across for side in np.linspace(-1.0, 1.0, 11)]
     return np.concatenate(points)
-
-
-def inside(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
-    """Inside a convex, counter-clockwise outline: left of all its sides."""
-    sides = np.roll(outline, -1, axis=0) - outline
-    to = points[:, None] - outline
-    return (sides[:, 0] * to[..., 1] - sides[:, 1] * to[..., 0] > 0.0).all(axis=1)
 
 
 def test_the_streets_have_no_static_objects() -> None:
