@@ -13,16 +13,14 @@ from gridtrack.common.grid import GridSpec
 from gridtrack.common.scene import Scene, SceneObject
 from gridtrack.recordings.truth import FREE, INTERIOR, OUTLINE, static_cells, truth_grid
 
+from scenes.drives import box
+
 GRID = GridSpec(5, 1.0, (0.0, 0.0))
 HERE = SE2()
 
 
 def outline(*corners):
     return np.array(corners, np.float32)
-
-
-def box(x, y, length, width):
-    return outline((x, y), (x + length, y), (x + length, y + width), (x, y + width))
 
 
 def scene(static=(), objects=(), static_label=4):

@@ -14,16 +14,16 @@ from gridtrack.common.errors import GridtrackError
 from gridtrack.common.geometry import SE2, same_pose
 from gridtrack.common.grid import GridSpec, window_about
 from gridtrack.common.scan import Scan
-from gridtrack.recordings import RecordingInfo, open_recording
+from gridtrack.recordings import open_recording
 from gridtrack.recordings.truth import OUTLINE, truth_grid
 from gridtrack.simulation.laser import Laser
 from gridtrack.simulation.motion import WheelOdometry
-from gridtrack.simulation.tracks import Carrier, Tracks, TracksInfo
+from gridtrack.simulation.tracks import Carrier, Tracks
 from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks, write_recording
 from gridtrack.simulation.traffic import check_traffic
+from tests.simulation.conftest import CLASSES, tracks_of
 
 pytestmark = pytest.mark.usefixtures("own_cache")
-CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
 NORTH_WALL = ((-50.0, 6.0), (50.0, 6.0), (50.0, 7.0), (-50.0, 7.0))
 EAST_WALL = ((30.0, -50.0), (31.0, -50.0), (31.0, 5.0), (30.0, 5.0))
 LASER = Laser(angle_min=-np.pi, angle_increment=np.radians(1.0), beams=360)
@@ -32,34 +32,15 @@ SPEED_M_S = 14.0
 
 def drive(odometry: WheelOdometry | None = None, frames: int = 24, **lasers: Laser) -> Tracks:
     """A car (track 7) that drives east at 14 m/s and then turns left, and a pedestrian (track 3) standing at (0, 3)."""
-    info = TracksInfo(
-        recording=RecordingInfo(site="yard", classes=CLASSES, grid="100x0.2", rate_hz=8.0),
-        lasers=lasers or {"scan": LASER},
-        frames=frames,
-        rate_hz=8.0,
-        noise_seed=3,
-        static=(NORTH_WALL, EAST_WALL),
-        static_class="static",
-        carrier=Carrier(track=7, odometry=odometry),
-    )
     time_s = np.arange(frames) / 8.0
     heading = np.clip(time_s - 2.0, 0.0, None) * 1.2
     step = (
         SPEED_M_S / 8.0 * np.column_stack([np.cos(heading), np.sin(heading)]) * np.minimum(1.0, 3.0 - time_s)[:, None]
     )
-    position = np.array([-20.0, 0.0]) + np.cumsum(step, axis=0)
-    car = np.column_stack([position, heading])
-    walker = np.tile([0.0, 3.0, 0.5], (frames, 1))
-    pose = np.stack([walker, car], axis=1).reshape(-1, 3)
-    tracks = Tracks(
-        info,
-        np.repeat(np.arange(frames), 2),
-        np.tile([3, 7], frames),
-        np.tile([0, 2], frames),
-        pose,
-        np.tile([[0.3, 0.5], [4.5, 1.82]], (frames, 1)),
-    )
-    return tracks.rounded()
+    car = np.column_stack([np.array([-20.0, 0.0]) + np.cumsum(step, axis=0), heading])
+    users = (3, 0, np.tile([0.0, 3.0, 0.5], (frames, 1)), (0.3, 0.5)), (7, 2, car, (4.5, 1.82))
+    about = {"static": (NORTH_WALL, EAST_WALL), "carrier": Carrier(track=7, odometry=odometry)}
+    return tracks_of(*users, lasers=lasers or {"scan": LASER}, **about)
 
 
 def returns(scan: Scan, world_T_sensor: SE2) -> np.ndarray:

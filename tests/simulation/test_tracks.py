@@ -1,4 +1,7 @@
-"""Files of tracks: they round-trip, hostile files are one line of error, and a recording is rendered from them."""
+"""Files of tracks: they round-trip, hostile files are one line of error, and a recording is rendered from them.
+
+In a world people are two legs in scans and in truth.
+"""
 
 from __future__ import annotations
 
@@ -13,37 +16,27 @@ import pyarrow.parquet as pq
 import pytest
 
 from gridtrack.common.errors import GridtrackError, RecordingError
-from gridtrack.recordings import RecordingInfo, open_recording, packaged_recording
-from gridtrack.simulation.bodies import body_outline
-from gridtrack.simulation.laser import Laser
+from gridtrack.recordings import open_recording, packaged_recording
+from gridtrack.simulation.bodies import Walker, body_outline
+from gridtrack.simulation.laser import Laser, LaserErrors
 from gridtrack.simulation.recording_format import rendering_folder
-from gridtrack.simulation.tracks import ONLY_LASER, Tracks, TracksInfo
+from gridtrack.simulation.tracks import ONLY_LASER, Tracks, World
 from gridtrack.simulation.tracks_file import METADATA_KEY, read_tracks, write_recording, write_tracks
 from gridtrack.simulation.traffic import GRIDLOCK_S, check_traffic
+from tests.simulation.conftest import tracks_of
 
 pytestmark = pytest.mark.usefixtures("own_cache")
-CLASSES = ("pedestrian", "cyclist", "car", "bus", "static")
 WALL = ((5.0, -5.0), (6.0, -5.0), (6.0, 5.0), (5.0, 5.0))
 
 
-def walk(frames: int = 16, **changes: object) -> Tracks:
+def walk(frames: int = 16) -> Tracks:
     """A pedestrian who walks north 3 m ahead of the laser at 1 m/s, and a standing car behind the laser."""
-    info = TracksInfo(
-        recording=RecordingInfo(site="yard", classes=CLASSES, grid="100x0.2", rate_hz=8.0),
-        lasers={ONLY_LASER: Laser(angle_min=-np.pi, angle_increment=np.radians(1.0), beams=360)},
-        frames=frames,
-        rate_hz=8.0,
-        noise_seed=3,
-        static=(WALL,),
-        static_class="static",
-    )
-    frame = np.repeat(np.arange(frames), 2)
-    track, label = np.tile([0, 1], frames), np.tile([0, 2], frames)
-    y = np.column_stack([np.arange(frames) / 8.0 - 1.0, np.zeros(frames)]).ravel()
-    x, heading = np.tile([3.0, -6.0], frames), np.tile([np.pi / 2, -3.0], frames)
-    size = np.tile([[0.3, 0.5], [4.5, 1.82]], (frames, 1))
-    tracks = Tracks(info, frame, track, label, np.column_stack([x, y, heading]), size)
-    return dataclasses.replace(tracks, **changes).rounded()
+    lasers = {ONLY_LASER: Laser(angle_min=-np.pi, angle_increment=np.radians(1.0), beams=360)}
+    y = np.arange(frames) / 8.0 - 1.0
+    walker = np.column_stack([np.full(frames, 3.0), y, np.full(frames, np.pi / 2)])
+    car = np.tile([-6.0, 0.0, -3.0], (frames, 1))
+    users = (0, 0, walker, (0.3, 0.5)), (1, 2, car, (4.5, 1.82))
+    return tracks_of(*users, lasers=lasers, static=(WALL,))
 
 
 def test_tracks_round_trip_to_the_centimetre_and_the_milliradian(tmp_path: Path) -> None:
@@ -248,3 +241,83 @@ def test_a_shipped_recording_is_written_again_with_the_same_metadata(tmp_path):
     write_recording(path, read_tracks(shipped))
     before, after = (pq.read_schema(one).metadata[METADATA_KEY] for one in (shipped, path))
     assert after == before
+
+
+# ---- worlds
+
+
+FRAMES = 30
+
+
+def world(plane_m: float = 0.3, dark: bool = False, glass: frozenset[int] = frozenset()) -> Tracks:
+    """A pedestrian who walks past the laser, 2 m ahead, at 1.2 m/s, in front of a wall."""
+    errors = LaserErrors(std_m=0.0, glass_seen=0.0, dark_reach=0.05)
+    lasers = {ONLY_LASER: Laser(angle_min=-1.5, angle_increment=0.005, beams=601, errors=errors)}
+    y = np.arange(FRAMES) / 10.0 * 1.2 - 1.7
+    pose = np.column_stack([np.full(FRAMES, 2.0), y, np.full(FRAMES, np.pi / 2)])
+    about = {"rate_hz": 10.0, "world": World(plane_m=plane_m, walkers={4: Walker(dark=dark)}, glass=glass)}
+    recording = {"site": "world-1", "classes": ("pedestrian", "static"), "grid": "100x0.1"}
+    return tracks_of((4, 0, pose, (0.25, 0.45)), lasers=lasers, recording=recording, static=(WALL,), **about)
+
+
+def test_a_world_round_trips(tmp_path: Path) -> None:
+    tracks = world(glass=frozenset({0}))
+    write_recording(tmp_path / "world.tracks", tracks)
+    found = read_tracks(tmp_path / "world.tracks")
+    assert found.info == tracks.info
+    np.testing.assert_array_equal(found.pose, tracks.pose)
+
+
+def test_a_person_is_two_legs_in_the_scan_and_in_the_truth(tmp_path: Path) -> None:
+    write_recording(tmp_path / "world.tracks", world())
+    scans = list(open_recording(tmp_path / "world.tracks").scans())
+    apart = 0
+    for scan in scans:
+        assert scan.scene is not None
+        assert scan.labels is not None
+        legs = scan.scene.objects
+        assert [leg.track for leg in legs] == [4, 4]
+        assert legs[0].world_T_object == legs[1].world_T_object
+        person = np.flatnonzero(scan.labels == 0)
+        assert person.size
+        apart += bool((np.diff(person) > 3).any())
+    assert apart > FRAMES / 2
+
+
+def test_a_person_is_one_torso_at_chest_height(tmp_path: Path) -> None:
+    write_recording(tmp_path / "world.tracks", world(plane_m=1.3))
+    for scan in open_recording(tmp_path / "world.tracks").scans():
+        assert scan.scene is not None
+        assert len(scan.scene.objects) == 1
+
+
+def test_dark_clothes_and_glass_give_no_returns(tmp_path: Path) -> None:
+    write_recording(tmp_path / "dark.tracks", world(dark=True, glass=frozenset({0})))
+    scans = list(open_recording(tmp_path / "dark.tracks").scans())
+    aside = [scan.ranges[:200] for scan in scans]
+    assert not np.isfinite(np.concatenate(aside)).any()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"glass": [1]}, "a glass or dark surface without a static outline"),
+        ({"dark": [-1]}, "a glass or dark surface without a static outline"),
+        ({"plane_m": 50.0}, "'world.plane_m' = 50.0"),
+        ({"walkers": {"4": {"height_m": 9.0}}}, "height_m' = 9.0"),
+        ({"walkers": {"4": {"companion": "elephant"}}}, "companion"),
+    ],
+)
+def test_an_invalid_world_is_one_line_of_error(altered, change: dict[str, object], message: str) -> None:
+    path = altered(world(), lambda values: values | {"world": values["world"] | change})
+    with pytest.raises(GridtrackError, match=message) as error:
+        read_tracks(path)
+    assert "\n" not in str(error.value)
+
+
+def test_errors_of_a_laser_without_a_world_are_refused(tmp_path: Path) -> None:
+    tracks = world()
+    without = dataclasses.replace(tracks, info=tracks.info.model_copy(update={"world": None}))
+    with pytest.raises(RecordingError, match="needs a world"):
+        write_recording(tmp_path / "lost.tracks", without)
+    assert not (tmp_path / "lost.tracks").exists()
