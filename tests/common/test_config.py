@@ -6,13 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from gridtrack.common.config import Settings, parse_pairs, validated
-from gridtrack.common.errors import (
-    MAX_LINE_CHARS,
-    ConfigurationError,
-    GridtrackError,
-    bounded_line,
-    did_you_mean,
-)
+from gridtrack.common.errors import MAX_LINE_CHARS, ConfigurationError, GridtrackError, bounded_line, did_you_mean
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.regression.measurement import Unmeasured
 

@@ -11,12 +11,7 @@ from pathlib import Path
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin
 
-from fuzz.containers import (
-    damage_parquet,
-    damage_sqlite,
-    damaged_bag,
-    damaged_mcap,
-)
+from fuzz.containers import damage_parquet, damage_sqlite, damaged_bag, damaged_mcap
 from fuzz.damage import Choices, damaged_bytes, damaged_text, one_of
 from fuzz.reader import CLASSES, GRID, Reader, on_file
 from gridtrack.common.errors import RecordingError

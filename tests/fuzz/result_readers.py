@@ -10,11 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fuzz.containers import (
-    damage_parquet,
-    damaged_mcap,
-    damaged_safetensors,
-)
+from fuzz.containers import damage_parquet, damaged_mcap, damaged_safetensors
 from fuzz.damage import Choices, damaged_bytes, damaged_json, damaged_text, damaged_value, dumped, one_of
 from fuzz.reader import CLASSES, GRID, Reader, on_file
 from gridtrack.common.forecast_file import open_forecasts, write_forecasts

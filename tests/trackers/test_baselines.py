@@ -11,12 +11,7 @@ import pytest
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame, GridSpec
-from gridtrack.trackers.baselines import (
-    BlankTracker,
-    PersistenceTracker,
-    StaticMapOptions,
-    StaticMapTracker,
-)
+from gridtrack.trackers.baselines import BlankTracker, PersistenceTracker, StaticMapOptions, StaticMapTracker
 from gridtrack.trackers.contract import FitTask, StreamSpec
 
 from scenes.frames import Frames, frame_of

@@ -16,11 +16,7 @@ from gridtrack.trackers.one_shot import OneShotTracker  # noqa: E402
 from gridtrack.trackers.training import cell_training  # noqa: E402
 from gridtrack.trackers.training.cell_classifier import CellClassifier  # noqa: E402
 from gridtrack.trackers.training.cell_training import CellCollector, LabelledCells, candidate_settings, train_classifier  # noqa: E402
-from gridtrack.trackers.training.labelled_scans import (  # noqa: E402
-    ClassifierSettings,
-    class_indices,
-    inverse_frequency,
-)
+from gridtrack.trackers.training.labelled_scans import ClassifierSettings, class_indices, inverse_frequency  # noqa: E402
 from tests.trackers.labelled_scenes import SIZE, Scene, accuracy, fit, lies, towers  # noqa: E402
 
 CLASSIFIER = {"channels": 16, "learning_rate": 0.01, "weight_decay": 0.001, "updates": 200}

@@ -7,13 +7,7 @@ import pytest
 
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.common.grid import GridSpec, LabelledFrame
-from gridtrack.trackers.training.labelled_scans import (
-    ENOUGH_SCANS,
-    LEAD_IN,
-    LabelSettings,
-    draw_labelled,
-    run_bounds,
-)
+from gridtrack.trackers.training.labelled_scans import ENOUGH_SCANS, LEAD_IN, LabelSettings, draw_labelled, run_bounds
 
 from scenes.frames import frame_of
 

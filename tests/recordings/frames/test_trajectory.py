@@ -15,12 +15,7 @@ from gridtrack.recordings import framed_recording, open_recording, parse_mount
 from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.frames import trajectory
 from gridtrack.recordings.frames.chains import Chain, Link
-from gridtrack.recordings.frames.trajectory import (
-    AllTransforms,
-    FramedScan,
-    NewestTransforms,
-    ScansOnChains,
-)
+from gridtrack.recordings.frames.trajectory import AllTransforms, FramedScan, NewestTransforms, ScansOnChains
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FarStamps
 

@@ -21,17 +21,7 @@ from gridtrack.trackers.recurrent.fit import settings_from_general, validation_s
 from gridtrack.trackers.recurrent.network import resolution_of, set_resolution  # noqa: E402
 from gridtrack.trackers.training.excerpts import VALIDATED_S, excerpts_of_places  # noqa: E402
 from gridtrack.trackers.training.weights import load_start, read_card  # noqa: E402
-from tests.trackers.recurrent.sources import (  # noqa: E402
-    SMALL,
-    TRACKERS,
-    Walk,
-    constant,
-    convgru,
-    fit,
-    forecast_of,
-    rnn,
-    trained,
-)
+from tests.trackers.recurrent.sources import SMALL, TRACKERS, Walk, constant, convgru, fit, forecast_of, rnn, trained  # noqa: E402
 from tests.trackers.scores import of_every_stratum  # noqa: E402
 
 BRIEF = {"observed_frames": 5, "blank_frames": 3, "repetitions": 1}

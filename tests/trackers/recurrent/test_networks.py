@@ -11,11 +11,7 @@ from gridtrack.trackers.recurrent.conv_lstm import ConvLSTM, ConvLSTMLayer, Conv
 from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN  # noqa: E402
 from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU  # noqa: E402
 from gridtrack.trackers.recurrent.fit import start_from_rate  # noqa: E402
-from gridtrack.trackers.recurrent.settings import (  # noqa: E402
-    DeepTrackingRNNSettings,
-    DilatedConvGRUSettings,
-    TrainingSettings,
-)
+from gridtrack.trackers.recurrent.settings import DeepTrackingRNNSettings, DilatedConvGRUSettings, TrainingSettings  # noqa: E402
 from tests.trackers.recurrent.sources import conv_lstm, convgru, randomised, rnn  # noqa: E402
 
 
