@@ -34,28 +34,20 @@ from gridtrack.evaluation.runs.trial_record import read_trial_record
 from gridtrack.reports.run import read_runs
 from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.selection import read_trackers_toml
-from gridtrack.trackers.training.card import Card, CardThresholds, TrainingData
+from gridtrack.trackers.training.card import CardThresholds, TrainingData
 from gridtrack.trackers.training.weights import load_weights, save_weights
 
 from scenes.drawn_samples import write_samples
+from scenes.frames import card_of
 from scenes.synthetic_run import description, identity, write_trial
 
 STEPS = 2
 
 
 def weights(folder: Path) -> None:
-    card = Card(
-        tracker="kalman",
-        site="here",
-        grid=str(GRID),
-        period_s=0.125,
-        seed=1,
-        command="gridtrack train kalman a.mcap",
-        train=(TrainingData(recording="a", sha256="0" * 64),),
-        thresholds=CardThresholds(step_s=0.125, values={"visible": (0.5, 0.4)}),
-        settings={"gate_m": 1.5},
-        world_T_grid=(0.0, 0.0),
-    )
+    train = (TrainingData(recording="a", sha256="0" * 64),)
+    thresholds = CardThresholds(step_s=0.125, values={"visible": (0.5, 0.4)})
+    card = card_of("kalman", GRID, 0.125, train=train, thresholds=thresholds, settings={"gate_m": 1.5})
     save_weights(folder / "a.toml", card, {"rate": np.zeros(GRID.shape, np.float32), "counts": np.arange(4)})
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame
@@ -33,6 +36,27 @@ def one_beam(scan: Scan, distance: float, **changes: object) -> Scan:
 
 def digests(frames: Iterable[GridFrame]) -> list[bytes]:
     return [frame_digest(frame) for frame in frames]
+
+
+def copied(path: Path, out: Path, change: Callable[[str, int, bytes], bytes], chunk_bytes: int = 1 << 20) -> Path:
+    """An MCAP file with other messages, in chunks; `change` gets the topic, the number on it, and the content."""
+    counts: Counter[str] = Counter()
+    channels: dict[int, int] = {}
+    with path.open("rb") as source, out.open("wb") as target:
+        reader, writer = make_reader(source), Writer(target, chunk_size=chunk_bytes)
+        writer.start("gridtrack")
+        for entry in reader.iter_metadata():
+            writer.add_metadata(entry.name, entry.metadata)
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if channel.id not in channels:
+                of_schema = writer.register_schema(schema.name, schema.encoding, schema.data)
+                about = (channel.topic, channel.message_encoding, of_schema, channel.metadata)
+                channels[channel.id] = writer.register_channel(*about)
+            data = change(channel.topic, counts[channel.topic], message.data)
+            writer.add_message(channels[channel.id], message.log_time, data, message.publish_time)
+            counts[channel.topic] += 1
+        writer.finish()
+    return out
 
 
 @pytest.fixture

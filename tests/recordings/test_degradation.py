@@ -115,13 +115,16 @@ def test_a_degradation_is_read_from_text_and_unknown_kinds_are_refused() -> None
 
 
 def test_a_degraded_stream_has_the_ticks_and_the_grid_of_the_original(write, scan) -> None:
-    path = write([scan(k, beams=360) for k in range(40)], grid="40x0.25", rate_hz=10.0)
+    """Of a sensor that moves: its window follows the recorded poses."""
+    path = write([scan(k, beams=360, pose=SE2(0.07 * k)) for k in range(40)], grid="40x0.25", rate_hz=10.0)
     stream = open_stream(path)
     plain = list(stream)
     lost = list(stream.degraded(degrader(Degradation(frame_drop=1.0), seed=0)))
     shaken = list(stream.degraded(degrader(Degradation(pose_jitter=0.3), seed=0)))
     assert [f.stamp_ns for f in lost] == [f.stamp_ns for f in shaken] == [f.stamp_ns for f in plain]
     assert not any(f.visible.any() or len(f.points) for f in lost)
-    assert all(f.world_T_grid == plain[0].world_T_grid for f in shaken)
+    for frame, other in zip(plain, shaken, strict=True):
+        assert other.world_T_grid == frame.world_T_grid
+        assert np.abs(other.origins - frame.origins).max() > 1e-3
     assert any((a.occupied != b.occupied).any() for a, b in zip(plain, shaken, strict=True))
     np.testing.assert_array_equal([f.occupied for f in stream], [f.occupied for f in plain])

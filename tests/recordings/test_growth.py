@@ -6,7 +6,6 @@ import contextlib
 from pathlib import Path
 
 import pytest
-from mcap.writer import Writer
 from rosbags.rosbag2 import StoragePlugin
 
 from gridtrack.common.errors import RecordingError
@@ -17,7 +16,7 @@ from gridtrack.recordings.formats import native
 from gridtrack.recordings.mcap_file import MCAP_MAGIC, McapFile
 from gridtrack.recordings.recording import NoScansError
 from gridtrack.recordings.stream import GridStream
-from tests.recordings.conftest import digests
+from tests.recordings.conftest import copied, digests
 
 from scenes import drive_bag as made
 
@@ -43,17 +42,7 @@ class Written:
 
 def in_small_chunks(path: Path, out: Path) -> Path:
     """The messages of an MCAP file in chunks of a fraction of a second, as a recorder flushes them."""
-    with out.open("wb") as file:
-        writer = Writer(file, chunk_size=4000)
-        writer.start()
-        channels: dict[str, int] = {}
-        for schema, channel, stamp_ns, data in McapFile(path).messages():
-            if channel.topic not in channels:
-                of_schema = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, of_schema)
-            writer.add_message(channels[channel.topic], stamp_ns, data, stamp_ns)
-        writer.finish()
-    return out
+    return copied(path, out, lambda topic, number, data: data, chunk_bytes=4000)
 
 
 def arriving(written: Written, first_s: float) -> tuple[GridStream, list[bytes]]:

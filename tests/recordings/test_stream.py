@@ -16,7 +16,6 @@ from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.referee.referee import refuse_moving
 from gridtrack.recordings import open_recording, packaged_recording
-from gridtrack.recordings.degradation import degrader, parse_degradation
 from gridtrack.recordings.observation import cells_in_window
 from gridtrack.recordings.stream import GridStream, frame_digest, open_stream
 from tests.recordings.conftest import digests, one_beam
@@ -134,14 +133,6 @@ def test_a_stretch_that_starts_in_a_gap_has_the_window_of_the_last_scan(write, s
     path = write(scan(k, pose=SE2(0.5 * k)) for k in range(40) if not 10 <= k < 20)
     whole = digests(open_stream(path, grid=GRID))
     assert digests(open_stream(f"{path}@1.5s-", grid=GRID)) == whole[15:]
-
-
-def test_the_window_of_degraded_scans_follows_the_recorded_poses(write, scan) -> None:
-    stream = open_stream(write(scan(k, pose=SE2(0.07 * k)) for k in range(12)), grid=GRID)
-    jittered = stream.degraded(degrader(parse_degradation("pose-jitter=0.5"), 0))
-    for frame, degraded in zip(stream, jittered, strict=True):
-        assert degraded.world_T_grid == frame.world_T_grid
-        assert np.abs(degraded.origins - frame.origins).max() > 1e-3
 
 
 def test_reference_poses_place_the_window_of_a_frame_and_change_no_frame(

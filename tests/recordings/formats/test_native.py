@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
 from mcap.reader import make_reader
-from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
@@ -21,6 +19,7 @@ from gridtrack.common.scan import PoseQuality, Scan
 from gridtrack.recordings import RecordingInfo, open_recording
 from gridtrack.recordings.file_reading import DamageError
 from gridtrack.recordings.native_messages import read_beam_times, read_pose_quality
+from tests.recordings.conftest import copied
 
 
 def test_scans_round_trip_bit_for_bit(write, scan, same_scans) -> None:
@@ -270,27 +269,13 @@ def test_a_range_beyond_float32_is_no_return(write, scan) -> None:
 
 def altered(path: Path, topic: str, number: int, values: dict[str, float]) -> Path:
     """A copy of a recording; message `number` of `topic` has these values first in its fields."""
-    changed = path.with_name("altered.mcap")
-    with path.open("rb") as source, changed.open("wb") as target:
-        reader, writer = make_reader(source), Writer(target)
-        writer.start("gridtrack")
-        for entry in reader.iter_metadata():
-            writer.add_metadata(entry.name, entry.metadata)
-        channels: dict[int, int] = {}
-        counts: Counter[str] = Counter()
-        for schema, channel, message in reader.iter_messages(log_time_order=False):
-            if channel.id not in channels:
-                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
-                channels[channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, schema_id, channel.metadata
-                )
-            data = message.data
-            if channel.topic == topic and counts[topic] == number:
-                decoded = LaserScan.FromString(data)
-                for name, value in values.items():
-                    getattr(decoded, name)[0] = value
-                data = decoded.SerializeToString()
-            counts[channel.topic] += 1
-            writer.add_message(channels[channel.id], message.log_time, data, message.publish_time)
-        writer.finish()
-    return changed
+
+    def change(own_topic: str, own_number: int, data: bytes) -> bytes:
+        if (own_topic, own_number) != (topic, number):
+            return data
+        decoded = LaserScan.FromString(data)
+        for name, value in values.items():
+            getattr(decoded, name)[0] = value
+        return bytes(decoded.SerializeToString())
+
+    return copied(path, path.with_name("altered.mcap"), change)

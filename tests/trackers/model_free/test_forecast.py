@@ -195,11 +195,3 @@ def test_walker_and_car_have_their_velocities_where_they_will_be():
             assert vx == pytest.approx(0.0, abs=0.2)
             assert nearly < vy / speed < 1.25
     assert np.isnan(flow[:, :, 0, 0]).all()
-
-
-def test_without_tracks_no_cell_has_a_velocity():
-    place = BackgroundMap(*np.zeros((2, *GRID.shape), np.float32))
-    empty = Pipeline(
-        GRID, PERIOD_S, place, np.zeros(table_shape(PERIOD_S), np.float32), PipelineSettings(), KalmanEstimator
-    )
-    assert np.isnan(flow_of(empty.tracks, 3, empty.regimes.models[0], GRID)).all()

@@ -167,14 +167,6 @@ def test_step_0_is_the_observation(tracker):
     assert np.array_equal(tracker.predict(3).occupancy[0][frame.visible], frame.occupied[frame.visible])
 
 
-def test_an_empty_stream_is_forecast_as_background(tracker):
-    nothing = np.zeros(GRID.shape, bool)
-    tracker.update(frames.frame_of(nothing, nothing))
-    occupancy = tracker.predict(2).occupancy
-    assert occupancy.shape == (3, *GRID.shape)
-    assert occupancy.max() < 2e-3
-
-
 def test_restarts_of_a_smoother_are_counted_until_the_reset(weights):
     import gtsam
 

@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("lightning")
 
 from gridtrack.common.config import validated  # noqa: E402
-from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
+from gridtrack.common.errors import WeightsError  # noqa: E402
 from gridtrack.common.grid import GridSpec  # noqa: E402
 from gridtrack.trackers.contract import StreamSpec  # noqa: E402
 from gridtrack.trackers.past_frames.network import PAST_STEPS  # noqa: E402
@@ -167,9 +167,3 @@ def test_the_number_of_samples_does_not_depend_on_the_training_but_the_shape_doe
     assert made.predict(1).futures.shape == (5, 2, 12, 12)
     with pytest.raises(WeightsError, match="trained with channels=2, not 3"):
         trained(SOGMPTracker, card, Drive(), channels=3)
-
-
-@BOTH
-def test_an_export_is_refused_in_one_line(kind, tmp_path):
-    with pytest.raises(ConfigurationError, match="has no export: networks with a latent state"):
-        tracker(kind).export(tmp_path)

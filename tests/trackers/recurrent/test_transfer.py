@@ -20,7 +20,6 @@ from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracke
 from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells, seen_cells_of  # noqa: E402
 from gridtrack.trackers.recurrent.transfer import latent_cells  # noqa: E402
 from gridtrack.trackers.training import cell_training  # noqa: E402
-from gridtrack.trackers.training.card import Card  # noqa: E402
 from gridtrack.trackers.training.cell_classifier import planes_of, scan_classifier  # noqa: E402
 from gridtrack.trackers.training.cell_training import LabelledCells, logits_of  # noqa: E402
 from gridtrack.trackers.training.labelled_scans import ClassifierSettings  # noqa: E402
@@ -28,6 +27,8 @@ from gridtrack.trackers.training.weights import Weights, load_weights, read_card
 from tests.trackers.labelled_scenes import SIZE, Scene, accuracy, fit, stands, walks  # noqa: E402
 from tests.trackers.recurrent import sources  # noqa: E402
 from tests.trackers.recurrent.sources import Walk, frame_of  # noqa: E402
+
+from scenes.frames import card_of  # noqa: E402
 
 NETWORK = {"channels": 4, "layers": 2, "updates": 1, "warm_up": 0, "validate_every": 1, "precision": "32-true"}
 DECODER = {"class_layers": 2, "class_channels": 16}
@@ -92,10 +93,8 @@ def test_adding_classes_does_not_change_the_occupancy_weights(latent, tmp_path):
     assert before.card.classes == ()
     fit(DilatedConvGRUTracker, tmp_path, (stands, walks), stage="classes", **DECODER)
     after = load_weights(stream_of(Scene(()), path), "dilated-convgru")
-    assert {name.partition(".")[0] for name in after.arrays.keys() - before.arrays.keys()} == {
-        "decode_semantics",
-        "seen_cells",
-    }
+    added = {name.partition(".")[0] for name in after.arrays.keys() - before.arrays.keys()}
+    assert added == {"decode_semantics", "seen_cells"}
     assert all(after.arrays[name].tobytes() == array.tobytes() for name, array in before.arrays.items())
     assert after.card.command == before.card.command
     assert after.card.results["classes"]["command"] == f"gridtrack train { ({'stage': 'classes'} | DECODER) }"
@@ -282,18 +281,7 @@ def test_evidence_that_says_nothing_has_no_power(seen):
 
 def weights_with(seen, **changes):
     arrays = {PREFIX + name: value.numpy() for name, value in seen.state_dict().items()} | changes
-    card = Card(
-        tracker="dilated-convgru",
-        site="toy",
-        grid=str(GRID),
-        period_s=0.1,
-        world_T_grid=(0.0, 0.0),
-        seed=0,
-        command="",
-        train=(),
-        classes=CLASSES,
-    )
-    return Weights(card, arrays)
+    return Weights(card_of("dilated-convgru", GRID, 0.1, "toy", classes=CLASSES), arrays)
 
 
 @pytest.mark.parametrize(
