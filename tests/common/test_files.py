@@ -140,7 +140,7 @@ def test_the_name_of_a_site_is_the_file_without_its_ending(file: str, name: str,
     assert name_from(tmp_path / "run.v1") == "run.v1"
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.text(max_size=60))
 def test_a_name_never_leaves_its_folder(name: str) -> None:
     if is_name(name):

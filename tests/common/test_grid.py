@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gridtrack.common.errors import ConfigurationError, RecordingError
@@ -42,7 +42,6 @@ def test_centres_are_in_row_major_order() -> None:
     np.testing.assert_allclose(centres, [[11.75, 20.25], [10.75, 21.25], [11.25, 21.25]])
 
 
-@settings(deadline=None)
 @given(st.builds(GridSpec, st.integers(1, 60), st.floats(0.01, 3.0)), st.data())
 def test_the_centre_of_a_cell_lies_in_that_cell(grid: GridSpec, data: st.DataObject) -> None:
     row, column = (data.draw(st.integers(0, grid.size - 1)) for _ in range(2))
@@ -53,7 +52,6 @@ def test_the_centre_of_a_cell_lies_in_that_cell(grid: GridSpec, data: st.DataObj
     assert cells.tolist() == [[row, column]]
 
 
-@settings(deadline=None)
 @given(grids)
 @example(GridSpec(100, 1 / 3, (1e-7, -123456.789)))
 def test_text_form_round_trips(grid: GridSpec) -> None:
@@ -98,7 +96,6 @@ def test_rolled_cells_may_be_on_any_axes_and_take_an_array() -> None:
     assert moved[2].tolist() == [[-1, -2]] * 3
 
 
-@settings(deadline=None)
 @given(st.integers(-40, 40), st.integers(-40, 40), st.integers(1, 30), st.integers(1, 30), st.integers(1, 30))
 def test_a_window_of_a_map_has_the_cells_of_the_map_inside_it(
     up: int, right: int, rows: int, columns: int, size: int

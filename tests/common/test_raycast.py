@@ -166,7 +166,7 @@ def scenes(draw: st.DrawFn) -> tuple[Scan, GridSpec, SE2]:
     return scan, GridSpec(size, cell_m), SE2(draw(place), draw(place), draw(st.floats(-3.1, 3.1)))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(scenes())
 def test_agrees_with_splitting_every_beam_at_every_grid_line(scene: tuple[Scan, GridSpec, SE2]) -> None:
     scan, grid, pose = scene
@@ -234,7 +234,7 @@ def test_a_laser_without_a_range_limit_observes_cells_to_the_edge() -> None:
     assert drawn(beam(0.0, math.inf, range_max=3.4e38), SE2(0.5, 0.5)).split()[-1] == "....."
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     ranges=st.lists(st.one_of(st.floats(0.0, 12.0, width=32), st.sampled_from([np.inf, -np.inf, np.nan])), min_size=1),
     x=st.floats(-8.0, 8.0),

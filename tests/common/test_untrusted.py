@@ -22,13 +22,13 @@ VALUES = st.recursive(
 TABLES = st.dictionaries(st.text(st.characters(exclude_categories=["Cs"]), max_size=8), VALUES, max_size=5)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(VALUES, st.booleans())
 def test_json_is_read_as_by_the_standard_library(value: object, ascii_only: bool) -> None:
     assert parse_json(json.dumps(value, ensure_ascii=ascii_only).encode("utf-8", "surrogatepass")) == value
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(TABLES)
 def test_toml_is_read_as_by_the_standard_library(tables: dict[str, object]) -> None:
     text = tomli_w.dumps(tables, multiline_strings=True)

@@ -41,14 +41,10 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example package, installed by pip into a separate folder."""
     folder = tmp_path_factory.mktemp("example")
     shutil.copytree(EXAMPLES / "example_tracker", folder / "source")
-    pip_install(folder / "source", folder / "site")
-    return folder
-
-
-def pip_install(source: Path, site: Path) -> None:
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index"]
-    options = ["--no-deps", "--no-build-isolation", "--target", str(site), str(source)]
+    options = ["--no-deps", "--no-build-isolation", "--target", str(folder / "site"), str(folder / "source")]
     subprocess.run([*command, *options], check=True)
+    return folder
 
 
 @pytest.fixture
@@ -104,18 +100,13 @@ def test_a_tracker_is_compared_in_an_environment_with_another_numpy(tmp_path: Pa
     assert run_python(python, "-c", "import numpy; print(numpy.__version__)", cwd=tmp_path).strip() == other
     module = new_tracker("my-own-2", tmp_path / "package")
     (site,) = python.parents[1].glob("lib/python*/site-packages")  # of this environment alone: it shows which one ran
-    points, files = {"my-own-2": f"my_own_2:{class_in(module)}"}, {module.name: module.read_text()}
+    (name,) = re.findall(r"^class (\w+)\(Tracker\)", module.read_text(), re.MULTILINE)
+    points, files = {"my-own-2": f"my_own_2:{name}"}, {module.name: module.read_text()}
     write_distribution(site, "my-own-2", points, files, group="gridtrack.trackers")
     (tmp_path / "trackers.toml").write_text('[elsewhere]\npython = "env/bin/python"\ntracker = "my-own-2"\n')
     arguments = ("-m", "gridtrack.cli", "compare", f"{DEMO}@114s-118s", "--trackers-toml", "trackers.toml")
     out = run_python(Path(sys.executable), *arguments, "--no-floors", "--tracker", "elsewhere", *QUICK, cwd=tmp_path)
     assert outcomes(out) == {"elsewhere": "ok"}
-
-
-def class_in(module: Path) -> str:
-    """The name of the tracker's class."""
-    (name,) = re.findall(r"^class (\w+)\(Tracker\)", module.read_text(), re.MULTILINE)
-    return str(name)
 
 
 def require_from_index(requirement: str, python: Path) -> None:

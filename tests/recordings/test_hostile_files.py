@@ -111,7 +111,7 @@ def test_a_record_that_is_too_large_is_refused_before_memory_is_allocated(whole:
     assert peak_of(refused) < 10_000_000
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_random_damage_gives_no_wrong_scan_and_only_our_errors(whole: bytes, tmp_path: Path, data) -> None:
     content = bytearray(whole)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gridtrack.common.errors import RecordingError
@@ -52,7 +52,6 @@ def test_a_scan_with_a_damaged_stamp_is_left_out(at: int, by_ns: int) -> None:
     assert "-" not in warning.rpartition("the first")[2], "the time is within the recording"
 
 
-@settings(deadline=None)
 @given(
     st.lists(
         st.one_of(st.integers(PERIOD_NS // 2, PERIOD_NS * 2), st.integers(1, 5 * 10**9)), min_size=12, max_size=60
@@ -76,7 +75,6 @@ def test_a_damaged_stamp_after_an_irregular_one_leaves_out_one_scan(at: int) -> 
     assert kept == whole[:at] + whole[at + 1 :]
 
 
-@settings(deadline=None)
 @given(
     st.lists(st.integers(PERIOD_NS // 2, PERIOD_NS * 2), min_size=2 * CONFIRMING_SCANS, max_size=40),
     st.integers(0, 39),
@@ -88,7 +86,6 @@ def test_a_gap_stays_a_gap(steps: list[int], position: int, gap_ns: int) -> None
     assert ordered(scans_at(stamps)) == (stamps, [])
 
 
-@settings(deadline=None)
 @given(st.data())
 def test_the_kept_scans_are_in_order_for_any_stamps(data: st.DataObject) -> None:
     stamp = st.one_of(st.integers(-5, 5 * 10**9), st.integers(-(10**15), 10**18))

@@ -142,7 +142,7 @@ place = st.floats(-3.0, 11.0)
 shape = st.tuples(place, place, angle, st.integers(3, 9), st.floats(0.3, 6.0), st.floats(0.3, 3.0))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(shape, min_size=1, max_size=3))
 def test_random_bodies_agree_with_the_slow_version(shapes):
     grid = GridSpec(8, 1.0, (0.0, 0.0))

@@ -27,10 +27,6 @@ def noisy(true, random):
     return np.where(clutter, random.uniform(0.0, 8.0, true.size), ranges).astype(np.float32)
 
 
-def without_errors(index):
-    return truth_scene.scan(index)
-
-
 def cast(scan, grid, pose):
     visible, occupied = np.zeros((2, *grid.shape), np.bool_)
     cast_scan(scan, grid, pose, visible, occupied)

@@ -97,9 +97,8 @@ def test_the_laser_gets_a_position_clear_of_road_users(annotations: Path) -> Non
     ],
 )
 def test_the_error_for_an_invalid_annotation_names_its_line(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(RecordingError, match=message) as error:
+    with pytest.raises(RecordingError, match=message):
         read_stanford(written(tmp_path / "a.txt", [text]), VIDEO)
-    assert "\n" not in str(error.value)
 
 
 def test_a_missing_file_is_an_error(tmp_path: Path) -> None:

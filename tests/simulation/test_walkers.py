@@ -19,7 +19,7 @@ def straight(speed: float, seconds: float = 6.0) -> tuple[np.ndarray, np.ndarray
     return np.outer(s, [np.cos(direction), np.sin(direction)]), np.full(len(s), direction)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(0.4, 2.0), st.floats(1.0, 2.1))
 def test_a_foot_on_the_ground_does_not_move_and_one_always_is(speed: float, height_m: float) -> None:
     position, heading = straight(speed)

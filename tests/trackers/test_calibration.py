@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-pytest.importorskip("filterpy")
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridSpec
 from gridtrack.recordings import packaged_recording

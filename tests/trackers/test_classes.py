@@ -6,18 +6,16 @@ from itertools import islice
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("lightning")
-
-from gridtrack.common.grid import LabelledFrame  # noqa: E402
-from gridtrack.trackers.contract import stream_of  # noqa: E402
-from gridtrack.trackers.one_shot import OneShotTracker  # noqa: E402
-from gridtrack.trackers.training import cell_training  # noqa: E402
-from gridtrack.trackers.training.cell_classifier import CellClassifier  # noqa: E402
-from gridtrack.trackers.training.cell_training import CellCollector, LabelledCells, candidate_settings, train_classifier  # noqa: E402
-from gridtrack.trackers.training.labelled_scans import ClassifierSettings, class_indices, inverse_frequency  # noqa: E402
-from tests.trackers.labelled_scenes import SIZE, Scene, accuracy, fit, lies, towers  # noqa: E402
+from gridtrack.common.grid import LabelledFrame
+from gridtrack.trackers.contract import stream_of
+from gridtrack.trackers.one_shot import OneShotTracker
+from gridtrack.trackers.training import cell_training
+from gridtrack.trackers.training.cell_classifier import CellClassifier
+from gridtrack.trackers.training.cell_training import CellCollector, LabelledCells, candidate_settings, train_classifier
+from gridtrack.trackers.training.labelled_scans import ClassifierSettings, class_indices, inverse_frequency
+from tests.trackers.labelled_scenes import SIZE, Scene, accuracy, fit, lies, towers
 
 CLASSIFIER = {"channels": 16, "learning_rate": 0.01, "weight_decay": 0.001, "updates": 200}
 

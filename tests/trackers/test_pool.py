@@ -88,7 +88,7 @@ class Level(Rates):
 '''
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def members(install: Install) -> None:
     points = {name.lower(): f"pool_members:{name}" for name in ("Rates", "Shuffled", "Level")}
     install("pool-members", points, {"pool_members.py": MEMBERS})
@@ -126,7 +126,6 @@ def log_loss(p: np.ndarray, occupied: np.ndarray) -> float:
     return float(-np.where(occupied, np.log(p), np.log1p(-p)).mean())
 
 
-@pytest.mark.usefixtures("members")
 def test_a_pool_of_one_calibrated_member_is_this_member(tmp_path: Path) -> None:
     pool = fitted(tmp_path, "rates")
     forecast = pool.predict(30).occupancy
@@ -134,7 +133,6 @@ def test_a_pool_of_one_calibrated_member_is_this_member(tmp_path: Path) -> None:
     assert forecast == pytest.approx(np.repeat(RATES[None], 31, axis=0), abs=0.03)
 
 
-@pytest.mark.usefixtures("members")
 def test_the_better_member_dominates_and_the_pool_is_no_worse_than_it(tmp_path: Path) -> None:
     lines: list[str] = []
     pool = fitted(tmp_path, "shuffled", "rates", report=lines.append)
@@ -151,7 +149,6 @@ def test_the_better_member_dominates_and_the_pool_is_no_worse_than_it(tmp_path: 
     assert [line for line in lines if line.startswith("log loss on validation, pool: ")]
 
 
-@pytest.mark.usefixtures("members")
 def test_the_card_carries_the_members_and_names_what_they_were_trained_on(tmp_path: Path) -> None:
     path = with_level(tmp_path)
     pool = fitted(tmp_path, "rates", "level")
@@ -166,7 +163,6 @@ def test_the_card_carries_the_members_and_names_what_they_were_trained_on(tmp_pa
     assert list(card.members or {}) == ["level"]
 
 
-@pytest.mark.usefixtures("members")
 def test_the_weights_of_the_site_come_before_general_ones_and_a_line_says_which(tmp_path: Path) -> None:
     lines: list[str] = []
     with_level(tmp_path)
@@ -177,13 +173,11 @@ def test_the_weights_of_the_site_come_before_general_ones_and_a_line_says_which(
     assert "member level: site weights" in lines
 
 
-@pytest.mark.usefixtures("members")
 def test_weights_of_a_member_are_missing(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"level/here.toml: missing, .* `gridtrack train level RECORDING"):
         fitted(tmp_path, "level", general=False)
 
 
-@pytest.mark.usefixtures("members")
 def test_exchanged_arrays_of_a_member_are_refused(tmp_path: Path) -> None:
     with_level(tmp_path)
     stream = fitted(tmp_path, "level").stream
@@ -195,7 +189,6 @@ def test_exchanged_arrays_of_a_member_are_refused(tmp_path: Path) -> None:
         PoolTracker(stream, PoolOptions())
 
 
-@pytest.mark.usefixtures("members")
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -239,7 +232,6 @@ def test_members_are_named_at_the_training_alone(tmp_path: Path) -> None:
         PoolTracker(pool.stream, PoolOptions(members=("blank",)))
 
 
-@pytest.mark.usefixtures("members")
 def test_the_window_moves_with_the_members_and_one_that_does_not_follow_is_named(tmp_path: Path) -> None:
     corner = np.zeros(GRID.shape, bool)
     corner[3, 5] = True
@@ -259,7 +251,6 @@ class Interrupted(Frames):
         raise KeyboardInterrupt
 
 
-@pytest.mark.usefixtures("members")
 def test_after_an_interrupt_the_places_so_far_are_kept(tmp_path: Path) -> None:
     found = task(tmp_path, "rates", general=True)
     found = replace(found, validation=[Interrupted([], GRID)])

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-pytest.importorskip("optuna")
 from gridtrack.trackers.contract import StretchScore
 from gridtrack.trackers.training.excerpts import SELECTION_STRATA, mean_of_defined, selection_scores
 from gridtrack.trackers.training.searched_fit import FEWEST_EXCERPTS, _scored, _study

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("optuna")
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridSpec, Shift
 from gridtrack.trackers.contract import FitTask, StreamSpec

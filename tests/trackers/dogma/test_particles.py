@@ -29,10 +29,6 @@ def scattered(count: int, seed: int = 0) -> Particles:
     return Particles(*places, *rng.normal(0, 1, (2, count)).astype(np.float32))
 
 
-def copied(particles: Particles) -> Particles:
-    return Particles(*(column.copy() for column in particles))
-
-
 def sorted_by_cell(particles: Particles, motion: Motion = STILL) -> tuple[Particles, np.ndarray]:
     count = particles.x.size
     cells, starts, out = np.empty(count, np.int32), np.empty(SIZE * SIZE + 2, np.int32), Particles.empty(count)
@@ -59,7 +55,7 @@ def resampled(particles: Particles, starts, persistent, born, returns=NOWHERE, w
 
 def test_without_noise_particles_move_by_their_velocity() -> None:
     before = scattered(2000)
-    after_it = copied(before)
+    after_it = Particles(*(column.copy() for column in before))
     sorted_by_cell(after_it, STILL._replace(periods=np.float32(3.0)))
     assert np.allclose(after_it.x, before.x + 3 * before.vx, atol=1e-5)
     assert np.allclose(after_it.y, before.y + 3 * before.vy, atol=1e-5)

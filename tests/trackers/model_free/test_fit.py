@@ -255,10 +255,6 @@ def test_a_life_table_of_another_period_has_the_probabilities_of_its_times():
     assert resampled(fine, 0.05, 0.1) == pytest.approx(coarse)
 
 
-def open_everywhere():
-    return lambda frame: np.ones(GRID.shape, bool)
-
-
 def test_residence_and_calibration_are_counted_in_the_world():
     """A return that stays in place in a window that moves is in place."""
     first, *_ = frames = source().frames
@@ -268,6 +264,8 @@ def test_residence_and_calibration_are_counted_in_the_world():
         frames = [
             scrolled(frame, Shift(-moves * (step // 5), moves * (step // 2)), GRID) for step, frame in enumerate(still)
         ]
-        tables.append(fit_residence([frames] * 40, open_everywhere, (6, 6), GRID.cell_m))
+        tables.append(
+            fit_residence([frames] * 40, lambda: lambda frame: np.ones(GRID.shape, bool), (6, 6), GRID.cell_m)
+        )
     assert tables[0][5, 5] > 0.9
     assert tables[1] == pytest.approx(tables[0])

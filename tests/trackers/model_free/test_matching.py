@@ -46,7 +46,7 @@ def matched(points, offsets, *starts, turns=True, unsure_m=0.4, cut=None, seen=N
     return match(outline(offsets, cut), seen, outline(points), pairs, SURFACE_M).of(0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.15, 0.15))
 def test_the_pose_of_a_corner_is_found(x, y, turn):
     found = matched(placed(L_SHAPE, (x, y, turn)), L_SHAPE)

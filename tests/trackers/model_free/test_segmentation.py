@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
@@ -33,7 +33,6 @@ def test_the_link_grows_with_range_and_the_nearer_return_decides():
     assert len(set(segment(points, np.array([2.0, 10.0]), 1.0, 0.1))) == 2
 
 
-@settings(deadline=None)
 @given(st.integers(0, 60), st.integers(0, 10_000))
 def test_clusters_are_the_connected_components_of_the_links(count, seed):
     random = np.random.default_rng(seed)

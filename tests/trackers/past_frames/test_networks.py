@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import pytest
+import torch
+from torch.nn.functional import binary_cross_entropy_with_logits
 
-torch = pytest.importorskip("torch")
-from torch.nn.functional import binary_cross_entropy_with_logits  # noqa: E402
-
-from gridtrack.common.config import validated  # noqa: E402
-from gridtrack.trackers.past_frames.network import PAST_STEPS, PastFramesTraining  # noqa: E402
-from gridtrack.trackers.past_frames.simvp import SimVP, SimVPSettings, SimVPTracker  # noqa: E402
-from gridtrack.trackers.past_frames.sogmp import SOGMP, SOGMPSettings, SOGMPTracker  # noqa: E402
-from gridtrack.trackers.recurrent.conv_lstm import ConvLSTMTracker  # noqa: E402
-from gridtrack.trackers.recurrent.fit import start_from_rate  # noqa: E402
-from gridtrack.trackers.recurrent.network import set_resolution  # noqa: E402
-from gridtrack.trackers.recurrent.sequences import SequenceDataset  # noqa: E402
-from gridtrack.trackers.recurrent.training_module import sequence_loss  # noqa: E402
-from tests.trackers.recurrent.sources import Shuttle, randomised  # noqa: E402
+from gridtrack.common.config import validated
+from gridtrack.trackers.past_frames.network import PAST_STEPS, PastFramesTraining
+from gridtrack.trackers.past_frames.simvp import SimVP, SimVPSettings, SimVPTracker
+from gridtrack.trackers.past_frames.sogmp import SOGMP, SOGMPSettings, SOGMPTracker
+from gridtrack.trackers.recurrent.conv_lstm import ConvLSTMTracker
+from gridtrack.trackers.recurrent.fit import start_from_rate
+from gridtrack.trackers.recurrent.network import set_resolution
+from gridtrack.trackers.recurrent.sequences import SequenceDataset
+from gridtrack.trackers.recurrent.training_module import sequence_loss
+from tests.trackers.recurrent.sources import Shuttle, randomised
 
 
 def simvp(size=12, **settings):

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("lightning")
-
-from gridtrack.common.config import validated  # noqa: E402
-from gridtrack.common.errors import WeightsError  # noqa: E402
-from gridtrack.common.grid import GridSpec  # noqa: E402
-from gridtrack.trackers.contract import StreamSpec  # noqa: E402
-from gridtrack.trackers.past_frames.network import PAST_STEPS  # noqa: E402
-from gridtrack.trackers.past_frames.simvp import SimVPTracker  # noqa: E402
-from gridtrack.trackers.past_frames.sogmp import SOGMPTracker  # noqa: E402
-from gridtrack.trackers.recurrent.conv_lstm import ConvLSTMTracker  # noqa: E402
-from gridtrack.trackers.training.weights import read_card  # noqa: E402
-from tests.trackers.recurrent.sources import (  # noqa: E402
+from gridtrack.common.config import validated
+from gridtrack.common.errors import WeightsError
+from gridtrack.common.grid import GridSpec
+from gridtrack.trackers.contract import StreamSpec
+from gridtrack.trackers.past_frames.network import PAST_STEPS
+from gridtrack.trackers.past_frames.simvp import SimVPTracker
+from gridtrack.trackers.past_frames.sogmp import SOGMPTracker
+from gridtrack.trackers.recurrent.conv_lstm import ConvLSTMTracker
+from gridtrack.trackers.training.weights import read_card
+from tests.trackers.recurrent.sources import (
     Drive,
     Walk,
     constant,

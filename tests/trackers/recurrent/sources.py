@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import torch
+from safetensors.numpy import load_file
 
 from gridtrack.common.config import validated
 from gridtrack.common.grid import GridSpec, LabelledFrame
@@ -23,6 +24,7 @@ from scenes import frames
 TRACKERS = [DilatedConvGRUTracker, DeepTrackingRNNTracker]
 SMALL = {DilatedConvGRUTracker: {"channels": 4, "stage": "occupancy"}, DeepTrackingRNNTracker: {"variant": "paper"}}
 """Options of tiny networks."""
+BRIEF = {"observed_frames": 5, "blank_frames": 3, "repetitions": 1}
 SHORT = {"batch": 2, "warm_up": 0, "updates": 1, "validate_every": 1, "precision": "32-true"}
 
 
@@ -151,6 +153,10 @@ def forecast_of(tracker, source, steps):
 def trained(tracker, card, source, **options):
     """The tracker with the weights of a card, for the stream of a source."""
     return tracker(stream_of(source, card), validated(tracker.Options, options, "test"))
+
+
+def arrays_of(card):
+    return load_file(card.with_suffix(".safetensors"))
 
 
 def task_for(tracker, out, train, validation=None, *, objective=constant, general=False, start=None, **options):

@@ -10,19 +10,18 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-
-from gridtrack.common.errors import ConfigurationError  # noqa: E402
-from gridtrack.trackers import one_shot  # noqa: E402
-from gridtrack.trackers.one_shot import OneShotTracker  # noqa: E402
-from gridtrack.trackers.recurrent import recurrent_tracker  # noqa: E402
-from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.inference import InferenceNetwork  # noqa: E402
-from gridtrack.trackers.recurrent.network import tensors_of  # noqa: E402
-from gridtrack.trackers.registry import registered_name  # noqa: E402
-from gridtrack.trackers.training.device import inference_device  # noqa: E402
-from tests.trackers.recurrent.sources import TRACKERS, Walk, convgru, forecast_of, rnn, trained  # noqa: E402
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.trackers import one_shot
+from gridtrack.trackers.one_shot import OneShotTracker
+from gridtrack.trackers.recurrent import recurrent_tracker
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
+from gridtrack.trackers.recurrent.inference import InferenceNetwork
+from gridtrack.trackers.recurrent.network import tensors_of
+from gridtrack.trackers.registry import registered_name
+from gridtrack.trackers.training.device import inference_device
+from tests.trackers.recurrent.sources import TRACKERS, Walk, convgru, forecast_of, rnn, trained
 
 WALK = Walk(20, 0.2, 0.2, frames=12, drift=1)
 """Two steps a frame, in a window that moves."""

@@ -6,25 +6,31 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("lightning")
-
-from safetensors.numpy import load_file  # noqa: E402
-
-from gridtrack.common.config import validated  # noqa: E402
-from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
-from gridtrack.trackers.contract import StretchScore, stream_of  # noqa: E402
-from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker  # noqa: E402
-from gridtrack.trackers.recurrent.fit import settings_from_general, validation_scores  # noqa: E402
-from gridtrack.trackers.recurrent.network import resolution_of, set_resolution  # noqa: E402
-from gridtrack.trackers.training.excerpts import VALIDATED_S, excerpts_of_places  # noqa: E402
-from gridtrack.trackers.training.weights import load_start, read_card  # noqa: E402
-from tests.trackers.recurrent.sources import SMALL, TRACKERS, Walk, constant, convgru, fit, forecast_of, rnn, trained  # noqa: E402
-from tests.trackers.scores import of_every_stratum  # noqa: E402
-
-BRIEF = {"observed_frames": 5, "blank_frames": 3, "repetitions": 1}
+from gridtrack.common.config import validated
+from gridtrack.common.errors import ConfigurationError, WeightsError
+from gridtrack.trackers.contract import StretchScore, stream_of
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
+from gridtrack.trackers.recurrent.fit import settings_from_general, validation_scores
+from gridtrack.trackers.recurrent.network import resolution_of, set_resolution
+from gridtrack.trackers.training.excerpts import VALIDATED_S, excerpts_of_places
+from gridtrack.trackers.training.weights import load_start, read_card
+from tests.trackers.recurrent.sources import (
+    BRIEF,
+    SMALL,
+    TRACKERS,
+    Walk,
+    arrays_of,
+    constant,
+    convgru,
+    fit,
+    forecast_of,
+    rnn,
+    trained,
+)
+from tests.trackers.scores import of_every_stratum
 
 
 @pytest.fixture(scope="module", params=TRACKERS)
@@ -34,13 +40,9 @@ def general(request, tmp_path_factory):
     sources = [Walk(16, 0.2, 0.125), Walk(24, 0.05, 0.05), Walk(10, 0.1, 0.2, drift=1)]
     options = {"updates": 10, "validate_every": 10, "learning_rate": 0.02, "unseen_weight": 0.1}
     lines = fit(request.param, card, sources, [Walk(9, 0.3, 0.25)], general=True, **options, **BRIEF)
-    shifts = [value for name, value in load_file(card.with_suffix(".safetensors")).items() if "shift" in name]
+    shifts = [value for name, value in arrays_of(card).items() if "shift" in name]
     assert max(np.abs(value).max() for value in shifts) > 0
     return request.param, card, lines
-
-
-def arrays_of(card):
-    return load_file(card.with_suffix(".safetensors"))
 
 
 # General weights
@@ -201,7 +203,7 @@ def test_general_weights_that_no_update_improves_are_kept(general, tmp_path, f1,
 
 def test_settings_come_from_the_general_weights_except_the_length_of_the_training(general):
     tracker, start, _ = general
-    weights = load_start(start, tracker_name(start))
+    weights = load_start(start, read_card(start).tracker)
     of_accelerator = replace(
         weights,
         card=weights.card.model_copy(update={"settings": {**weights.card.settings, "batch": 32, "burn_in": 80}}),
@@ -214,10 +216,6 @@ def test_settings_come_from_the_general_weights_except_the_length_of_the_trainin
         assert {name: settings[name] for name in shape} == {name: weights.card.settings[name] for name in shape}
     given = validated(tracker.Options, {"batch": 4, "updates": 9}, "test")
     assert settings_from_general(tracker, given, weights).batch == 4
-
-
-def tracker_name(card):
-    return read_card(card).tracker
 
 
 def test_another_shape_is_refused(general, tmp_path):

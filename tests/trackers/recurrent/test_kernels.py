@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
+from torch.nn.functional import binary_cross_entropy_with_logits, conv2d
 
-torch = pytest.importorskip("torch")
-from torch.nn.functional import binary_cross_entropy_with_logits, conv2d  # noqa: E402
-
-from gridtrack.common.errors import ConfigurationError  # noqa: E402
-from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.dilated_convgru import convgru_gates  # noqa: E402
-from gridtrack.trackers.recurrent.inference import InferenceNetwork  # noqa: E402
-from gridtrack.trackers.recurrent.kernels import convgru as convgru_kernels  # noqa: E402
-from gridtrack.trackers.recurrent.kernels import rnn as rnn_kernels  # noqa: E402
-from gridtrack.trackers.recurrent.kernels.convolutions import WinogradConvolution  # noqa: E402
-from gridtrack.trackers.recurrent.kernels.gates import fused_gates  # noqa: E402
-from gridtrack.trackers.recurrent.network import as_cells, resolution_of, set_resolution  # noqa: E402
-from gridtrack.trackers.recurrent.settings import GATES  # noqa: E402
-from tests.trackers.recurrent.sources import convgru, rnn  # noqa: E402
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
+from gridtrack.trackers.recurrent.dilated_convgru import convgru_gates
+from gridtrack.trackers.recurrent.inference import InferenceNetwork
+from gridtrack.trackers.recurrent.kernels import convgru as convgru_kernels
+from gridtrack.trackers.recurrent.kernels import rnn as rnn_kernels
+from gridtrack.trackers.recurrent.kernels.convolutions import WinogradConvolution
+from gridtrack.trackers.recurrent.kernels.gates import fused_gates
+from gridtrack.trackers.recurrent.network import as_cells, resolution_of, set_resolution
+from gridtrack.trackers.recurrent.settings import GATES
+from tests.trackers.recurrent.sources import convgru, rnn
 
 CHANNELS = 4
 GENERAL = {"resolution_input": True}

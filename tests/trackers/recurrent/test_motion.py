@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-
-from gridtrack.trackers.recurrent import motion  # noqa: E402
-from gridtrack.trackers.recurrent.motion import (  # noqa: E402
+from gridtrack.trackers.recurrent import motion
+from gridtrack.trackers.recurrent.motion import (
     LOOKBACK_STEPS,
     NEAR_CELLS,
     cells_in_sight,

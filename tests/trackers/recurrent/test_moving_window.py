@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("lightning")
-
-from gridtrack.common.geometry import SE2  # noqa: E402
-from gridtrack.common.grid import GridSpec, Shift, rolled  # noqa: E402
-from gridtrack.trackers.contract import StreamSpec  # noqa: E402
-from gridtrack.trackers.recurrent.conv_lstm import ConvLSTMTracker  # noqa: E402
-from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNTracker  # noqa: E402
-from gridtrack.trackers.recurrent.network import as_cells, as_tensor, map_state, tensors_of  # noqa: E402
-from gridtrack.trackers.recurrent.network_tracker import MOST_MISSED  # noqa: E402
-from gridtrack.trackers.recurrent.transfer import PastStates  # noqa: E402
-from tests.trackers.recurrent.sources import Drive, convgru, fit, forecast_of, frame_of, rnn, trained  # noqa: E402
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridSpec, Shift, rolled
+from gridtrack.trackers.contract import StreamSpec
+from gridtrack.trackers.recurrent.conv_lstm import ConvLSTMTracker
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN, DeepTrackingRNNTracker
+from gridtrack.trackers.recurrent.network import as_cells, as_tensor, map_state, tensors_of
+from gridtrack.trackers.recurrent.network_tracker import MOST_MISSED
+from gridtrack.trackers.recurrent.transfer import PastStates
+from tests.trackers.recurrent.sources import Drive, convgru, fit, forecast_of, frame_of, rnn, trained
 
 PERIOD_S = 0.25
 NO_MAP = {"static_gates": ()}

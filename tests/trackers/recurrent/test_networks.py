@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import pytest
+import torch
+from torch.nn.functional import conv2d
 
-torch = pytest.importorskip("torch")
-from torch.nn.functional import conv2d  # noqa: E402
-
-from gridtrack.trackers.recurrent.conv_lstm import ConvLSTM, ConvLSTMLayer, ConvLSTMSettings, LSTMState  # noqa: E402
-from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN  # noqa: E402
-from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU  # noqa: E402
-from gridtrack.trackers.recurrent.fit import start_from_rate  # noqa: E402
-from gridtrack.trackers.recurrent.settings import DeepTrackingRNNSettings, DilatedConvGRUSettings, TrainingSettings  # noqa: E402
-from tests.trackers.recurrent.sources import conv_lstm, convgru, randomised, rnn  # noqa: E402
+from gridtrack.trackers.recurrent.conv_lstm import ConvLSTM, ConvLSTMLayer, ConvLSTMSettings, LSTMState
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNN
+from gridtrack.trackers.recurrent.dilated_convgru import DilatedConvGRU
+from gridtrack.trackers.recurrent.fit import start_from_rate
+from gridtrack.trackers.recurrent.settings import DeepTrackingRNNSettings, DilatedConvGRUSettings
+from tests.trackers.recurrent.sources import conv_lstm, convgru, randomised, rnn
 
 
 def parameters(network) -> int:
@@ -131,9 +130,3 @@ def test_an_untrained_deep_tracking_rnn_remembers_cells_as_last_seen(variant):
     assert occupancy[hidden_since] > 0.5
     occupancy[hidden_since] = 0.0
     assert occupancy.max() < 0.5
-
-
-def test_the_default_sequence_is_ten_observed_and_ten_blank_frames_twice():
-    settings = TrainingSettings()
-    observed = [settings.is_observed(frame) for frame in range(settings.length)]
-    assert observed == [*[True] * 10, *[False] * 10] * 2

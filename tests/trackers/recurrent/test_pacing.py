@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-
-from gridtrack.trackers.recurrent.pacing import StepPace, paced  # noqa: E402
-from tests.trackers.recurrent.sources import TRACKERS, convgru, rnn  # noqa: E402
+from gridtrack.trackers.recurrent.pacing import StepPace, paced
+from tests.trackers.recurrent.sources import TRACKERS, convgru, rnn
 
 SIZE = 12
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-
-from gridtrack.common.errors import ConfigurationError  # noqa: E402
-from gridtrack.trackers.recurrent.network import resolution_of  # noqa: E402
-from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset, superposed  # noqa: E402
-from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
-from tests.trackers.recurrent.sources import Drive, Recording, Shuttle, Walk  # noqa: E402
+from gridtrack.common.errors import ConfigurationError
+from gridtrack.trackers.recurrent.network import resolution_of
+from gridtrack.trackers.recurrent.sequences import EpochSampler, SequenceDataset, superposed
+from gridtrack.trackers.recurrent.settings import TrainingSettings
+from tests.trackers.recurrent.sources import Drive, Recording, Shuttle, Walk
 
 
 def items(*sources, observed_frames=5, blank_frames=3, step_s=0.0, general=False, **options):
@@ -47,11 +46,6 @@ def test_the_frames_of_an_item_are_in_the_window_of_the_last_one_that_is_observe
         places = {tuple(place) for plane in occupied for place in np.argwhere(plane).tolist()}
         assert len(places) <= 1, "a post stays at its place"
     assert first_columns == ({True, False} if time_reversal else {False})
-
-
-def test_the_last_observed_frame_is_that_before_the_last_blank_ones():
-    assert TrainingSettings(observed_frames=3, blank_frames=2, repetitions=2, burn_in=4).last_observed == 11
-    assert TrainingSettings(observed_frames=3, blank_frames=0, repetitions=1).last_observed == 2
 
 
 def test_superposed_windows_are_the_frames_of_a_laser_with_the_objects_of_both():
@@ -157,14 +151,6 @@ def test_at_a_site_the_target_of_an_unseen_cell_is_its_own_rate():
     expected[0], expected[5], expected[11] = (20 * rate + 12) / 32, (20 * rate + 1) / 32, rate
     np.testing.assert_allclose(target, expected, rtol=1e-6)
     assert items(Walk(12, 0.2, 0.1), general=True, unseen_weight=0.5).unseen_target.shape == ()
-
-
-def test_every_epoch_continues_the_series_of_windows():
-    sampler = EpochSampler(3, 8)
-    sampler.set_epoch(1)
-    assert list(sampler) == [3, 4, 5]
-    sampler.set_epoch(2)
-    assert list(sampler) == [6, 7], "no more than a training has"
 
 
 def test_devices_share_each_batch():

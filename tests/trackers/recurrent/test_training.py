@@ -12,31 +12,29 @@ import warnings
 
 import numpy as np
 import pytest
+import torch
+from torch.nn.functional import binary_cross_entropy_with_logits
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("lightning")
-
-from safetensors.numpy import load_file  # noqa: E402
-from torch.nn.functional import binary_cross_entropy_with_logits  # noqa: E402
-
-from gridtrack.common.errors import ConfigurationError, WeightsError  # noqa: E402
-from gridtrack.common.geometry import SE2  # noqa: E402
-from gridtrack.trackers.recurrent import devices  # noqa: E402
-from gridtrack.trackers.recurrent import fit as fit_module  # noqa: E402
-from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker  # noqa: E402
-from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker  # noqa: E402
-from gridtrack.trackers.recurrent.devices import Devices  # noqa: E402
-from gridtrack.trackers.recurrent.kernels import convgru as convgru_kernels  # noqa: E402
-from gridtrack.trackers.recurrent.motion import near_entered_cells  # noqa: E402
-from gridtrack.trackers.recurrent.network import set_resolution  # noqa: E402
-from gridtrack.trackers.recurrent.sequences import Item, SequenceDataset  # noqa: E402
-from gridtrack.trackers.recurrent.settings import TrainingSettings  # noqa: E402
-from gridtrack.trackers.recurrent.training_module import TrainingModule, sequence_loss  # noqa: E402
-from gridtrack.trackers.training.weights import read_card  # noqa: E402
-from tests.trackers.recurrent.sources import (  # noqa: E402
+from gridtrack.common.errors import ConfigurationError, WeightsError
+from gridtrack.common.geometry import SE2
+from gridtrack.trackers.recurrent import devices
+from gridtrack.trackers.recurrent import fit as fit_module
+from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
+from gridtrack.trackers.recurrent.deep_tracking_rnn import DeepTrackingRNNTracker
+from gridtrack.trackers.recurrent.devices import Devices
+from gridtrack.trackers.recurrent.kernels import convgru as convgru_kernels
+from gridtrack.trackers.recurrent.motion import near_entered_cells
+from gridtrack.trackers.recurrent.network import set_resolution
+from gridtrack.trackers.recurrent.sequences import Item, SequenceDataset
+from gridtrack.trackers.recurrent.settings import TrainingSettings
+from gridtrack.trackers.recurrent.training_module import TrainingModule, sequence_loss
+from gridtrack.trackers.training.weights import read_card
+from tests.trackers.recurrent.sources import (
+    BRIEF,
     TRACKERS,
     Drive,
     Shuttle,
+    arrays_of,
     convgru,
     fit,
     forecast_of,
@@ -44,18 +42,13 @@ from tests.trackers.recurrent.sources import (  # noqa: E402
     task_for,
     trained,
 )
-from tests.trackers.scores import of_every_stratum  # noqa: E402
+from tests.trackers.scores import of_every_stratum
 
-BRIEF = {"observed_frames": 5, "blank_frames": 3, "repetitions": 1}
 TRAIN, VALIDATE = [Shuttle()], [Shuttle(30)]
 
 
 def card_in(folder):
     return folder / "shuttle.toml"
-
-
-def arrays_of(card):
-    return load_file(card.with_suffix(".safetensors"))
 
 
 # The loss
