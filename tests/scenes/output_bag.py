@@ -94,10 +94,8 @@ class Outputs:
             **(headed if self.ros.version == 2 else {}),
         )
 
-    def objects(
-        self, at_ms: float, *objects: Any, kind: str = "Predicted", frame: str = FRAME, delay_ms: float = DELAY_MS
-    ) -> Message:
-        name = f"autoware_perception_msgs/msg/{kind}Objects"
+    def objects(self, at_ms: float, *objects: Any, frame: str = FRAME, delay_ms: float = DELAY_MS) -> Message:
+        name = "autoware_perception_msgs/msg/PredictedObjects"
         return self.message(
             "/objects", name, at_ms, delay_ms, header=self.ros.header(at_ms, frame), objects=list(objects)
         )
@@ -109,7 +107,6 @@ class Outputs:
         *,
         existence: float = 1.0,
         paths: tuple[tuple[float, list[SE2]], ...] = (),
-        variance: float = 0.0,
         label: int = 1,
         size: tuple[float, float] = (4.0, 2.0),
         number: int = 7,
@@ -117,13 +114,9 @@ class Outputs:
         """A PredictedObject; `paths`: confidence and poses that are half a second apart."""
         make, package = self.ros.make, "autoware_perception_msgs/msg"
         linear = make("geometry_msgs/msg/Vector3", x=twist[0], y=twist[1])
-        covariance = np.zeros(36)
-        covariance[0] = covariance[7] = variance
         kinematics = make(
             f"{package}/PredictedObjectKinematics",
-            initial_pose_with_covariance=make(
-                "geometry_msgs/msg/PoseWithCovariance", pose=self.pose(pose), covariance=covariance
-            ),
+            initial_pose_with_covariance=make("geometry_msgs/msg/PoseWithCovariance", pose=self.pose(pose)),
             initial_twist_with_covariance=make(
                 "geometry_msgs/msg/TwistWithCovariance",
                 twist=make("geometry_msgs/msg/Twist", linear=linear),

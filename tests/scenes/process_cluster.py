@@ -22,10 +22,9 @@ SERVER.set_forkserver_preload(["gridtrack.evaluation.runs.jobs"])
 class ProcessCluster:
     """Each task is a process; one that a signal ended counts as lost with its machine."""
 
-    name = "processes"
+    name, capacity = "processes", 2
 
-    def __init__(self, capacity: int = 2) -> None:
-        self.capacity = capacity
+    def __init__(self) -> None:
         self.started: list[BaseProcess] = []
 
     def start(self, folders: Sequence[Path]) -> list[BaseProcess]:
