@@ -25,6 +25,7 @@ GRID, GRID_MAP = "nav_msgs/msg/OccupancyGrid", "grid_map_msgs/msg/GridMap"
 FRAME, DELAY_MS = "front_laser", 30
 """The frame of the laser, which is the world without transforms; time from a stamp to the reception of an output."""
 WALL_M = 6.0
+AUTOWARE = "autoware_perception_msgs/msg"
 
 
 def standing_scans(ros: Ros, duration_ms: int = 2000) -> Iterator[Message]:
@@ -95,9 +96,10 @@ class Outputs:
         )
 
     def objects(self, at_ms: float, *objects: Any, frame: str = FRAME, delay_ms: float = DELAY_MS) -> Message:
-        name = "autoware_perception_msgs/msg/PredictedObjects"
+        """A list of cars, all predicted or all tracked ones."""
+        kind = f"{objects[0].__msgtype__}s" if objects else f"{AUTOWARE}/PredictedObjects"
         return self.message(
-            "/objects", name, at_ms, delay_ms, header=self.ros.header(at_ms, frame), objects=list(objects)
+            "/objects", kind, at_ms, delay_ms, header=self.ros.header(at_ms, frame), objects=list(objects)
         )
 
     def car(
@@ -110,18 +112,21 @@ class Outputs:
         label: int = 1,
         size: tuple[float, float] = (4.0, 2.0),
         number: int = 7,
+        kind: str = f"{AUTOWARE}/PredictedObject",
     ) -> Any:
-        """A PredictedObject; `paths`: confidence and poses that are half a second apart."""
-        make, package = self.ros.make, "autoware_perception_msgs/msg"
+        """A PredictedObject or a TrackedObject; `paths`: confidence and poses that are half a second apart."""
+        make, package, is_predicted = self.ros.make, kind.rpartition("/")[0], kind.endswith("PredictedObject")
         linear = make("geometry_msgs/msg/Vector3", x=twist[0], y=twist[1])
-        kinematics = make(
-            f"{package}/PredictedObjectKinematics",
-            initial_pose_with_covariance=make("geometry_msgs/msg/PoseWithCovariance", pose=self.pose(pose)),
-            initial_twist_with_covariance=make(
+        motion = {
+            "pose_with_covariance": make("geometry_msgs/msg/PoseWithCovariance", pose=self.pose(pose)),
+            "twist_with_covariance": make(
                 "geometry_msgs/msg/TwistWithCovariance",
                 twist=make("geometry_msgs/msg/Twist", linear=linear),
             ),
-            predicted_paths=[
+        }
+        if is_predicted:
+            motion = {f"initial_{name}": value for name, value in motion.items()}
+            motion["predicted_paths"] = [
                 make(
                     f"{package}/PredictedPath",
                     path=[self.pose(one) for one in poses],
@@ -129,15 +134,14 @@ class Outputs:
                     confidence=confidence,
                 )
                 for confidence, poses in paths
-            ],
-        )
+            ]
         dimensions = make("geometry_msgs/msg/Vector3", x=size[0], y=size[1], z=1.5)
         return make(
-            f"{package}/PredictedObject",
+            kind,
             object_id=make("unique_identifier_msgs/msg/UUID", uuid=np.full(16, number, np.uint8)),
             existence_probability=existence,
             classification=[make(f"{package}/ObjectClassification", label=label, probability=0.9)],
-            kinematics=kinematics,
+            kinematics=make(f"{kind}Kinematics", **motion),
             shape=make(f"{package}/Shape", dimensions=dimensions),
         )
 

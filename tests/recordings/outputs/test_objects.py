@@ -61,6 +61,15 @@ def test_a_car_moves_by_its_twist_in_its_own_frame_over_the_static_map(tmp_path:
     np.testing.assert_array_equal(occupied(forecasts, 1.0), ahead | wall(bag))
 
 
+@pytest.mark.parametrize("package", ["autoware_perception_msgs", "autoware_auto_perception_msgs"])
+def test_a_tracked_car_is_read_as_a_predicted_one(tmp_path: Path, package: str) -> None:
+    out = Outputs(ROS2)
+    car = out.car(TURNED, (2.0, 0.0), kind=f"{package}/msg/TrackedObject")
+    forecasts, _ = write_outputs(write_bag(tmp_path, ROS2, out.objects(1000, car)), tmp_path / "mine.npz", **SHARP)
+    ahead = box_cells((2.1, 4.1), (1.1, 5.1), CELL_M, SIZE)
+    np.testing.assert_array_equal(occupied(forecasts, 1.0), ahead | wall(tmp_path / "bag"))
+
+
 def test_predicted_paths_have_their_probabilities(tmp_path: Path) -> None:
     out = Outputs(ROS2)
     left = [TURNED, SE2(2.1, 1.1, math.pi / 2), SE2(1.1, 1.1, math.pi / 2)]
