@@ -107,9 +107,9 @@ def test_a_folder_that_is_listed_in_part_is_an_error(store, monkeypatch):
 @pytest.mark.parametrize("announced", [3, 9])
 def test_a_file_of_another_size_than_announced_is_not_kept(store, notes, cache, monkeypatch, announced):
     path = "/bucket/weights/kalman/hall.toml"
-    told = {"name": path, "size": announced, "type": "file"}
+    described = {"name": path, "size": announced, "type": "file"}
     with monkeypatch.context() as patched:
-        patched.setattr(type(store), "info", lambda files, path: told)
+        patched.setattr(type(store), "info", lambda files, path: described)
         lists(patched, store, path, announced)
         for fetch, url in ((fetched_folder, FOLDER), (fetched_file, f"memory:/{path}")):
             with pytest.raises(StoreError, match=f"received 4 bytes instead of {announced}; try again"):

@@ -170,7 +170,7 @@ def class_layout(classes: Sequence[str], steps: int = STEPS) -> Layout:
 
 
 def add_class_sums(folder: Path, layout: Layout, found: np.ndarray, steps: int = STEPS) -> None:
-    """Add to the sums of a trial those of the classes (N, S, 1, P) of its first N forecasts."""
+    """Add sums of classes (N, S, 1, P), of the first N forecasts, to the sums of a trial."""
     kept = TrialSums(folder)
     counted = {name: kept.by_frame(name, own.steps, own.strata, own.parts).values for name, own in kept.layouts.items()}
     frames = list(zip(kept.frames.stamps_ns.tolist(), kept.frames.delivered.tolist(), strict=True))
