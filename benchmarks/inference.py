@@ -1,9 +1,9 @@
-"""Speed of the recurrent networks on one thread: our variants beside PyTorch, `torch.compile` and ONNX Runtime.
+"""Speed of the recurrent networks on one thread: our variants beside PyTorch, compiled and exported ones.
 
-`python -m benchmarks.inference [--peers] [--out FILE]` (two minutes; with `torch.compile` and ONNX Runtime five). ONNX
-Runtime is in the extra `export`. All have the same weights; that their forecasts agree is asserted. They alternate, and
-the thread's processor time is measured: other work on the machine affects the caches only. A variant that is not 1.15
-times as fast as the fastest of the others is to go. Aim: 5 ms in float32.
+`python -m benchmarks.inference [--peers] [--out FILE]` (two minutes; five with the peers `torch.compile`, ONNX Runtime,
+in the extra `export`, and OpenVINO, `pip install openvino`). All have the same weights; that their forecasts agree is
+asserted. They alternate, and the processor time of the process is measured: other work on the machine affects the
+caches only. A variant that is not 1.15 times as fast as the fastest of the others is to go. Aim: 5 ms in float32.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
@@ -50,12 +51,16 @@ def in_bfloat16(network: Any) -> Replaced:
     return Replaced(network, autocast(network.step), autocast(network.occupancy))
 
 
-def onnx_runtime(network: Any) -> Replaced:
-    """Exported to ONNX: a session each for a step with and without input and for the decoder, on one thread."""
+Runner = Callable[[dict[str, NDArray[np.float32]]], Sequence[NDArray[np.float32]]]
+"""A graph that is ready: from its inputs by name to its outputs."""
+
+
+def exported(network: Any, runner_of: Callable[[bytes], Runner]) -> Replaced:
+    """Exported to ONNX: a graph each for a step with and without input and for the decoder."""
     state = network.initial(1)
-    with_input = _session(lambda x, *h: network.step(x, h), network, (observed(0), *state))
-    without = _session(lambda *h: network.step(None, h), network, state)
-    decode = _session(network.occupancy, network, (network.features(state),))
+    with_input = _graph(lambda x, *h: network.step(x, h), network, (observed(0), *state), runner_of)
+    without = _graph(lambda *h: network.step(None, h), network, state, runner_of)
+    decode = _graph(network.occupancy, network, (network.features(state),), runner_of)
 
     def step(x: Tensor | None, state: State) -> State:
         return without(*state) if x is None else with_input(x, *state)
@@ -63,9 +68,12 @@ def onnx_runtime(network: Any) -> Replaced:
     return Replaced(network, step, lambda features: decode(features)[0])
 
 
-def _session(function: Callable[..., Any], network: nn.Module, arguments: tuple[Tensor, ...]) -> Callable[..., Any]:
-    import onnxruntime
-
+def _graph(
+    function: Callable[..., Any],
+    network: nn.Module,
+    arguments: tuple[Tensor, ...],
+    runner_of: Callable[[bytes], Runner],
+) -> Callable[..., tuple[Tensor, ...]]:
     class Exported(nn.Module):
         def __init__(self) -> None:
             super().__init__()
@@ -74,19 +82,39 @@ def _session(function: Callable[..., Any], network: nn.Module, arguments: tuple[
         def forward(self, *given: Tensor) -> Any:
             return function(*given)
 
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    names = [f"given_{n}" for n in range(len(arguments))]
+    plain = tuple(each.contiguous() for each in arguments)
     with tempfile.NamedTemporaryFile(suffix=".onnx") as file:
-        plain = tuple(each.contiguous() for each in arguments)
-        torch.onnx.export(Exported(), plain, file.name, dynamo=True, external_data=False, verbose=False)
-        session = onnxruntime.InferenceSession(file.name, options, providers=["CPUExecutionProvider"])
-    names = [each.name for each in session.get_inputs()]
+        torch.onnx.export(
+            Exported(), plain, file.name, input_names=names, dynamo=True, external_data=False, verbose=False
+        )
+        run_graph = runner_of(Path(file.name).read_bytes())
 
     def run(*given: Tensor) -> tuple[Tensor, ...]:
-        fed = dict(zip(names, (each.contiguous().numpy() for each in given), strict=True))
-        return tuple(torch.from_numpy(found) for found in session.run(None, fed))
+        found = run_graph(dict(zip(names, (each.contiguous().numpy() for each in given), strict=True)))
+        return tuple(map(torch.from_numpy, found))
 
     return run
+
+
+def onnx_runtime(graph: bytes) -> Runner:
+    """ONNX Runtime, on one thread."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    return lambda given: session.run(None, given)
+
+
+def openvino(graph: bytes) -> Runner:
+    """OpenVINO, on one thread."""
+    import openvino as ov
+
+    options = {"INFERENCE_NUM_THREADS": 1, "NUM_STREAMS": 1, "INFERENCE_PRECISION_HINT": "f32"}
+    core = ov.Core()
+    model = core.compile_model(core.read_model(graph), "CPU", options)
+    return lambda given: list(model(given).values())
 
 
 def contestants(network: Any, variants: Mapping[str, Callable[[Any], Any]], *, peers: bool) -> dict[str, Any]:
@@ -94,7 +122,9 @@ def contestants(network: Any, variants: Mapping[str, Callable[[Any], Any]], *, p
     found = {f"ours, {precision}": variant(network) for precision, variant in variants.items()}
     others = {"PyTorch, float32": network}
     if peers:
-        others |= {"torch.compile, float32": compiled(network), "ONNX Runtime, float32": onnx_runtime(network)}
+        others["torch.compile, float32"] = compiled(network)
+        others["ONNX Runtime, float32"] = exported(network, onnx_runtime)
+        others["OpenVINO, float32"] = exported(network, openvino)
     if "bfloat16" in variants:
         others["PyTorch, bfloat16"] = in_bfloat16(network)
         others |= {"torch.compile, bfloat16": in_bfloat16(compiled(network))} if peers else {}
@@ -149,9 +179,9 @@ def processor_times_ms(calls: Mapping[str, Callable[[], object]], rounds: int) -
     for _ in range(rounds):
         for name, call in calls.items():
             call()
-            begun = time.thread_time_ns()
+            begun = time.process_time_ns()
             call()
-            times[name].append(1e-6 * (time.thread_time_ns() - begun))
+            times[name].append(1e-6 * (time.process_time_ns() - begun))
     return {name: np.array(values) for name, values in times.items()}
 
 
@@ -192,7 +222,7 @@ def table_of(name: str, medians_ms: dict[str, dict[str, float]]) -> ResultTable:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = study_parser(__doc__)
     parser.add_argument("--rounds", type=int, default=40)
-    parser.add_argument("--peers", action="store_true", help="time torch.compile and ONNX Runtime too")
+    parser.add_argument("--peers", action="store_true", help="time torch.compile, ONNX Runtime and OpenVINO too")
     parser.add_argument("--out", type=Path, help="results file, such as docs/results/trackers/recurrent.json")
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)

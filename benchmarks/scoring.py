@@ -1,9 +1,7 @@
 """Speed of scoring one forecast: 21 steps of 100 x 100 cells, every stratum, histogram and losses, and its rows.
 
-`python -m benchmarks.scoring` (half a minute). Aims, on one core: 2 ms to count a forecast, and 20 x faster than
-scikit-learn's functions for the same cells (F1, average precision, Brier score, log loss and the histogram of each
-stratum and step); 5 ms for the sums over neighbourhoods without truth, 5 ms along 720 beams, and 3 ms for the paths of
-contact foresight without sampled futures.
+`python -m benchmarks.scoring` (half a minute). Aims, on one core: 2 ms to count a forecast; 5 ms for the sums over
+neighbourhoods without truth, 5 ms along 720 beams, and 3 ms for the paths of contact foresight without sampled futures.
 """
 
 from __future__ import annotations
@@ -15,8 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from sklearn.calibration import calibration_curve
-from sklearn.metrics import average_precision_score, brier_score_loss, f1_score, log_loss
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
@@ -25,11 +21,9 @@ from gridtrack.evaluation.referee.motion import parts_of
 from gridtrack.evaluation.referee.referee import ScoredForecast
 from gridtrack.evaluation.referee.strata import (
     CELL_KINDS,
-    RANGES,
     REGIONS,
     STRATA,
     STRATA_WITH_TRUTH,
-    SUMS_OF_REGIONS,
     RegionMaps,
     region_maps_of,
 )
@@ -43,7 +37,7 @@ from gridtrack.evaluation.referee.targets import (
 )
 from gridtrack.evaluation.runs.scorekeeper import Counter
 from gridtrack.evaluation.runs.sums import SumsWriter
-from gridtrack.evaluation.scores.cells import PROBABILITY_EDGES, count_cells
+from gridtrack.evaluation.scores.cells import count_cells
 from gridtrack.evaluation.scores.contact_foresight import CONTACT_FORESIGHT
 from gridtrack.evaluation.scores.definition import TrialFacts
 from gridtrack.evaluation.scores.neighbourhoods import sum_neighbourhoods
@@ -85,31 +79,11 @@ def targets(rng: np.random.Generator, truth: bool) -> list[Target]:
     return found
 
 
-def with_scikit_learn(
-    occupancy: np.ndarray, observed: Sequence[Target], region_maps: RegionMaps, ages: np.ndarray
-) -> None:
-    for step, target in enumerate(observed):
-        seen = region_maps.visible + RANGES * target.motion
-        region = np.where(target.state < HIDDEN_FREE, seen, region_maps.hidden + ages)
-        scored = target.state != NOT_SCORED
-        for stratum in region_maps.strata:
-            regions = np.flatnonzero(SUMS_OF_REGIONS[STRATA_WITH_TRUTH.index(stratum)])
-            members = scored & np.isin(region, regions)
-            truth, p = target.state[members] % 2 == 1, occupancy[step][members]
-            if truth.any() and not truth.all():
-                f1_score(truth, p >= 0.5)
-                average_precision_score(truth, p)
-                brier_score_loss(truth, p)
-                log_loss(truth, p)
-                calibration_curve(truth, p, n_bins=50)
-                np.histogram(p, PROBABILITY_EDGES)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = study_parser(__doc__)
     parser.add_argument("--runs", type=int, default=200, help="of each call, fewer of slow ones")
     runs = parser.parse_args(arguments).runs
-    fewer, few, fewest = (math.ceil(runs / share) for share in (2, 40, 80))
+    fewer, few = (math.ceil(runs / share) for share in (2, 40))
     rng = np.random.default_rng(0)
     ages = rng.integers(0, 5, (10, 10)).repeat(10, axis=0).repeat(10, axis=1).astype(np.uint8)
     forecasts = {
@@ -158,9 +132,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 writer.add(stamp_ns, "", name, own)
 
         print(f"write its rows: {median_ms(write, runs):.2f} ms")
-    ours = median_ms(lambda: count_cells(forecasts["spread thin"], observed, region_maps, ages), runs)
-    peers = median_ms(lambda: with_scikit_learn(forecasts["spread thin"], observed, region_maps, ages), fewest)
-    print(f"the same scores by scikit-learn: {peers:.0f} ms, {peers / ours:.0f} x as long")
 
 
 if __name__ == "__main__":

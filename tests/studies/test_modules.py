@@ -78,6 +78,7 @@ DRAWN = "test_comparisons.py runs it on drawn comparisons"
 LONG = {
     "benchmarks.harness": "goes through the whole demo recording three times",
     "benchmarks.recurrent": "trains on whole batches",
+    "benchmarks.side_by_side": "needs libraries that nothing else here needs",
     "studies.kept_summary": "test_results.py runs it",
     "studies.kill_points": "compares three times for one kill: half a minute",
     "studies.moving": DRAWN,
