@@ -60,8 +60,7 @@ def _run(plan: ComparisonPlan, command: Sequence[str], progress: RunObserver, en
     for kind in by_kind(plan.notices, [split.name for split in plan.splits]):
         progress.note(kind.text)
     stages = Stages(plan, folder.path, progress, engine)
-    for name, record in without_edited(plan, folder.kept_records(), progress.note).items():
-        stages.keep(name, record)
+    stages.keep(without_edited(plan, folder.kept_records(), progress.note))
     planned = stages.planned_frames()
     _remove_records(folder.path, planned)
     progress.planned(planned, stages.planned_measurements())
@@ -131,17 +130,22 @@ class Stages:
         self._shared = SharedInputs(plan.settings, progress.note, engine.scratch, max(1, engine.capacity))
         self._records: dict[str, TrialRecord] = {}
 
-    def keep(self, name: str, record: TrialRecord) -> None:
-        """Keep the record of a trial that does not run again."""
-        self._records[name] = record
-        self._progress.ended(name, record)
+    def keep(self, records: Mapping[str, TrialRecord]) -> None:
+        """Keep the records, by trial, of trials that do not run again; others share the thresholds that they chose."""
+        for name, record in records.items():
+            self._records[name] = record
+            self._progress.ended(name, record)
+        for job in self._scoring():
+            if kept := records.get(job.name):
+                self._share_thresholds(job, kept)
 
     def planned_frames(self) -> dict[str, int]:
         """The frames of every trial and oracle without a record, with a validation stretch where it is first used."""
         planned: dict[str, int] = {}
         chosen: set[str] = set()
         for job in self._unscored():
-            validation = () if job.thresholds_key in chosen else job.validation or ()
+            known = job.thresholds_key in chosen or self._shared.thresholds.known(job.thresholds_key)
+            validation = () if known else job.validation or ()
             planned[job.name] = len(job.split.test) + len(validation)
             chosen.add(job.thresholds_key)
         return planned
@@ -157,13 +161,16 @@ class Stages:
         self._execute(self._unscored())
 
     def _unscored(self) -> list[TrialJob | OracleJob]:
-        """The jobs without a record, recording after recording, so that the regions of each are found once."""
+        return [job for job in self._scoring() if job.name not in self._records]
+
+    def _scoring(self) -> list[TrialJob | OracleJob]:
+        """The jobs that score, recording after recording, so that the regions of each are found once."""
         jobs: list[TrialJob | OracleJob] = []
         for split, trials in groupby(self._plan.trials, lambda trial: trial.split):
             jobs += [TrialJob(trial, self._folder / trial.name, self._shared) for trial in trials]
             if split.test.has_truth:
                 jobs.append(OracleJob(split, self._folder / split.oracle_name, self._shared))
-        return [job for job in jobs if job.name not in self._records]
+        return jobs
 
     def measure_robustness(self) -> None:
         """Run the robustness pass of every complete trial, if it is requested and missing."""
@@ -234,9 +241,12 @@ class Stages:
             result = job.accepted(result)
         self._records[job.name] = result
         if isinstance(job, TrialJob | OracleJob):
-            if result.outcome == "ok":
-                self._shared.thresholds.learn(job.thresholds_key, result.thresholds)
+            self._share_thresholds(job, result)
             self._progress.ended(job.name, result)
+
+    def _share_thresholds(self, job: TrialJob | OracleJob, record: TrialRecord) -> None:
+        if record.outcome == "ok":
+            self._shared.thresholds.learn(job.thresholds_key, record.thresholds)
 
     @contextmanager
     def _measuring(self, trial: Trial, measurement: str) -> Iterator[None]:

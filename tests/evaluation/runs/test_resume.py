@@ -64,6 +64,18 @@ def test_a_run_is_continued_with_more_trackers_and_recordings_and_not_with_fewer
         compare(*more, recordings=both, every_s=0.2, resume=True)
 
 
+def test_a_continued_run_has_the_thresholds_that_its_kept_trials_chose(compare, record, progress, tmp_path):
+    recordings = tuple(str(record(name, 8, {}, wall_m=wall_m)) for name, wall_m in (("one", 3.0), ("two", 3.2)))
+    validation = f"{record('other', 9, {})}@0s-9s"
+    compare("persistence", recordings=recordings[:1], validation=validation)
+    continued = compare("persistence", recordings=recordings, validation=validation, resume=True)
+    assert progress.planned_frames["persistence@two"] == progress.delivered["persistence@two"] == 80
+    whole = compare("persistence", recordings=recordings, validation=validation, out=tmp_path / "whole")
+    results = [trial_of(summary, "persistence", "two") for summary in (continued, whole)]
+    assert results[0].thresholds == results[1].thresholds
+    assert results[0].strata == results[1].strata
+
+
 def test_trials_kept_from_other_versions_are_reported_in_every_further_run(compare, monkeypatch):
     def notices(versions, *trackers):
         monkeypatch.setattr(run_folder, "versions", lambda: versions)
