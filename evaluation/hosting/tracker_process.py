@@ -169,7 +169,7 @@ class TrackerProcess:
         request = Request("update", "done", arrays=messages.frame_arrays(frame), what=what)
         with self._ending_on_error():
             answer = self._wire.ask(request, self.limits.update_s)
-            self.timings.add_update(self._call(answer))
+            self.timings.updates.append(self._call(answer))
             self._recoveries[-1] = _recoveries(answer)
 
     def predict(self, steps: int) -> Forecast:
@@ -189,7 +189,7 @@ class TrackerProcess:
                     " forecast fewer classes or futures, or raise --memory"
                 )
                 raise TrialEnded("out-of-memory", f"{what}: {reason}") from error
-            self.timings.add_predict(self._call(answer))
+            self.timings.forecasts.append(self._call(answer))
             gaps = self.description.role == "recorded"
             forecast = messages.forecast_from(answer, grid, steps, classes, gaps=gaps)
             self._refuse_other_parts(forecast)

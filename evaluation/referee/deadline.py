@@ -8,7 +8,6 @@ machine. Scoring the newest delivered forecast follows Li, Wang and Ramanan, "To
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -30,8 +29,8 @@ RATES = (0.5, 1.0, 2.0, 4.0)
 class Costs:
     """Measured durations, ms: `update_ms` and `predict_ms` of the same frames, in their order, by this `clock`."""
 
-    update_ms: Sequence[float]
-    predict_ms: Sequence[float]
+    update_ms: NDArray[np.float64]
+    predict_ms: NDArray[np.float64]
     clock: Clock = "tracker"
 
     @property

@@ -148,11 +148,10 @@ class FollowedTrial(TrialRun):
     def _record(self, ending: TrialEnding, reason: str) -> TrialRecord:
         timed = self.live.timed
         ages = np.arange(len(timed.newest)) - timed.newest
-        quantiles = np.percentile(ages, (50, 95, 99), method="higher").tolist() if len(ages) else None
         followed = Followed(
             frames=len(ages),
             missed=timed.missed,
-            age_frames=quantiles and Quantiles(p50=quantiles[0], p95=quantiles[1], p99=quantiles[2]),
+            age_frames=Quantiles.of(ages) if len(ages) else None,
             forecast_steps=self._reach,
         )
         return super()._record(ending, reason).model_copy(update={"followed": followed})

@@ -154,8 +154,7 @@ class Following:
             interrupted = True
             self.abandon()
         self._join()
-        for name, record in self._records.items():
-            stages.keep(name, record)
+        stages.keep(self._records)
         if not interrupted:
             try:
                 stages.score_missing()

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Annotated, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from gridtrack.common.notices import Line
-from gridtrack.evaluation.hosting.timing import TWENTIETHS, Timings
+from gridtrack.evaluation.hosting.timing import Timings
 from gridtrack.evaluation.referee.deadline import Clock
 from gridtrack.evaluation.runs.result_files import Curves, ResultModel
 from gridtrack.recordings.degradation import Degradation
 
+TWENTIETHS = range(0, 101, 5)
+"""Percentiles in steps of a twentieth of the calls."""
 HIGHEST = 1e6
 """A rate, in Hz or as a multiple, or a strength of degradation above this is refused."""
 MOST_CONDITIONS = 20
@@ -26,6 +30,12 @@ class Quantiles(ResultModel):
     p50: float
     p95: float
     p99: float
+
+    @classmethod
+    def of(cls, values: Sequence[float] | NDArray[np.float64] | NDArray[np.int64]) -> Quantiles:
+        """Of the values, each percentile one of them; there is at least one."""
+        p50, p95, p99 = np.percentile(values, (50, 95, 99), method="higher").tolist()
+        return Quantiles(p50=p50, p95=p95, p99=p99)
 
 
 class CallTimes(Quantiles):
@@ -52,8 +62,11 @@ class RoundTrips(ResultModel):
     @classmethod
     def of(cls, timings: Timings) -> Self:
         """Of the calls so far."""
-        medians = (timings.update_round_trip.percentile(50), timings.predict_round_trip.percentile(50))
-        update_ms, predict_ms = (0.0 if math.isnan(ms) else float(f"{ms:.4g}") for ms in medians)
+        medians = (
+            float(np.median([call.round_trip_ms for call in calls])) if calls else 0.0
+            for calls in (timings.updates, timings.forecasts)
+        )
+        update_ms, predict_ms = (float(f"{ms:.4g}") for ms in medians)
         return cls(update_ms=update_ms, predict_ms=predict_ms)
 
     @property

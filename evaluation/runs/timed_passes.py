@@ -6,18 +6,18 @@ requests that it is timed.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridtrack.evaluation.hosting.timing import TWENTIETHS, Call, Timings
+from gridtrack.evaluation.hosting.timing import Call, Timings
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
-from gridtrack.evaluation.referee.deadline import RATES, Clock, Costs, DeadlineTracker, Timeline, spare_steps, timeline
+from gridtrack.evaluation.referee.deadline import RATES, Costs, DeadlineTracker, Timeline, spare_steps, timeline
 from gridtrack.evaluation.referee.referee import WARM_UP, KeptMoments
-from gridtrack.evaluation.runs.passes import AtRate, CallTimes, Deadline, Latency, Quantiles, RoundTrips
+from gridtrack.evaluation.runs.passes import TWENTIETHS, AtRate, CallTimes, Deadline, Latency, Quantiles, RoundTrips
 from gridtrack.evaluation.runs.plan import Trial
 from gridtrack.evaluation.runs.replay import replayed
 from gridtrack.evaluation.runs.result_files import Curves
@@ -34,12 +34,12 @@ def measure_latency(trial: Trial, folder: Path) -> Latency:
     steps = trial.split.steps
     with trial.tracker_process(folder / LATENCY_LOG) as process:
         calls = _timed_calls(process, trial, trial.split.schedule.scored, steps)
-    predict = _call_times(calls.forecasts_ms)
+    update, predict = map(_call_times, calls.timings.counted_ms())
     return Latency(
         clock=calls.timings.clock,
         device=process.description.device,
         round_trips=RoundTrips.of(calls.timings),
-        update=_call_times(calls.updates_ms),
+        update=update,
         predict=predict,
         predict_step=Quantiles(p50=predict.p50 / steps, p95=predict.p95 / steps, p99=predict.p99 / steps),
     )
@@ -59,10 +59,11 @@ def measure_deadline(trial: Trial, test: KeptMoments, record: TrialRecord, folde
     with trial.tracker_process(log) as process:
         calls = _timed_calls(process, trial, requested, reach)
     costs = calls.costs()
+    update_ms, predict_ms = map(_call_times, calls.timings.counted_ms())
     return Deadline(
-        update_ms=_call_times(costs.update_ms),
-        predict_ms=_call_times(calls.forecasts_ms),
-        busy_ms=_exact_quantiles(costs.busy_ms),
+        update_ms=update_ms,
+        predict_ms=predict_ms,
+        busy_ms=Quantiles.of(costs.busy_ms),
         highest_rate_hz=costs.highest_rate_hz,
         forecast_steps=reach,
         clock=costs.clock,
@@ -74,36 +75,22 @@ def measure_deadline(trial: Trial, test: KeptMoments, record: TrialRecord, folde
 
 @dataclass
 class _TimedCalls:
-    """Timed calls in their order; `newest` has for each update the index of the newest forecast."""
+    """Timed calls; `newest` has for each update the index of the newest forecast."""
 
     timings: Timings = field(default_factory=Timings)
-    updates: list[Call] = field(default_factory=list)
-    forecasts: list[Call] = field(default_factory=list)
     newest: list[int] = field(default_factory=list)
 
     def add(self, update: Call, forecast: Call | None) -> None:
         """Add the calls of a frame; the first one has a forecast."""
-        self.timings.add_update(update)
-        self.updates.append(update)
+        self.timings.updates.append(update)
         if forecast is not None:
-            self.timings.add_predict(forecast)
-            self.forecasts.append(forecast)
-        self.newest.append(len(self.forecasts) - 1)
-
-    @property
-    def updates_ms(self) -> list[float]:
-        """Durations of the updates by the clock that counts, ms."""
-        return _durations(self.updates, self.timings.clock)
-
-    @property
-    def forecasts_ms(self) -> list[float]:
-        """Durations of the forecasts by the clock that counts, ms."""
-        return _durations(self.forecasts, self.timings.clock)
+            self.timings.forecasts.append(forecast)
+        self.newest.append(len(self.timings.forecasts) - 1)
 
     def costs(self) -> Costs:
         """The durations of each update and of the newest forecast, as if every frame had a forecast."""
-        forecasts_ms = self.forecasts_ms
-        return Costs(self.updates_ms, [forecasts_ms[index] for index in self.newest], self.timings.clock)
+        updates_ms, forecasts_ms = self.timings.counted_ms()
+        return Costs(updates_ms, forecasts_ms[self.newest], self.timings.clock)
 
 
 def _timed_calls(process: TrackerProcess, trial: Trial, requested: Collection[int], steps: int) -> _TimedCalls:
@@ -130,10 +117,6 @@ def _last_call(process: TrackerProcess) -> Call:
     return process.last_call
 
 
-def _durations(calls: Sequence[Call], clock: Clock) -> list[float]:
-    return [call.own_ms if clock == "tracker" else call.round_trip_ms for call in calls]
-
-
 def _at_every_rate(
     log: Path, trial: Trial, test: KeptMoments, thresholds: ThresholdsUsed, costs: Costs, reach: int
 ) -> tuple[AtRate, ...]:
@@ -154,7 +137,7 @@ def _at_every_rate(
                 rate_hz=round(rate * 1000.0 / period_ms, 6),
                 frames=schedule.frames,
                 missed=clock.missed,
-                age_frames=_exact_quantiles(_ages(clock)),
+                age_frames=Quantiles.of(_ages(clock)),
                 scores=scores_of[key],
             )
         )
@@ -167,12 +150,6 @@ def _ages(clock: Timeline) -> NDArray[np.int64]:
     return ages
 
 
-def _call_times(ms: Sequence[float]) -> CallTimes:
-    twentieths = np.percentile(ms, TWENTIETHS, method="higher")
-    found = _exact_quantiles(np.asarray(ms))
-    return CallTimes(p50=found.p50, p95=found.p95, p99=found.p99, twentieths=tuple(map(float, twentieths)))
-
-
-def _exact_quantiles(values: NDArray[np.float64] | NDArray[np.int64]) -> Quantiles:
-    p50, p95, p99 = np.percentile(values, (50, 95, 99), method="higher")
-    return Quantiles(p50=float(p50), p95=float(p95), p99=float(p99))
+def _call_times(ms: NDArray[np.float64]) -> CallTimes:
+    twentieths = np.percentile(ms, TWENTIETHS, method="higher").tolist()
+    return CallTimes(**Quantiles.of(ms).model_dump(), twentieths=tuple(twentieths))

@@ -190,7 +190,7 @@ class TrialRun:
     def _record(self, ending: TrialEnding, reason: str) -> TrialRecord:
         chosen = self._thresholds or half(self.trial.split.steps, self.trial.split.strata)
         timings = self._process.timings
-        update, predict = timings.counted()
+        update_ms, predict_ms = timings.counted_ms()
         return unstarted(self.trial).model_copy(
             update={
                 "outcome": ending,
@@ -203,10 +203,10 @@ class TrialRun:
                 **self._reported_fields(),
                 "times": Times(
                     start_s=self._start_s,
-                    update_s=update.total_ms / 1000,
-                    predict_s=predict.total_ms / 1000,
+                    update_s=float(update_ms.sum()) / 1000,
+                    predict_s=float(predict_ms.sum()) / 1000,
                     wall_s=self._wall_s,
-                    frames=len(timings.update),
+                    frames=len(timings.updates),
                 ),
                 "round_trips": RoundTrips.of(timings),
                 "recoveries": self._process.recoveries,

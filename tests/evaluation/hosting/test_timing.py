@@ -1,30 +1,23 @@
-"""Percentiles of any number of calls, accurate to 1 %, in bounded memory."""
+"""Which clock counts for the durations of a tracker's calls."""
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
-
-from gridtrack.evaluation.hosting.timing import Latencies
+from gridtrack.evaluation.hosting.timing import Call, Timings
 
 
-@given(st.lists(st.floats(1e-3, 1e5), min_size=1, max_size=200), st.sampled_from([50, 95, 99]))
-def test_percentiles_agree_with_sorting(times: list[float], percent: int) -> None:
-    latencies = Latencies()
-    for ms in times:
-        latencies.add(ms)
-    exact = np.percentile(times, percent, method="inverted_cdf")
-    assert abs(latencies.percentile(percent) - exact) <= 0.0101 * exact
+def test_the_round_trip_counts_where_updates_or_forecasts_take_far_longer_than_reported() -> None:
+    honest, dishonest = Call(10.0, 12.0), Call(0.0, 12.0)
+    assert (
+        Timings().clock
+        == Timings([honest], []).clock
+        == Timings([dishonest, honest, honest], [honest]).clock
+        == "tracker"
+    )
+    mixed = Timings([honest, Call(11.0, 13.0)], [dishonest])
+    assert mixed.clock == "host"
+    assert [ms.tolist() for ms in mixed.counted_ms()] == [[12.0, 13.0], [12.0]]
 
 
-def test_times_beyond_the_scale_are_counted_at_its_ends() -> None:
-    latencies = Latencies()
-    assert math.isnan(latencies.percentile(50))
-    latencies.add(0.0)
-    latencies.add(1e9)
-    assert len(latencies) == 2
-    assert latencies.percentile(50) <= 1.02e-3
-    assert latencies.max_ms == 1e9
+def test_calls_that_were_not_made_have_no_duration() -> None:
+    updates_ms, forecasts_ms = Timings([Call(1.0, 2.0)], []).counted_ms()
+    assert (updates_ms.tolist(), forecasts_ms.shape) == ([1.0], (0,))

@@ -80,7 +80,7 @@ def at(stage: str) -> str:
 
 def test_a_good_tracker_is_timed_and_measured(log: Path) -> None:
     tracker = run("good", log)
-    assert len(tracker.timings.update) == len(tracker.timings.predict) == 2
+    assert len(tracker.timings.updates) == len(tracker.timings.forecasts) == 2
     call = tracker.last_call
     assert call is not None
     assert 0.0 < call.own_ms <= call.round_trip_ms
