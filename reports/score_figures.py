@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.evaluation.runs.comparisons import TESTED_STRATA
-from gridtrack.evaluation.runs.finished import FinishedTrial, RunTrials, units_of
+from gridtrack.evaluation.runs.estimates import selected
+from gridtrack.evaluation.runs.finished import FinishedTrial, RunTrials
 from gridtrack.evaluation.runs.summary import SUMMARY_FILE
 from gridtrack.evaluation.runs.sums import ScoresError, TrialSums
 from gridtrack.evaluation.scores.definition import Ratio, ScoreDefinition, Sums
@@ -88,7 +89,7 @@ class _TrialsOfRows:
     def _of_row(self, row: TableRow, table: HeadlineTable) -> _FiguresOfRow:
         """The figures of a row before any trial is added. Raises ScoresError."""
         trials = self._trials_of(row, table)
-        units = units_of(self._rule(row, trials), [self._all.frames(trial) for trial in trials])
+        units = selected(self._all, trials, self._rule(row, trials)).units
         steps = sorted({column.step for column in table.columns})
         return _FiguresOfRow([self._all.sums(trial) for trial in trials], trials, units, steps)
 

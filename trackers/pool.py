@@ -12,15 +12,13 @@ from scipy.special import expit
 
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import ConfigurationError, WeightsError
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, shift_between
+from gridtrack.common.grid import GridFrame
 from gridtrack.trackers.contract import FitTask, Forecast, FrameSource, StreamSpec, Tracker, stream_of
 from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.training.card import TrackerName, card_for
 from gridtrack.trackers.training.excerpts import SEARCHED_S, excerpts, excerpts_of_places
 from gridtrack.trackers.training.log_odds import (
     POOL_HORIZONS_S,
-    Odds,
     SampledCells,
     combined_odds,
     fit_pool,
@@ -83,7 +81,7 @@ class PoolTracker(Tracker):
         self._weights, self._offsets = array(weights, "weights", (*shape, len(names))), array(weights, "offsets", shape)
         if (self._weights < 0.0).any():
             raise WeightsError(f"{stream.weights}: a weight is negative; train again")
-        self._members = RunningMembers(started(members_in(weights, names), stream, PoolTracker), stream)
+        self._members = started(members_in(weights, names), stream, PoolTracker)
 
     @property
     def device(self) -> str:
@@ -108,7 +106,8 @@ class PoolTracker(Tracker):
         horizons_s = np.arange(steps + 1) * self.stream.period_s
         weights = np.array([np.interp(horizons_s, POOL_HORIZONS_S, one) for one in self._weights.T], np.float32)
         offsets = np.interp(horizons_s, POOL_HORIZONS_S, self._offsets).astype(np.float32)
-        combined = np.einsum("ns,nsij->sij", weights, self._members.odds(steps)) + offsets[:, None, None]
+        odds = log_odds(self._members.probabilities(steps))
+        combined = np.einsum("ns,nsij->sij", weights, odds) + offsets[:, None, None]
         return Forecast(expit(combined))
 
     @classmethod
@@ -118,37 +117,6 @@ class PoolTracker(Tracker):
         Raises ConfigurationError without members, and for a member without weights.
         """
         PoolFit(cls, task).run()
-
-
-class RunningMembers:
-    """The members of a pool on one stream."""
-
-    def __init__(self, trackers: Sequence[Tracker], stream: StreamSpec) -> None:
-        self.trackers, self.number, self._stream = trackers, len(trackers), stream
-        self._still = [registered_name(type(one)) for one in trackers if not one.moving_sensor]
-        self.reset(seed=0)
-
-    def reset(self, seed: int) -> None:
-        """Reset each member with the same seed."""
-        for tracker in self.trackers:
-            tracker.reset(seed)
-        self._window: SE2 | None = None
-
-    def update(self, frame: GridFrame) -> None:
-        """Update each member. Raises ConfigurationError if the sensor moves and a member does not follow it."""
-        shift = shift_between(self._window or frame.world_T_grid, frame.world_T_grid, self._stream.grid.cell_m)
-        if shift and self._still:
-            raise ConfigurationError(
-                f"the sensor moves, and the member {self._still[0]} does not follow it: train a pool without"
-                f" {', '.join(self._still)}"
-            )
-        self._window = frame.world_T_grid
-        for tracker in self.trackers:
-            tracker.update(frame)
-
-    def odds(self, steps: int) -> Odds:
-        """The log odds (N, steps+1, M, M) of the members' forecasts."""
-        return np.stack([log_odds(tracker.predict(steps).occupancy) for tracker in self.trackers])
 
 
 class PoolFit:
@@ -233,7 +201,7 @@ class PoolFit:
         with self._task.progress.stage(unit, len(sources)) as stage:
             for source in sources:
                 stream = stream_of(source)
-                members = RunningMembers(started(self._members, stream, PoolTracker), stream)
+                members = started(self._members, stream, PoolTracker)
                 with self._task.progress.stage("frame", len(source)) as frames:
                     parts.append(sampled_cells(members, source, most, self._draw, frames.advance))
                 stage.advance()

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridtrack.common.grid import nearest_step
 from gridtrack.common.notices import Notice
@@ -309,8 +308,3 @@ def _off_s(horizons_s: Sequence[float], described: RecordingDescription) -> floa
     """The largest distance, seconds, from one of these horizons to its step in a recording."""
     steps = steps_at(horizons_s, described)
     return max(abs(described.horizons_s[step] - h) for h, step in zip(horizons_s, steps, strict=True))
-
-
-def units_of(rule: UnitRule, frames: Sequence[ScoredFrames]) -> list[NDArray[np.int64]]:
-    """The unit of each frame (F,) of several trials."""
-    return rule.units_of([one.stamps_ns for one in frames])

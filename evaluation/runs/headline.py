@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridtrack.common.notices import Notice
-from gridtrack.evaluation.runs.finished import DETAIL_HORIZON_S, FinishedTrial, RunTrials, detail_step, units_of
+from gridtrack.evaluation.runs.estimates import Selected, selected
+from gridtrack.evaluation.runs.finished import DETAIL_HORIZON_S, FinishedTrial, RunTrials, detail_step
 from gridtrack.evaluation.scores.definition import RareEvents, ScoreDefinition
 from gridtrack.evaluation.statistics.jackknife import LEAST_UNITS
 
@@ -33,45 +34,35 @@ def leading_scores(run: RunTrials, scores: Sequence[ScoreDefinition]) -> tuple[l
         missing = _too_few(run, groups, score, score.events) if score.events else None
         too_few += [missing] if missing else []
         may_lead += [] if missing else [score]
-    tested = any(group.number >= LEAST_UNITS for group in groups)
+    tested = any(group.chosen.number >= LEAST_UNITS for group in groups)
     return sorted(may_lead, key=lambda score: score.thresholded and not tested), too_few
 
 
-@dataclass(frozen=True)
-class _Group:
-    """Recordings that trackers are compared on together: for each that has one, a trial with all scores, and its units.
+class _Group(NamedTuple):
+    """Recordings that trackers are compared on together: for each that has one, a trial with all scores.
 
-    `units` (F,) of the frames of each of `trials`: events and units are the same for all rows.
+    `chosen` has the units of their frames: events and units are the same for all rows. `name`: the first recording.
     """
 
     name: str
-    trials: Sequence[FinishedTrial]
-    units: Sequence[NDArray[np.int64]]
+    chosen: Selected
 
     @classmethod
     def of(cls, run: RunTrials, names: Sequence[str]) -> _Group:
-        """The group of these recordings; `name` is the first one. Raises ScoresError."""
+        """The group of these recordings. Raises ScoresError."""
         complete = [[trial for trial in run.on(name) if trial.complete] for name in names]
         trials = [found[0] for found in complete if found]
         rule = run.unit_rule([trial.record.recording for trial in trials], names)
-        return cls(names[0], trials, units_of(rule, [run.frames(trial) for trial in trials]))
-
-    @property
-    def number(self) -> int:
-        """The number of units."""
-        return len({unit for own in self.units for unit in own.tolist()})
-
-    def number_with(self, chosen: Sequence[NDArray[np.bool_]]) -> int:
-        """The number of units with a `chosen` frame (F,)."""
-        return len({unit for own, kept in zip(self.units, chosen, strict=True) for unit in own[kept].tolist()})
+        return cls(names[0], selected(run, trials, rule))
 
 
 def _too_few(run: RunTrials, groups: Sequence[_Group], score: ScoreDefinition, events: RareEvents) -> Notice | None:
     """A notice of the first group of recordings that has too few events; None if all have enough."""
     for group in groups:
-        found = [_events_of(run, trial, score, events) for trial in group.trials]
+        found = [_events_of(run, trial, score, events) for trial in group.chosen.trials]
         forecasts = sum(_apart(stamps_ns[has_event], DETAIL_HORIZON_S) for stamps_ns, has_event in found)
-        units = group.number_with([has_event for _, has_event in found])
+        with_event = (own[has_event] for own, (_, has_event) in zip(group.chosen.units, found, strict=True))
+        units = len({unit for own in with_event for unit in own.tolist()})
         if units < LEAST_UNITS and forecasts < ENOUGH_FORECASTS:
             text = (
                 f"too few {events.name}: {forecasts} separate forecasts and {units} units have any, and"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
 from pydantic import Field
 
@@ -13,8 +13,9 @@ from gridtrack.common.notices import Line
 from gridtrack.evaluation.hosting.outcome import Outcome
 from gridtrack.evaluation.runs.passes import Deadline, Followed, Latency, Robustness, RoundTrips
 from gridtrack.evaluation.runs.result_files import ResultModel, RunError, read_model, write_model
+from gridtrack.evaluation.runs.run_record import RunSettings
+from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.scores.thresholds import Thresholds
-from gridtrack.recordings.degradation import Degradation
 from gridtrack.trackers.contract import ComparedPart, Role
 
 TRIAL_SCHEMA: Final = 3
@@ -167,23 +168,7 @@ def read_trial_record(folder: Path) -> TrialRecord | None:
         return None
 
 
-class RequestedMeasurements(Protocol):
-    """The options `--latency`, `--deadline` and `--degrade` of `compare`."""
-
-    @property
-    def latency(self) -> bool:
-        """Whether to time each tracker alone."""
-
-    @property
-    def deadline(self) -> bool:
-        """Whether to score each tracker on a simulated clock."""
-
-    @property
-    def degrade(self) -> Degradation | None:
-        """The degradation of a second, degraded input; None: no such input."""
-
-
-def missing_measurements(requested: RequestedMeasurements, record: TrialRecord) -> Iterator[str]:
+def missing_measurements(requested: CompareSettings | RunSettings, record: TrialRecord) -> Iterator[str]:
     """A line for each requested measurement that is missing in the record of a complete trial of a live tracker."""
     if record.role == "recorded":
         return

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,11 @@ from scipy.optimize import minimize
 from scipy.special import expit, log_expit
 
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, Mask, nearest_step
+from gridtrack.common.grid import Mask, nearest_step
 from gridtrack.trackers.contract import FrameSource
 from gridtrack.trackers.site_map import marks_in_window
 from gridtrack.trackers.stationary import LEARN_AFTER, LEARN_EVERY_S
+from gridtrack.trackers.training.members import RunningMembers
 
 POOL_HORIZONS_S = np.array([0.1, 0.25, 0.5, 1.0, 1.5, 2.0, 2.5])
 """Horizons of the weights; between them they are interpolated, and outside of them they stay."""
@@ -75,22 +76,6 @@ def log_odds(probabilities: NDArray[np.floating]) -> Odds:
     return np.asarray(np.log(p) - np.log1p(-p), np.float32)
 
 
-class CombinedForecasts(Protocol):
-    """Several trackers that follow one stream, their `number`."""
-
-    number: int
-
-    def reset(self, seed: int) -> None:
-        """Reset each of them."""
-
-    def update(self, frame: GridFrame) -> None:
-        """Update each of them."""
-
-    def odds(self, steps: int) -> Odds:
-        """The log odds (N, steps+1, M, M) of each of the N trackers."""
-        ...
-
-
 def most_per_kind(sources: Sequence[FrameSource]) -> int:
     """How many cells of each kind to sample at each horizon of a forecast, so that MOST_SAMPLED are not exceeded."""
     forecasts = sum(len(source) // _frames_between(source) for source in sources)
@@ -103,24 +88,24 @@ def _frames_between(source: FrameSource) -> int:
 
 
 def sampled_cells(
-    combined: CombinedForecasts,
+    members: RunningMembers,
     source: FrameSource,
     most: int,
     draw: np.random.Generator,
     advance: Callable[[], None] = lambda: None,
 ) -> SampledCells:
-    """Cells of the forecasts of the `combined` trackers on one source, about `most` of each kind; maybe none.
+    """Cells of the forecasts of the `members` on one source, about `most` of each kind; maybe none.
 
     A horizon that is nearer to the present than to the first step is left out. `advance` is called after each frame.
     """
     steps = [nearest_step(horizon_s, source.period_s) for horizon_s in POOL_HORIZONS_S]
-    parts = [SampledCells.empty(combined.number)]
+    parts = [SampledCells.empty(members.number)]
     pending: deque[_Made] = deque()
-    combined.reset(seed=0)
+    members.reset(seed=0)
     for index, frame in enumerate(source):
-        combined.update(frame)
+        members.update(frame)
         if index >= LEARN_AFTER and index % _frames_between(source) == 0:
-            made = combined.odds(max(steps))[:, steps]
+            made = log_odds(members.probabilities(max(steps))[:, steps])
             pending.append(_Made(index, frame.world_T_grid, made))
         while pending and pending[0].number + max(steps) < index:
             pending.popleft()

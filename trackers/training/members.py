@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from gridtrack.common.config import validated
 from gridtrack.common.errors import ConfigurationError, WeightsError
 from gridtrack.common.files import sha256_of
+from gridtrack.common.geometry import SE2
+from gridtrack.common.grid import GridFrame, shift_between
 from gridtrack.trackers import registry
 from gridtrack.trackers.contract import StreamSpec, Tracker
 from gridtrack.trackers.training.card import GENERAL, Card
@@ -93,14 +95,45 @@ def members_in(weights: Weights, names: Sequence[str]) -> list[Member]:
     return [Member(name, cards.get(name), b"" if (file := files[name]) is None else file.tobytes()) for name in names]
 
 
-def started(members: Iterable[Member], stream: StreamSpec, combining: type[Tracker]) -> tuple[Tracker, ...]:
+class RunningMembers:
+    """Members on one stream, their `number`."""
+
+    def __init__(self, trackers: Sequence[Tracker], stream: StreamSpec) -> None:
+        self.trackers, self.number, self._stream = trackers, len(trackers), stream
+        self._still = [registry.registered_name(type(one)) for one in trackers if not one.moving_sensor]
+        self.reset(seed=0)
+
+    def reset(self, seed: int) -> None:
+        """Reset each member with the same seed."""
+        for tracker in self.trackers:
+            tracker.reset(seed)
+        self._window: SE2 | None = None
+
+    def update(self, frame: GridFrame) -> None:
+        """Update each member. Raises ConfigurationError if the sensor moves and a member does not follow it."""
+        shift = shift_between(self._window or frame.world_T_grid, frame.world_T_grid, self._stream.grid.cell_m)
+        if shift and self._still:
+            raise ConfigurationError(
+                f"the sensor moves, and the member {self._still[0]} does not follow it: train a pool without"
+                f" {', '.join(self._still)}"
+            )
+        self._window = frame.world_T_grid
+        for tracker in self.trackers:
+            tracker.update(frame)
+
+    def probabilities(self, steps: int) -> NDArray[np.float32]:
+        """P(occupied) (N, steps+1, M, M) by each of the N members."""
+        return np.stack([tracker.predict(steps).occupancy for tracker in self.trackers])
+
+
+def started(members: Iterable[Member], stream: StreamSpec, combining: type[Tracker]) -> RunningMembers:
     """The members on `stream`, with their default options, for a tracker of the class `combining`.
 
     Their weights lie in a temporary folder until all of them are made. Raises PluginError, WeightsError and
     ConfigurationError, which name the member.
     """
     with TemporaryDirectory(prefix="gridtrack-members-") as folder:
-        return tuple(_started(member, stream, combining, Path(folder)) for member in members)
+        return RunningMembers([_started(member, stream, combining, Path(folder)) for member in members], stream)
 
 
 def _started(member: Member, stream: StreamSpec, combining: type[Tracker], folder: Path) -> Tracker:
