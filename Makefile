@@ -87,7 +87,7 @@ results: $(VENV)/.installed-dev ## compare every tracker at the junction and in 
 	rm -rf runs/results runs/hall
 	$(COMPARE) $(HALL) $(call chosen,$(HALL_TRACKERS)) $(call new,$(HALL_TRACKERS)) --every 0.5s --latency --out runs/hall
 	$(BIN)/python -m studies.kept_summary runs/hall leg_tracker
-	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS) deep-tracking-rnn conv-lstm simvp pool) $(trainings) --reference dilated-convgru --out runs/results
+	$(COMPARE) $(JUNCTION) $(call chosen,$(JUNCTION_TRACKERS) deep-tracking-rnn conv-lstm simvp pool static-map:card=general site-map=static-map) $(trainings) --reference dilated-convgru --out runs/results
 	$(BIN)/python -m studies.kept_summary runs/results junction
 	$(BIN)/python -m studies.static_memory
 
