@@ -1,6 +1,7 @@
 """All benchmarks that run with the packages of `make test`, one after the other (half an hour).
 
-`python -m benchmarks`. The first lines of the others, `scale` and `stone_soup`, name their requirements.
+`python -m benchmarks`. The first lines of the others, `scale`, `side_by_side` and `stone_soup`, name their
+requirements.
 """
 
 from __future__ import annotations

@@ -17,12 +17,11 @@ import matplotlib
 import numpy as np
 import torch
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from sklearn.calibration import calibration_curve
 from sklearn.metrics import average_precision_score, brier_score_loss, f1_score, log_loss
 
-from gridtrack.evaluation.referee.strata import RANGES, STRATA, STRATA_WITH_TRUTH, SUMS_OF_REGIONS, RegionMaps
-from gridtrack.evaluation.referee.targets import HIDDEN_FREE, NOT_SCORED, SEEN_FREE, SEEN_OCCUPIED, Target
+from gridtrack.evaluation.referee.strata import STRATA, RegionMaps
+from gridtrack.evaluation.referee.targets import Target, cell_regions, members
 from gridtrack.evaluation.scores.cells import PROBABILITY_EDGES, count_cells
 from gridtrack.evaluation.scores.neighbourhoods import SCALES, sum_neighbourhoods
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
@@ -73,14 +72,12 @@ def cell_times() -> Times:
 def with_scikit_learn(
     occupancy: np.ndarray, observed: Sequence[Target], region_maps: RegionMaps, ages: np.ndarray
 ) -> None:
-    for step, target in enumerate(observed):
-        seen = region_maps.visible + RANGES * target.motion
-        region = np.where(target.state < HIDDEN_FREE, seen, region_maps.hidden + ages)
-        scored = target.state != NOT_SCORED
-        for stratum in region_maps.strata:
-            regions = np.flatnonzero(SUMS_OF_REGIONS[STRATA_WITH_TRUTH.index(stratum)])
-            members = scored & np.isin(region, regions)
-            truth, p = target.state[members] % 2 == 1, occupancy[step][members]
+    member_of = members(region_maps.strata)
+    for p_of_step, target in zip(occupancy, observed, strict=True):
+        regions = cell_regions(target, region_maps, ages)
+        for of_stratum in member_of:
+            counted = of_stratum[regions]
+            truth, p = target.state[counted] % 2 == 1, p_of_step[counted]
             if truth.any() and not truth.all():
                 f1_score(truth, p >= 0.5)
                 average_precision_score(truth, p)
@@ -101,8 +98,10 @@ def neighbourhood_times() -> Times:
     inside = np.zeros((size, size), bool)
     inside[EMPTY_CELLS:-EMPTY_CELLS, EMPTY_CELLS:-EMPTY_CELLS] = True
     forecast, observed = (inside & (rng.random((steps, size, size)) < 0.05) for _ in range(2))
-    occupancy, targets = forecast.astype(np.float32), [_all_visible(occupied) for occupied in observed]
-    region_maps = replace(scoring.street(STRATA), strata=("visible",))
+    occupancy = forecast.astype(np.float32)
+    seen = replace(scoring.targets(rng, False)[0].frame, visible=np.ones((size, size), bool))
+    targets = [Target.of_frame(replace(seen, occupied=occupied)) for occupied in observed]
+    region_maps = scoring.street(("visible",))
     ages = np.zeros((size, size), np.uint8)
 
     def ours() -> list[float]:
@@ -131,11 +130,6 @@ def neighbourhood_times() -> Times:
     for name, call in calls.items():
         np.testing.assert_allclose(call(), ours(), atol=1e-5, err_msg=name)
     return medians_of(calls, ROUNDS)
-
-
-def _all_visible(occupied: NDArray[np.bool_]) -> Target:
-    state = np.where(occupied, SEEN_OCCUPIED, SEEN_FREE).astype(np.uint8)
-    return replace(scoring.targets(np.random.default_rng(0), False)[0], state=state, motion=np.zeros_like(state))
 
 
 def medians_of(calls: Mapping[str, Callable[[], object]], rounds: int) -> Times:

@@ -99,7 +99,7 @@ def sampled_cells(
     A horizon that is nearer to the present than to the first step is left out. `advance` is called after each frame.
     """
     steps = [nearest_step(horizon_s, source.period_s) for horizon_s in POOL_HORIZONS_S]
-    parts = [SampledCells.empty(members.number)]
+    parts = [SampledCells.empty(len(members.trackers))]
     pending: deque[_Made] = deque()
     members.reset(seed=0)
     for index, frame in enumerate(source):

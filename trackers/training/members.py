@@ -96,10 +96,10 @@ def members_in(weights: Weights, names: Sequence[str]) -> list[Member]:
 
 
 class RunningMembers:
-    """Members on one stream, their `number`."""
+    """Members on one stream."""
 
     def __init__(self, trackers: Sequence[Tracker], stream: StreamSpec) -> None:
-        self.trackers, self.number, self._stream = trackers, len(trackers), stream
+        self.trackers, self._stream = trackers, stream
         self._still = [registry.registered_name(type(one)) for one in trackers if not one.moving_sensor]
         self.reset(seed=0)
 
