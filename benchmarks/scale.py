@@ -226,7 +226,8 @@ def estimate(costs: Sequence[Cost]) -> ResultTable | None:
     trial_s, host_s = _per_trial(slurm, "processor_s"), _per_trial(slurm, "host_s")
     rows = [
         ["trials", f"{PLAN_RECORDINGS:,} x {PLAN_TRACKERS}", f"{trials:,}"],
-        ["nodes, slurm", f"{trials:,} x {trial_s:.2f} s / {cores} cores", f"{trials * trial_s / cores / 3600:.1f} h"],
+        ["core hours of the nodes, slurm", f"{trials:,} x {trial_s:.2f} s", f"{trials * trial_s / 3600:.1f} h"],
+        ["time of the nodes, slurm", f"the same / {cores} cores", f"{trials * trial_s / cores / 60:.1f} min"],
         ["the comparison's process, slurm", f"{trials:,} x {host_s:.2f} s", f"{trials * host_s / 3600:.1f} h"],
     ]
     for name, field, unit, scale, shown in (
