@@ -3,10 +3,11 @@
 `python -m studies.worlds_results` compares every tracker with general weights on the worlds of data/worlds/test, and
 writes the numbers and the chart of docs/results/worlds. The worlds whose poses come from the wheels of a robot are
 compared once more with refined poses (`recording import --ego-motion refined`, which knows the scans and the odometry
-alone), and the networks with the weights of an equal budget (studies/recipes/equal-budget). Forecasts are always scored
-by the true poses, at the thresholds of the cards, which were chosen on the validation worlds. An interrupted comparison
-resumes with the same rows; `--out` takes another folder for others. On one idle core a network needs a minute per
-world, the pipeline half of that, the floors seconds.
+alone), the networks with the weights of an equal budget (studies/recipes/equal-budget), and sogmp with the others on
+fewer forecasts, since each of its own takes seconds. Forecasts are always scored by the true poses, at the thresholds
+of the cards, which were chosen on the validation worlds. An interrupted comparison resumes with the same rows; `--out`
+takes another folder for others. On one idle core a network needs a minute per world, sogmp two, the pipeline half, the
+floors seconds.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from studies.support.unseen_places import (
     PlaceScores,
     compare_places,
     compare_rows,
+    general_rows,
     not_measured,
     place_parser,
     point_text,
@@ -51,6 +53,8 @@ NETWORKS = (*FAMILIES["networks of 2016"], *FAMILIES["learned peers"])
 FLOOR = "stationary"
 EQUAL_BUDGET = Path("studies/trainings/equal-budget")
 """The weights that had the same hour of a core."""
+QUARTER, QUARTER_EVERY = Path("studies/trainings/quarter"), "4s"
+"""The weights of sogmp, and the time between two of its forecasts."""
 CONTENDER_SCORES = {
     "contacts": CONTACTS,
     "F1": "f1",
@@ -110,6 +114,21 @@ def network_section(scores: PlaceScores) -> ResultSection:
         "pairs": scores.pair_table(CONTACTS_FORESEEN, "dynamic", CONTACTS, NETWORKS),
     }
     return ResultSection(command=COMMAND, tables=tables)
+
+
+def futures_section(scores: PlaceScores) -> ResultSection:
+    """The rows of the comparison with sogmp: scores of forecasts, and those that only sampled futures have."""
+    columns = [
+        *((f"contacts, {h:g} s", "dynamic", CONTACTS, h) for h in AIM_HORIZONS_S),
+        ("PR-AUC in motion, 1 s", "in-motion", "pr_auc", 1.0),
+        ("log loss, 1 s", "visible", "log_loss", 1.0),
+        ("log loss of contacts, from futures, 1 s", "dynamic", f"{CONTACTS}.sampled_log_loss", 1.0),
+        ("energy score, 1 s", "visible", "energy", 1.0),
+        ("spread of futures, 1 s", "visible", "energy.spread", 1.0),
+    ]
+    pairs = scores.pair_table(CONTACTS_FORESEEN, "dynamic", CONTACTS, (FLOOR, *NETWORKS))
+    values = {"forecasts": str(sum(scores.forecasts.values()))}
+    return ResultSection(command=COMMAND, tables={"scores": scores.table("", columns), "pairs": pairs}, values=values)
 
 
 def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
@@ -195,12 +214,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if len(drivers) >= FEWEST_POOLED:
         refined = {name: refined_world(path, given.out / "refined-recordings") for name, path in drivers.items()}
         folders["refined"] = list(refined.values())
-    budget_rows = rows_of(EQUAL_BUDGET)
+    budget_rows, slow_rows = rows_of(EQUAL_BUDGET), rows_of(QUARTER)
     if not given.collect:
         for name, recordings in folders.items():
             compare_places(given, recordings, given.out / name)
         if budget_rows:
             compare_rows(given, list(worlds.values()), list(budget_rows.values()), given.out / EQUAL_BUDGET.name)
+        if slow_rows:
+            beside = [row for name, row in general_rows(given.weights).items() if name in (REFERENCE, FLOOR, *NETWORKS)]
+            rows = [*beside, *slow_rows.values()]
+            compare_rows(given, list(worlds.values()), rows, given.out / QUARTER.name, every=QUARTER_EVERY)
     scores = {name: PlaceScores.read(given.out / name) for name in folders}
     sections = sections_of(scores["recorded"])
     if budget_rows:
@@ -208,6 +231,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sections[EQUAL_BUDGET.name] = network_section(
             scores["recorded"].with_rows(equal).of_rows((REFERENCE, FLOOR, *NETWORKS))
         )
+    if slow_rows:
+        sections["sampled futures"] = futures_section(PlaceScores.read(given.out / QUARTER.name))
     if refined:
         sections["poses"] = poses_section(scores["recorded"], scores["refined"], lasers)
     write_places(given.results, sections)

@@ -302,9 +302,11 @@ def compare_places(given: argparse.Namespace, recordings: Sequence[Path], out: P
     compare_rows(given, recordings, [rows[label] for label in given.tracker or rows], out)
 
 
-def compare_rows(given: argparse.Namespace, recordings: Sequence[Path], rows: Sequence[str], out: Path) -> None:
-    """Compare `rows`, values of `--tracker`, as `compare_places`."""
-    compare(recordings, None, rows, out, "--every", given.every, "--jobs", given.jobs, "--resume")
+def compare_rows(
+    given: argparse.Namespace, recordings: Sequence[Path], rows: Sequence[str], out: Path, *, every: str | None = None
+) -> None:
+    """Compare `rows`, values of `--tracker`, as `compare_places`; `every` replaces the time between two forecasts."""
+    compare(recordings, None, rows, out, "--every", every or given.every, "--jobs", given.jobs, "--resume")
 
 
 def write_places(results: Path, sections: Mapping[str, ResultSection]) -> None:
