@@ -16,14 +16,11 @@ from multiprocessing.connection import Connection
 
 import psutil
 
-from gridtrack.evaluation.runs.learned import find_weights
-from gridtrack.recordings.stream import GridStream, open_stream
-from gridtrack.trackers import registry
-from gridtrack.trackers.contract import Tracker, stream_of
+from gridtrack.recordings.stream import open_stream
 
 from benchmarks.timing import p50_p95
 from studies.support.results_file import ResultTable, measured_table, study_parser, write_table
-from studies.support.shipped import JUNCTION, STEPS
+from studies.support.shipped import JUNCTION, STEPS, shipped_tracker
 
 PART_MINUTES, FORECAST_EVERY = 10, 16
 MINUTES = {
@@ -48,20 +45,11 @@ class Part:
     recoveries: int
 
 
-def tracker_on(name: str, stream: GridStream) -> Tracker:
-    """The tracker with its weights for the site."""
-    found = find_weights(name, stream.site, None)
-    kind = registry.load(name)
-    tracker = kind(stream_of(stream, found.path if found else None), kind.Options())
-    tracker.reset(0)
-    return tracker
-
-
 def stream_frames(name: str, minutes: int, parts: Connection) -> None:
     """Stream these minutes and send each Part."""
     stream = open_stream(JUNCTION / "test-101.tracks")
     frames = list(stream)
-    tracker, process = tracker_on(name, stream), psutil.Process()
+    tracker, process = shipped_tracker(name, stream), psutil.Process()
     for first in range(0, minutes, PART_MINUTES):
         updates, forecasts = [], []
         repeats = min(PART_MINUTES, minutes - first)

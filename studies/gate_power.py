@@ -224,21 +224,17 @@ def share_for(f1: float) -> float:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = study_parser(__doc__, "docs/results/regression.json")
     parser.add_argument("--comparisons", type=int, default=200, help="simulated comparisons of each case")
-    parser.add_argument("--only-stated", action="store_true", help="only the smallest falls that comparisons state")
     parser.add_argument("--only-confirmed", action="store_true", help="only the effect of a second run")
     given = parser.parse_args(arguments)
-    if not given.only_stated:
-        columns = ("case", "worse at first, %", "worse again, %")
-        table = measured_table(columns, list(confirmations(given.comparisons)))
-        print(table.markdown(), flush=True)
-        write_table(given.out, "second run", table, COMMAND)
+    columns = ("case", "worse at first, %", "worse again, %")
+    table = measured_table(columns, list(confirmations(given.comparisons)))
+    print(table.markdown(), flush=True)
+    write_table(given.out, "second run", table, COMMAND)
     if given.only_confirmed:
         return
     table = measured_table(("fall", "found, %"), list(stated_falls(SEEDS, given.comparisons)))
     print(table.markdown(), flush=True)
     write_table(given.out, "stated fall", table, COMMAND)
-    if given.only_stated:
-        return
     tables: dict[str, list[list[str]]] = {}
     for title, name, runs, fall in cases():
         row = [name, *judged(runs, fall, given.comparisons).cells()]

@@ -30,7 +30,6 @@ from studies.support.results_file import ResultSection, ResultTable, measured_ta
 from studies.support.unseen_places import (
     CONTACTS,
     CONTACTS_FORESEEN,
-    SKILL,
     STRATA,
     PlaceScores,
     compare_places,
@@ -176,7 +175,6 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
         "PR-AUC by recording": by_recording(scores, "PR-AUC in motion", "in-motion", "pr_auc"),
         "pooled": scores.table("together", pooled),
         "visible": scores.over_horizons("F1, visible", "visible", "f1"),
-        SKILL: scores.skill_table(),
         "recordings": contents(scores),
     }
     measured = [one.name for one in REAL if one.name in scores.described]
@@ -199,7 +197,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         recordings = [one for one in REAL if given.recording is None or one.name in given.recording]
         folder = given.out.with_name(f"{given.out.name}-recordings")
         compare_places(given, imported(recordings, given.data, folder), given.out)
-    write_places(given.results, sections_of(PlaceScores.read(given.out)))
+    scores = PlaceScores.read(given.out)
+    write_places(given.results, sections_of(scores), scores)
 
 
 if __name__ == "__main__":

@@ -9,11 +9,10 @@ laser's own returns in place of the centres of cells.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from gridtrack.evaluation.runs.recipe import read_recipe
-from gridtrack.trackers.training.weights import read_card
 
 from studies.kept_summary import SHOWN, RunScores
 from studies.support.comparison import compare_at_junction, train
@@ -48,17 +47,14 @@ def trained() -> Mapping[str, Path]:
     return cards
 
 
-def ablations_section(scores: RunScores, cards: Mapping[str, Path]) -> ResultSection:
-    """F1 of the networks, their differences from the whole one, and each of these numbers by its row and column."""
+def ablations_section(scores: RunScores, cards: Iterable[str]) -> ResultSection:
+    """F1 of the networks, and their differences from the whole one."""
     without = [f"{part} less {WHOLE}" for part in cards if part != WHOLE]
     tables = {
         "F1": scores.table("F1", [*cards, FLOOR], SHOWN, ["intervals"]),
         "differences": scores.table("F1", without, ABLATED_COLUMNS, ["intervals", "p"]),
     }
-    values = values_of(scores, (*cards, FLOOR), SHOWN) | values_of(scores, without, ABLATED_COLUMNS)
-    validated = {part: float(read_card(card).results["score"]) for part, card in cards.items()}
-    values |= {f"{part}: validation score": f"{score:.3f}" for part, score in validated.items()}
-    return ResultSection(command="make ablations", tables=tables, values=values)
+    return ResultSection(command="make ablations", tables=tables)
 
 
 def returns_section(scores: RunScores) -> ResultSection:
@@ -68,13 +64,7 @@ def returns_section(scores: RunScores) -> ResultSection:
         "table": scores.table("F1", list(KALMAN), RETURNS_COLUMNS, ["intervals"]),
         "differences": scores.table("F1", without, MAP_COLUMNS, ["intervals", "p"]),
     }
-    values = values_of(scores, KALMAN, RETURNS_COLUMNS) | values_of(scores, without, MAP_COLUMNS)
-    return ResultSection(command="make returns", tables=tables, values=values)
-
-
-def values_of(scores: RunScores, rows: Sequence[str] | Mapping[str, str], columns: Sequence[str]) -> dict[str, str]:
-    """Each number by `ROW: COLUMN`."""
-    return {f"{row}: {column}": scores.value(row, column) for row in rows for column in columns}
+    return ResultSection(command="make returns", tables=tables)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -129,17 +129,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--recordings", type=int, default=len(RECORDINGS), help="number of recordings")
     given = parser.parse_args(arguments)
     rows: dict[str, list[str]] = {}
-    medians = {}
     for name in given.trackers:
         by_class = errors_by_class(name, RECORDINGS[: given.recordings])
         for label, (error, known) in {**by_class, "all": np.concatenate(list(by_class.values()), axis=1)}.items():
             texts = f"{math.sqrt((error**2).mean()):.2f}", f"{np.median(error):.2f}", f"{100 * known.mean():.0f} %"
             rows.setdefault(label, [label, str(error.size)]).extend(texts)
-            medians[f"{name}, {label}: median, m/s"] = texts[1]
     columns = [text for name in given.trackers for text in (f"{name} RMS m/s", "median", "with a velocity")]
     table = measured_table(["class", "cells", *columns], list(rows.values()))
     print(table.markdown())
-    write_table(given.out, "velocity", table, "python -m studies.velocity_errors", medians)
+    write_table(given.out, "velocity", table, "python -m studies.velocity_errors")
 
 
 if __name__ == "__main__":

@@ -24,7 +24,6 @@ from studies.support.unseen_places import (
     CONTACTS_FORESEEN,
     FAMILIES,
     REFERENCE,
-    SKILL,
     STRATA,
     PlaceScores,
     compare_places,
@@ -55,12 +54,6 @@ EQUAL_BUDGET = Path("studies/trainings/equal-budget")
 """The weights that had the same hour of a core."""
 QUARTER, QUARTER_EVERY = Path("studies/trainings/quarter"), "4s"
 """The weights of sogmp, and the time between two of its forecasts."""
-CONTENDER_SCORES = {
-    "contacts": CONTACTS,
-    "F1": "f1",
-    "PR-AUC": "pr_auc",
-}
-"""The scores in which they are compared."""
 
 
 def aim_met(difference: float | None, low: float | None) -> str:
@@ -85,18 +78,10 @@ def aim_table(scores: PlaceScores) -> ResultTable:
     return measured_table(("F1, dynamic", "difference", "at least 0.10"), rows)
 
 
-def pair_tables(scores: PlaceScores) -> dict[str, ResultTable]:
-    """The contenders in pairs on dynamic cells, a table for each score."""
-    return {
-        name: scores.pair_table(f"{name}, dynamic", "dynamic", score, CONTENDERS)
-        for name, score in CONTENDER_SCORES.items()
-    }
-
-
 def floor_table(scores: PlaceScores, corner: str, score: str) -> ResultTable:
     """The differences of a contender and a floor on dynamic cells, in the order of the rows of the run."""
     floors = (REFERENCE, *FAMILIES["floors"])
-    pairs = scores.pair_table(corner, "dynamic", score, (*floors, *CONTENDERS))
+    pairs = scores.pair_table(corner, score, (*floors, *CONTENDERS))
     rows = tuple(row for row in pairs.rows if len({*row[0].split(" less ")} & {*floors}) == 1)
     return pairs.model_copy(update={"rows": rows})
 
@@ -111,7 +96,7 @@ def network_section(scores: PlaceScores) -> ResultSection:
     ]
     tables = {
         "scores": scores.table("", columns),
-        "pairs": scores.pair_table(CONTACTS_FORESEEN, "dynamic", CONTACTS, NETWORKS),
+        "pairs": scores.pair_table(CONTACTS_FORESEEN, CONTACTS, NETWORKS),
     }
     return ResultSection(command=COMMAND, tables=tables)
 
@@ -126,7 +111,7 @@ def futures_section(scores: PlaceScores) -> ResultSection:
         ("energy score, 1 s", "visible", "energy", 1.0),
         ("spread of futures, 1 s", "visible", "energy.spread", 1.0),
     ]
-    pairs = scores.pair_table(CONTACTS_FORESEEN, "dynamic", CONTACTS, (FLOOR, *NETWORKS))
+    pairs = scores.pair_table(CONTACTS_FORESEEN, CONTACTS, (FLOOR, *NETWORKS))
     values = {"forecasts": str(sum(scores.forecasts.values()))}
     return ResultSection(command=COMMAND, tables={"scores": scores.table("", columns), "pairs": pairs}, values=values)
 
@@ -143,7 +128,6 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
                 ),
                 **{name: scores.over_horizons(f"F1, {name}", stratum, "f1") for stratum, name in STRATA.items()},
                 "PR-AUC": scores.over_horizons("PR-AUC, dynamic", "dynamic", "pr_auc"),
-                SKILL: scores.skill_table(),
             },
             values={
                 "forecasts": str(sum(scores.forecasts.values())),
@@ -155,7 +139,7 @@ def sections_of(scores: PlaceScores) -> dict[str, ResultSection]:
         "pairs": ResultSection(
             command=COMMAND,
             tables={
-                **pair_tables(scores),
+                "contacts": scores.pair_table("contacts, dynamic", CONTACTS, CONTENDERS),
                 "contacts and floors": floor_table(scores, CONTACTS_FORESEEN, CONTACTS),
                 "F1 and floors": floor_table(scores, "F1, dynamic", "f1"),
             },
@@ -198,7 +182,7 @@ def poses_section(recorded: PlaceScores, refined: PlaceScores, lasers: Mapping[s
     counted = {f"{kind} ({len(names[kind])})": scores for kind, scores in groups.items()}
     tables = {
         "contacts by laser": by_laser({**counted, "drives, refined": refined}),
-        "aim": aim_table(recorded.with_places(refined)),
+        "aim": aim_table(recorded.replaced_by(refined)),
     }
     return ResultSection(command=COMMAND, tables=tables)
 
@@ -229,13 +213,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if budget_rows:
         equal = PlaceScores.read(given.out / EQUAL_BUDGET.name)
         sections[EQUAL_BUDGET.name] = network_section(
-            scores["recorded"].with_rows(equal).of_rows((REFERENCE, FLOOR, *NETWORKS))
+            scores["recorded"].replaced_by(equal).of(labels=(REFERENCE, FLOOR, *NETWORKS))
         )
     if slow_rows:
         sections["sampled futures"] = futures_section(PlaceScores.read(given.out / QUARTER.name))
     if refined:
         sections["poses"] = poses_section(scores["recorded"], scores["refined"], lasers)
-    write_places(given.results, sections)
+    write_places(given.results, sections, scores["recorded"])
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -124,25 +123,16 @@ class PlaceScores:
         summary = read_summary(folder)
         return cls(summary.recordings, finished_trials(folder, summary))
 
-    def of(self, names: Collection[str]) -> PlaceScores:
-        """The scores on the recordings of these names."""
-        chosen = {name: one for name, one in self.described.items() if name in names}
-        return PlaceScores(chosen, [trial for trial in self._trials if trial.record.recording in chosen])
+    def of(self, names: Collection[str] | None = None, labels: Collection[str] | None = None) -> PlaceScores:
+        """The scores on the recordings of these names, of the rows with these labels; None: all of them."""
+        chosen = {name: one for name, one in self.described.items() if names is None or name in names}
+        return PlaceScores(chosen, [one for one in self._trials if labels is None or one.record.label in labels])
 
-    def with_places(self, others: PlaceScores) -> PlaceScores:
-        """These scores together with `others`, which replace recordings of the same names."""
-        kept = [trial for trial in self._trials if trial.record.recording not in others.described]
+    def replaced_by(self, others: PlaceScores) -> PlaceScores:
+        """These scores together with `others`, which replace those of the same rows on the same recordings."""
+        replaced = {(trial.record.label, trial.record.recording) for trial in others._trials}
+        kept = [one for one in self._trials if (one.record.label, one.record.recording) not in replaced]
         return PlaceScores({**self.described, **others.described}, [*kept, *others._trials])
-
-    def of_rows(self, labels: Collection[str]) -> PlaceScores:
-        """The scores of these rows."""
-        return PlaceScores(self.described, [trial for trial in self._trials if trial.record.label in labels])
-
-    def with_rows(self, others: PlaceScores) -> PlaceScores:
-        """These scores together with `others`, which replace rows of the same labels."""
-        replaced = {trial.record.label for trial in others._trials}
-        kept = [trial for trial in self._trials if trial.record.label not in replaced]
-        return PlaceScores(self.described, [*kept, *others._trials])
 
     @cached_property
     def summary(self) -> RunSummary:
@@ -219,12 +209,10 @@ class PlaceScores:
         """One score in one stratum."""
         return self.table(corner, [(f"{h:g} s", stratum, score, h) for h in HORIZONS_S])
 
-    def skill_table(self) -> ResultTable:
-        """Fractions skill of dynamic cells by the side of a neighbourhood, for `draw_skill`."""
-        columns = [
-            (f"{h:g} s, {side} cells", "dynamic", f"fss.{side}_cells", h) for h in (0.5, 1.0) for side in (1, 3, 5, 9)
-        ]
-        return self.table("FSS, dynamic", columns)
+    def skill(self, label: str, horizon_s: float) -> dict[int, float]:
+        """Fractions skill of dynamic cells by the side of a neighbourhood, where it is defined."""
+        found = {side: self.at(label, "dynamic", f"fss.{side}_cells", horizon_s).value for side in SIDES}
+        return {side: value for side, value in found.items() if value is not None}
 
     @cached_property
     def differences(self) -> dict[str, TrackerDifference]:
@@ -245,10 +233,11 @@ class PlaceScores:
         run = RunTrials(self.described, rows, REFERENCE)
         return Comparisons(run, built_in(), find_output(F1.name, built_in())).families()
 
-    def pair_table(self, corner: str, stratum: str, score: str, labels: Collection[str]) -> ResultTable:
-        """The differences in a score between each two of `labels`, where tested; marked if not significant."""
+    def pair_table(self, corner: str, score: str, labels: Collection[str]) -> ResultTable:
+        """The differences in a score on dynamic cells between each two of `labels`, where tested; marked if not
+        significant."""
         one, output = find_output(score, built_in())
-        key = stratum, one.name, output.name
+        key = "dynamic", one.name, output.name
         found = {f.step: f.pairs for f in self.pair_families if (f.stratum, f.score, f.output) == key}
         columns = {
             f"{h:g} s": {
@@ -265,9 +254,9 @@ class PlaceScores:
 
 
 WORLDS = Path("data/worlds/test")
-SKILL = "fractions skill"
-"""The table of a results file that the chart shows."""
-DASHES = {"0.5": "-", "1": "--"}
+SIDES = (1, 3, 5, 9)
+"""Sides of the neighbourhoods of the chart, cells."""
+DASHES = {0.5: "-", 1.0: "--"}
 """The drawn horizons, seconds."""
 CHARTS_IN_A_ROW = 3
 GREY = "#777"
@@ -309,21 +298,20 @@ def compare_rows(
     compare(recordings, None, rows, out, "--every", every or given.every, "--jobs", given.jobs, "--resume")
 
 
-def write_places(results: Path, sections: Mapping[str, ResultSection]) -> None:
-    """Write and print the sections of a results file, and draw the chart beside it."""
+def write_places(results: Path, sections: Mapping[str, ResultSection], scores: PlaceScores) -> None:
+    """Write and print the sections of a results file, and draw the chart of `scores` beside it."""
     for name, section in sections.items():
         write_section(results, name, section)
         print(section.text(), end="\n\n")
-    draw_skill(sections["scores"].tables[SKILL], results.with_name("scales.svg"))
+    draw_skill(scores, results.with_name("scales.svg"))
 
 
-def draw_skill(table: ResultTable, path: Path) -> None:
-    """Draw fractions skill by the side of a neighbourhood: a chart for each family of trackers in the table.
+def draw_skill(scores: PlaceScores, path: Path) -> None:
+    """Draw fractions skill by the side of a neighbourhood: a chart for each family of trackers with scores.
 
-    Beside them are the reference, in grey, and the oracle; a table without other trackers gives one chart of these.
+    Beside them are the reference, in grey, and the oracle; without other trackers there is one chart of these.
     """
-    curves = skill_curves(table)
-    measured = {name: [one for one in members if one in curves] for name, members in FAMILIES.items()}
+    measured = {name: [one for one in members if one in scores.labels] for name, members in FAMILIES.items()}
     families = {name: members for name, members in measured.items() if members} or {REFERENCE: []}
     columns = min(len(families), CHARTS_IN_A_ROW)
     rows = -(-len(families) // columns)
@@ -331,7 +319,7 @@ def draw_skill(table: ResultTable, path: Path) -> None:
         figure = Figure((2.6 * columns, 2.6 * rows), layout="constrained")
         charts = list(figure.subplots(rows, columns, squeeze=False, sharey=True).flat)
         for axes, (name, members) in zip(charts, families.items(), strict=False):
-            draw_family(axes, name, members, curves)
+            draw_family(axes, name, members, scores)
         for axes in charts[len(families) :]:
             axes.remove()
         figure.supxlabel("side of a neighbourhood, cells (solid: 0.5 s ahead, dashed: 1 s)", fontsize="medium")
@@ -339,32 +327,16 @@ def draw_skill(table: ResultTable, path: Path) -> None:
         write_svg(figure, path)
 
 
-def skill_curves(table: ResultTable) -> dict[str, dict[str, dict[int, float]]]:
-    """Scores by label, horizon and side, from columns such as `0.5 s, 3 cells`; undefined ones are left out."""
-    curves: dict[str, dict[str, dict[int, float]]] = {}
-    for label, *texts in table.rows:
-        curves[label] = {horizon_s: {} for horizon_s in DASHES}
-        for column, text in zip(table.columns[1:], texts, strict=True):
-            found = re.fullmatch(r"(.+) s, (\d+) cells", column)
-            assert found is not None, column
-            if text != NONE:
-                curves[label][found[1]][int(found[2])] = float(text.partition(" ")[0])
-    return curves
-
-
-def draw_family(
-    axes: Axes, name: str, members: Sequence[str], curves: Mapping[str, Mapping[str, Mapping[int, float]]]
-) -> None:
+def draw_family(axes: Axes, name: str, members: Sequence[str], scores: PlaceScores) -> None:
     """Draw one chart."""
-    colours = {label: GREY for label in (REFERENCE, ORACLE) if label in curves}
+    colours = {label: GREY for label in (REFERENCE, ORACLE) if label in scores.labels}
     colours |= dict(zip(members, COLOURS, strict=False))
     for label, colour in colours.items():
         for horizon_s, dash in DASHES.items():
-            of_side = curves[label][horizon_s]
-            if of_side:
-                key = label if horizon_s == "0.5" and label in members else "_"
+            if of_side := scores.skill(label, horizon_s):
+                key = label if horizon_s == 0.5 and label in members else "_"
                 axes.plot(list(of_side), list(of_side.values()), dash, color=colour, label=key)
-    axes.set(title=name, ylim=(0.0, 1.0), xticks=(1, 3, 5, 9), yticks=(0.0, 0.5, 1.0))
+    axes.set(title=name, ylim=(0.0, 1.0), xticks=SIDES, yticks=(0.0, 0.5, 1.0))
     axes.grid(axis="y", color="#ddd")
     if members:
         axes.legend(loc="best")

@@ -116,9 +116,8 @@ def test_the_aim_asks_for_the_difference_and_for_a_significant_one(difference, l
     assert aim_met(difference, low) == verdict
 
 
-def test_each_pair_of_contenders_has_its_difference_and_is_marked_if_it_may_be_chance(sections):
-    tables = sections["pairs"].tables
-    f1 = {row[0]: row[1] for row in tables["F1"].rows}
+def test_each_pair_of_contenders_has_its_difference_and_is_marked_if_it_may_be_chance(worlds):
+    f1 = {row[0]: row[1] for row in worlds.pair_table("F1", "f1", CONTENDERS).rows}
     assert {pair: (text[0], "°" in text) for pair, text in f1.items()} == {
         "kalman less dogma": ("+", False),
         "kalman less dilated-convgru": ("+", True),
@@ -142,7 +141,8 @@ def test_worlds_with_refined_poses_replace_worlds_with_poses_of_the_wheels(tmp_p
 def test_networks_of_an_equal_budget_replace_the_shipped_ones(worlds, tmp_path):
     names = list(worlds.described)
     equal = scores_of(tmp_path, names, {"dilated-convgru": 0.5, "deep-tracking-rnn": 0.5})
-    together = worlds.with_rows(equal).of_rows(("persistence", "dilated-convgru", "deep-tracking-rnn", "conv-lstm"))
+    rows = ("persistence", "dilated-convgru", "deep-tracking-rnn", "conv-lstm")
+    together = worlds.replaced_by(equal).of(labels=rows)
     assert together.labels == ["persistence", "dilated-convgru", "deep-tracking-rnn"]
     shipped, budget = (float(scores.text("dilated-convgru", "dynamic", "f1", 1.0)[:5]) for scores in (worlds, together))
     assert shipped > budget + 0.05
@@ -299,7 +299,6 @@ def test_a_study_compares_with_valid_commands_and_writes_its_results(name, tmp_p
 def every_number(_):
     """In place of the scores of a run: they have each number."""
     return SimpleNamespace(
-        value=lambda row, column: f"{row}, {column}",
         table=lambda corner, rows, columns, _: measured_table((corner, *columns), [[row, *columns] for row in rows]),
     )
 
@@ -319,4 +318,3 @@ def test_variants_are_compared_with_the_whole_at_the_junction(which, result, row
     variants.main([which])
     (section,) = read_sections(tmp_path / result).values()
     assert [one[0] for one in section.tables["differences"].rows] == [row]
-    assert section.values[f"{row}: f1 dynamic 1 s"] == f"{row}, f1 dynamic 1 s"

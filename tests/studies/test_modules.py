@@ -44,7 +44,6 @@ QUICK = {
     "studies.failing_trials": "--fault hangs --fault hogs --trials 2 --results TMP/robustness.json",
     "studies.figures": "--check",
     "studies.gate_power": "--comparisons 1 --out TMP/regression.json",
-    "studies.merged_classes": "one-shot --recordings 1 --stretch 0s-8s --out TMP/measurements.json",
     "studies.motion_rule": "--recordings 1 --out TMP/motion.json",
     "studies.size": "",
     "studies.static_memory": "static-map --out TMP",
