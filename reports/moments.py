@@ -118,29 +118,21 @@ def frame_scores(folder: Path, steps: Sequence[int]) -> dict[int, dict[int, Fram
     }
 
 
-@dataclass(frozen=True)
-class TrackerPlanes:
-    """The packed forecasts (H, M, M) uint8 of one tracker for one moment."""
-
-    planes: NDArray[np.uint8]
-
-    @classmethod
-    def of(cls, forecast: NDArray[np.float32], thresholds: Sequence[float]) -> TrackerPlanes:
-        """Quantise a forecast (H, M, M) in [0, 1]; `thresholds` has one for each horizon."""
-        levels = np.rint(np.clip(forecast, 0.0, 1.0) * (PACKED_LEVELS - 1)).astype(np.uint8)
-        least = np.array(thresholds, np.float32).reshape(-1, 1, 1)
-        return cls(np.where(forecast >= least, levels + np.uint8(CALLED), levels).astype(np.uint8))
+def forecast_planes(forecast: NDArray[np.float32], thresholds: Sequence[float]) -> NDArray[np.uint8]:
+    """A forecast (H, M, M) in [0, 1], quantised; `thresholds` has one for each horizon."""
+    levels = np.rint(np.clip(forecast, 0.0, 1.0) * (PACKED_LEVELS - 1)).astype(np.uint8)
+    least = np.array(thresholds, np.float32).reshape(-1, 1, 1)
+    return np.where(forecast >= least, levels + np.uint8(CALLED), levels).astype(np.uint8)
 
 
-def pack_moment(seen: Sample, trackers: Sequence[TrackerPlanes | None]) -> str:
-    """The input and the targets of `seen`, and the forecasts of all trackers; a missing forecast is zero."""
+def pack_moment(seen: Sample, trackers: Sequence[NDArray[np.uint8] | None]) -> str:
+    """The input and the targets of `seen`, and the `forecast_planes` of all trackers; a missing forecast is zero."""
     observed = np.where(seen.visible, np.where(seen.occupied, 2, 1), 0).astype(np.uint8)
     targets = seen.state
     if seen.in_motion is not None:
         targets = np.where(seen.in_motion, targets + np.uint8(IN_MOTION), targets)
     nothing = np.zeros(seen.forecast.shape, np.uint8)
-    forecasts = [nothing if one is None else one.planes for one in trackers]
-    planes = np.concatenate([observed[None], targets, *forecasts])
+    planes = np.concatenate([observed[None], targets, *(nothing if one is None else one for one in trackers)])
     return base64.b64encode(zlib.compress(planes.astype(np.uint8).tobytes(), DEFLATE_LEVEL)).decode()
 
 

@@ -19,7 +19,7 @@ from gridtrack.reports.moments import (
     FEW_CELLS,
     ChosenMoment,
     FrameScore,
-    TrackerPlanes,
+    forecast_planes,
     frame_scores,
     moments_in_order,
     pack_moment,
@@ -273,7 +273,7 @@ def _within_budget(
     for moment in order:
         found = {row.label: samples[row.label].get(moment.stamp_ns) for row in trackers}
         seen = next(sample for sample in found.values() if sample is not None)
-        planes = [None if s is None else TrackerPlanes.of(s.forecast, thresholds[label]) for label, s in found.items()]
+        planes = [None if s is None else forecast_planes(s.forecast, thresholds[label]) for label, s in found.items()]
         counts = [[scores[row.label][step].get(moment.stamp_ns) for row in trackers] for step in steps]
         packed = {
             "t": round(time_of(moment.stamp_ns), 3),

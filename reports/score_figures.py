@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -37,65 +36,38 @@ def score_figures(
     found: dict[tuple[str, str], Figures] = {}
     notices: dict[str, None] = {}
     for run in runs:
-        trials = _TrialsOfRows(run)
-        for rows in _rows_of(run, tables).values():
-            found |= trials.figures(rows)
-        notices |= trials.notices
+        trials = _TrialsOfRows(run, notices)
+        of_run = [(row, table) for table in tables for row in table.rows if row.run in ("", run.name)]
+        for label in run.summary.trackers:
+            trials.all.forget_rows()  # of the label before: a trial belongs to its own row and to the pooled one
+            for row, table in of_run:
+                if row.label == label and row.trial.strata:
+                    try:
+                        found[table.recording, row.name] = trials.figures(row, table)
+                    except ScoresError as error:
+                        notices[f"{row.name}: no curves of its probabilities: {error}"] = None
     return found, tuple(notices)
 
 
-def _rows_of(run: ReportedRun, tables: Sequence[HeadlineTable]) -> dict[str, list[tuple[HeadlineTable, TableRow]]]:
-    """The rows of a run with scores, by label, each with its table."""
-    found: dict[str, list[tuple[HeadlineTable, TableRow]]] = {}
-    for table in tables:
-        for row in table.rows:
-            if row.run in ("", run.name) and row.label in run.summary.trackers and row.trial.strata:
-                found.setdefault(row.label, []).append((table, row))
-    return found
-
-
 class _TrialsOfRows:
-    """The trials of the rows of a run, and their units. The keys of `notices` are the notices."""
+    """The trials of the rows of a run, and their units."""
 
-    def __init__(self, run: ReportedRun) -> None:
-        self._run, self._trials = run, run.scored_trials()
-        self._all = RunTrials({name: run.summary.recordings[name] for name in run.recordings}, [*self._trials.values()])
-        self.notices: dict[str, None] = {}
+    def __init__(self, run: ReportedRun, notices: dict[str, None]) -> None:
+        """The keys of `notices` are the notices."""
+        self._run, self._trials, self._notices = run, run.scored_trials(), notices
+        self.all = RunTrials({name: run.summary.recordings[name] for name in run.recordings}, [*self._trials.values()])
 
-    def figures(self, rows: Sequence[tuple[HeadlineTable, TableRow]]) -> dict[tuple[str, str], Figures]:
-        """The figures of the rows of one label, by recording and name, without unreadable ones.
-
-        A trial belongs to its own row and to the pooled one: it is read once, for both.
-        """
-        made: dict[tuple[str, str], _FiguresOfRow] = {}
-        for table, row in rows:
-            try:
-                made[table.recording, row.name] = self._of_row(row, table)
-            except ScoresError as error:
-                self._note(row.name, error)
-        for recording in self._run.recordings:
-            self._all.forget_rows()
-            for key, own in list(made.items()):
-                try:
-                    own.add(recording)
-                except ScoresError as error:
-                    self._note(key[1], error)
-                    del made[key]
-        return {key: own.figures for key, own in made.items()}
-
-    def _note(self, name: str, error: ScoresError) -> None:
-        self.notices[f"{name}: no curves of its probabilities: {error}"] = None
-
-    def _of_row(self, row: TableRow, table: HeadlineTable) -> _FiguresOfRow:
-        """The figures of a row before any trial is added. Raises ScoresError."""
+    def figures(self, row: TableRow, table: HeadlineTable) -> Figures:
+        """The figures of a row by score. Raises ScoresError."""
         trials = self._trials_of(row, table)
-        units = selected(self._all, trials, self._rule(row, trials)).units
+        units = selected(self.all, trials, self._rule(row, trials)).units
+        of_trials = [(self.all.sums(trial), own, trial.steps) for trial, own in zip(trials, units, strict=True)]
         steps = sorted({column.step for column in table.columns})
-        return _FiguresOfRow([self._all.sums(trial) for trial in trials], trials, units, steps)
+        return {score.name: points for score in built_in() if (points := _points(score, of_trials, steps))}
 
     def _trials_of(self, row: TableRow, table: HeadlineTable) -> list[FinishedTrial]:
         """The trials behind the scores of the row. Raises ScoresError."""
-        if table.pooled and self._run.summary.recordings[table.recording].horizons_s != self._all.horizons_s:
+        if table.pooled and self._run.summary.recordings[table.recording].horizons_s != self.all.horizons_s:
             raise ScoresError(
                 f"{self._run.path / SUMMARY_FILE}: pooled scores at other horizons than its recordings have"
             )
@@ -104,79 +76,41 @@ class _TrialsOfRows:
         if missing := [name for name in scored if (row.label, name) not in self._trials]:
             raise ScoresError(f"{self._run.trial_folder(row.label, missing[0])}: the record of the trial is missing")
         trials = [self._trials[row.label, name] for name in scored]
-        return self._all.together(trial for trial in trials if trial.complete) if table.pooled else trials
+        return self.all.together(trial for trial in trials if trial.complete) if table.pooled else trials
 
     def _rule(self, row: TableRow, trials: Sequence[FinishedTrial]) -> UnitRule:
         """The rule of the scores of the row if they have intervals, else one unit."""
         if not row.trial.interval:
             try:
-                return self._all.unit_rule([trial.record.recording for trial in trials])
+                return self.all.unit_rule([trial.record.recording for trial in trials])
             except ScoresError as error:  # of any trial: the blocks of a recording depend on all
-                self.notices[f"no intervals of precision over recall: {error}"] = None
+                self._notices[f"no intervals of precision over recall: {error}"] = None
         return UnitRule(("",) * len(trials), None)
 
 
-@dataclass(frozen=True)
-class _ScoreSums:
-    """The sums (U, S, K, P) of a score at these steps (S) and strata (K)."""
+def _points(
+    score: ScoreDefinition, trials: Sequence[tuple[TrialSums, NDArray[np.int64], Sequence[int]]], steps: Sequence[int]
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """The points of a score by stratum, step and name, from the sums of trials, their units (F,) and their steps.
 
-    score: ScoreDefinition
-    steps: Sequence[int]
-    strata: Sequence[str]
-    total: Sums
-
-    def add(self, sums: TrialSums, units: NDArray[np.int64], steps_of_trial: Sequence[int]) -> None:
-        """Add a trial with frames in `units` (F,). Raises ScoresError."""
-        at = [steps_of_trial[step] for step in self.steps]
-        found = sums.by_unit(self.score.name, units, at, self.strata).values
-        self.total.values[: len(found)] += found
-
-    @property
-    def points(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """The points by stratum, step and name."""
-        assert self.score.figure is not None
-        found: dict[str, dict[str, dict[str, Any]]] = {}
-        for k, stratum in enumerate(self.strata):
-            for s, step in enumerate(self.steps):
-                if points := self.score.figure(Sums(self.total.values[:, s, k], self.total.parts)):
-                    found.setdefault(stratum, {})[str(step)] = {name: _shown(one) for name, one in points.items()}
-        return found
-
-
-class _FiguresOfRow:
-    """The figures of one row, from its trials, which are added one by one."""
-
-    def __init__(
-        self,
-        sums: Sequence[TrialSums],
-        trials: Sequence[FinishedTrial],
-        units: Sequence[NDArray[np.int64]],
-        steps: Sequence[int],
-    ) -> None:
-        """`units` (F,) of each trial; `steps`: those of the headline."""
-        names = [trial.record.recording for trial in trials]
-        self._trials = dict(zip(names, zip(sums, units, (trial.steps for trial in trials), strict=True), strict=True))
-        number = 1 + max(int(own.max(initial=-1)) for own in units)
-        self._scores: list[_ScoreSums] = []
-        for score in built_in():
-            layouts = [one.layouts[score.name] for one in sums if score.name in one.scores]
-            if score.figure is None or len(layouts) < len(sums) or len({one.parts for one in layouts}) > 1:
-                continue
-            strata = [name for name in TESTED_STRATA if all(name in one.strata for one in layouts)]
-            at = sorted({0, *steps}) if score.compared_with == "classes" else steps
-            total = np.zeros((number, len(at), len(strata), len(layouts[0].parts)))
-            self._scores.append(_ScoreSums(score, at, strata, Sums(total, layouts[0].parts)))
-
-    def add(self, recording: str) -> None:
-        """Add the trial on a recording, if it is one of the row's. Raises ScoresError."""
-        if recording in self._trials:
-            for score in self._scores:
-                score.add(*self._trials[recording])
-
-    @property
-    def figures(self) -> Figures:
-        """The figures by score."""
-        return {one.score.name: points for one in self._scores if (points := one.points)}
+    `steps`: those of the headline. Empty if the score has no figure, or other parts in some trials. Raises ScoresError.
+    """
+    layouts = [sums.layouts[score.name] for sums, *_ in trials if score.name in sums.scores]
+    if score.figure is None or len(layouts) < len(trials) or len({one.parts for one in layouts}) > 1:
+        return {}
+    strata = [name for name in TESTED_STRATA if all(name in one.strata for one in layouts)]
+    at = sorted({0, *steps}) if score.compared_with == "classes" else steps
+    number = 1 + max(int(units.max(initial=-1)) for _, units, _ in trials)
+    total = np.zeros((number, len(at), len(strata), len(layouts[0].parts)))
+    for sums, units, own_steps in trials:
+        added = sums.by_unit(score.name, units, [own_steps[step] for step in at], strata).values
+        total[: len(added)] += added
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for k, stratum in enumerate(strata):
+        for s, step in enumerate(at):
+            if points := score.figure(Sums(total[:, s, k], layouts[0].parts)):
+                found.setdefault(stratum, {})[str(step)] = {name: _shown(one) for name, one in points.items()}
+    return found
 
 
 def _shown(points: NDArray[np.float64] | Ratio) -> Any:

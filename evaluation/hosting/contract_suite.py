@@ -103,28 +103,21 @@ def _not_checked(clause: Clause, unmet: ClauseResult) -> ClauseResult:
 def _result(clause: Clause, subject: TrackerUnderTest) -> ClauseResult:
     try:
         return ClauseResult(clause, "passed", CHECKS[clause.name](subject))
-    except NotApplicableError as reason:
-        return ClauseResult(clause, "not applicable", str(reason))
-    except NotCheckedError as reason:
-        subject.restart()
-        return ClauseResult(clause, "not checked", str(reason))
-    except ContractViolationError as violation:
-        return ClauseResult(clause, "failed", str(violation))
+    except NotPassedError as found:
+        if found.verdict == "not checked":
+            subject.restart()
+        return ClauseResult(clause, found.verdict, str(found))
     except TrialEnded as ended:
         subject.restart()
         return ClauseResult(clause, "failed", str(ended))
 
 
-class ContractViolationError(Exception):
-    """A broken clause; the message is the observation."""
+class NotPassedError(Exception):
+    """Ends the check of a clause with this verdict; the message is the observation, or the reason."""
 
-
-class NotApplicableError(Exception):
-    """A clause that does not concern this tracker; the message is the reason."""
-
-
-class NotCheckedError(Exception):
-    """A clause that cannot be observed here; the message is the reason."""
+    def __init__(self, verdict: ClauseVerdict, observed: str) -> None:
+        super().__init__(observed)
+        self.verdict = verdict
 
 
 class TrackerUnderTest:
@@ -202,7 +195,7 @@ def loads(subject: TrackerUnderTest) -> str:
     try:
         description = subject.description
     except PluginError as error:
-        raise ContractViolationError(str(error)) from None
+        raise NotPassedError("failed", str(error)) from None
     return f"{description.role}, {'learns' if description.learns else 'nothing to learn'}"
 
 
@@ -213,8 +206,8 @@ def refuses_unknown_options(subject: TrackerUnderTest) -> str:
     except ConfigurationError:
         return f"refuses {UNKNOWN_OPTION}=1"
     except PluginError as error:
-        raise ContractViolationError(f"does not refuse {UNKNOWN_OPTION}=1 but fails: {error}") from None
-    raise ContractViolationError(f"accepts {UNKNOWN_OPTION}=1")
+        raise NotPassedError("failed", f"does not refuse {UNKNOWN_OPTION}=1 but fails: {error}") from None
+    raise NotPassedError("failed", f"accepts {UNKNOWN_OPTION}=1")
 
 
 def starts(subject: TrackerUnderTest) -> str:
@@ -224,12 +217,12 @@ def starts(subject: TrackerUnderTest) -> str:
         after = subject.process().description
     except TrialEnded as ended:
         if ended.outcome in {"untrained", "unavailable", "not-applicable"}:
-            raise NotCheckedError(str(ended)) from None
+            raise NotPassedError("not checked", str(ended)) from None
         raise
     for name in ("learns", "moving_sensor", "role"):
         if getattr(before, name) != getattr(after, name):
-            raise ContractViolationError(
-                f"{name} is {getattr(before, name)} without a stream and {getattr(after, name)} on the stream"
+            raise NotPassedError(
+                "failed", f"{name} is {getattr(before, name)} without a stream and {getattr(after, name)} on the stream"
             )
     return f"classes: {', '.join(after.classes) or 'none'}; moving sensor: {'yes' if after.moving_sensor else 'no'}"
 
@@ -259,12 +252,13 @@ def gives_its_classes(subject: TrackerUnderTest) -> str:
     """Look for class probabilities in every forecast."""
     classes = subject.process().description.classes
     if not classes:
-        raise NotApplicableError("names no classes")
+        raise NotPassedError("not applicable", "names no classes")
     for frames in (subject.scene(), _empty(subject)):
         for count, forecast in subject.forecasts(frames):
             if forecast.semantics is None:
-                raise ContractViolationError(
-                    f"names the classes {', '.join(classes)}, and the forecast after frame {count} has no semantics"
+                raise NotPassedError(
+                    "failed",
+                    f"names the classes {', '.join(classes)}, and the forecast after frame {count} has no semantics",
                 )
     return ", ".join(classes)
 
@@ -325,7 +319,7 @@ def is_causal(subject: TrackerUnderTest) -> str:
 def follows_a_moving_sensor(subject: TrackerUnderTest) -> str:
     """Drive towards a wall, and look for its place in the forecast when it is no longer visible."""
     if not subject.process().description.moving_sensor:
-        raise NotApplicableError("says that it does not follow a moving sensor")
+        raise NotPassedError("not applicable", "says that it does not follow a moving sensor")
     (_, forecast), wall = _end_of_drive(subject, with_wall=True)
     (_, without), _ = _end_of_drive(subject, with_wall=False)
     caused = forecast.occupancy - without.occupancy
@@ -338,9 +332,10 @@ def follows_a_moving_sensor(subject: TrackerUnderTest) -> str:
     ):
         other = float(caused[step, wall[:, 0], wall[:, 1] + moved].mean())
         if other > own[step] + PLACE_TOLERANCE:
-            raise ContractViolationError(
+            raise NotPassedError(
+                "failed",
                 f"a wall that was seen from a moving sensor has P(occupied) {own[step]:.2f} at its place and"
-                f" {other:.2f} {abs(moved)} cells away, {why}: step {step}, less P without the wall"
+                f" {other:.2f} {abs(moved)} cells away, {why}: step {step}, less P without the wall",
             )
     _jump(subject)
     return f"a wall is forecast at its place with P(occupied) {own[0]:.2f} more than without it"
@@ -418,11 +413,13 @@ def _works_on(subject: TrackerUnderTest, stream: StreamSpec, what: str) -> str:
 
 
 def require_equal(one: Forecasts, other: Forecasts, what: str) -> None:
-    """Raise ContractViolationError if two series of forecasts differ."""
+    """Raise NotPassedError if two series of forecasts differ."""
     for (count, a), (_, b) in zip(one, other, strict=True):
         difference = _difference(a, b)
         if difference > FORECAST_TOLERANCE:
-            raise ContractViolationError(f"{what}: after frame {count} the forecasts differ by up to {difference:.3g}")
+            raise NotPassedError(
+                "failed", f"{what}: after frame {count} the forecasts differ by up to {difference:.3g}"
+            )
 
 
 def _difference(a: Forecast, b: Forecast) -> float:

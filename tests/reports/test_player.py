@@ -10,7 +10,7 @@ import pytest
 from gridtrack.evaluation.referee.samples import SAMPLES, KeptObject, read_samples
 from gridtrack.reports import page as page_module
 from gridtrack.reports import player
-from gridtrack.reports.moments import CALLED, IN_MOTION, PACKED_LEVELS, TrackerPlanes, pack_moment
+from gridtrack.reports.moments import CALLED, IN_MOTION, PACKED_LEVELS, forecast_planes, pack_moment
 from gridtrack.reports.page import render_report
 from gridtrack.reports.scripts import data_in_page, json_in_page
 
@@ -39,7 +39,7 @@ def test_packed_values_are_read_back_exactly_at_their_quantisation(sample):
     in_motion = (state < 2) & (rng.random(forecast.shape) < 0.5)
     thresholds = [0.2, 0.5, 0.9]
     packed = pack_moment(
-        replace(sample, state=state, in_motion=in_motion), [None, TrackerPlanes.of(forecast, thresholds)]
+        replace(sample, state=state, in_motion=in_motion), [None, forecast_planes(forecast, thresholds)]
     )
     planes = planes_of({"cells": packed}, 32)
     assert len(planes) == 1 + 3 + 2 * 3
