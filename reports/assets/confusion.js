@@ -1,9 +1,8 @@
 // Confusion matrices of the forecast classes, one for each tracker, and the recall of occupied cells by class.
 import { draw, scaleOf, shortened, svgText, textWidth } from "./drawing.js";
-import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import { pointsOf, stepsWith, strataWith } from "./probabilities.js";
-import { aheadChoice, recordingNamed, recordingOptions } from "./scores.js";
+import { aheadChoice, recordingNamed, startFigureOfRecording } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
 const CELL = 46, NAMES = 84, TITLE = 20, GAP = 28;
@@ -74,16 +73,13 @@ function confusionNumbers(chosen) {
 
 // Fills the section of the confusion matrices.
 export function startConfusion() {
-  const listed = recordingOptions((recording) => strataWith(recording, "confusion").length);
-  if (!listed.length) return;
-  const strata = (name) => strataWith(recordingNamed(name), "confusion");
-  const recording = listed[0][0];
-  startFigure({
+  const strata = (recording) => strataWith(recording, "confusion");
+  startFigureOfRecording({
     id: "confusion",
     title: "Confusion of classes",
-    chosen: { recording, stratum: strata(recording)[0][0], ahead_s: pageData.headline.ahead_s },
-    choices: (now) => [["recording", "Recording", listed], ["stratum", "Cells", strata(now.recording)],
-      aheadChoice(now, stepsWith(now, "confusion"))],
+    has: (recording) => strata(recording).length,
+    chosen: (recording) => ({ stratum: strata(recording)[0][0], ahead_s: pageData.headline.ahead_s }),
+    choices: (now, recording) => [["stratum", "Cells", strata(recording)], aheadChoice(now, stepsWith(now, "confusion"))],
     drawing: drawConfusion,
     numbers: confusionNumbers,
     line: () => "Rows are true classes, columns the most probable ones.",

@@ -1,10 +1,9 @@
 // Line figures of the scores: over the horizon, the scale, the hidden time of cells, conditions, and labelled scans.
 import { inSeconds } from "./drawing.js";
-import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import {
-  aheadChoice, allSteps, bandWords, hasScores, isDefined, lineOf, lineThrough, outputNamed, pointOf, recordingNamed,
-  recordingOptions, rowsWith, scoresOf, scoreWords, stepAt, strataOf, stratumChoice,
+  aheadChoice, allSteps, anyHasScores, bandWords, isDefined, lineOf, lineThrough, outputNamed, pointOf, recordingNamed,
+  rowsWith, scoresOf, scoreWords, startFigureOfRecording, stepAt, strataOf, stratumChoice,
 } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
@@ -21,16 +20,12 @@ function horizonChart({ recording, score, stratum }) {
 }
 
 function startHorizon() {
-  if (!pageData.recordings.some(hasScores)) return;
   const { score, stratum } = pageData.headline;
-  startFigure({
+  startFigureOfRecording({
     id: "curves",
-    chosen: { recording: pageData.recordings[0].name, score, stratum },
-    choices: (now) => {
-      const recording = recordingNamed(now.recording);
-      return [["recording", "Recording", recordingOptions()], stratumChoice(recording, now.score),
-        ["score", "Score", scoresOf(recording, now.stratum)]];
-    },
+    has: anyHasScores,
+    chosen: () => ({ score, stratum }),
+    choices: (now, recording) => [stratumChoice(recording, now.score), ["score", "Score", scoresOf(recording, now.stratum)]],
     chart: horizonChart,
     line: (now) => `${scoreWords(outputNamed(now.score))} over the horizon${bandWords(horizonChart(now))}.`,
   });
@@ -61,19 +56,15 @@ function scaleChart(chosen) {
 }
 
 function startScale() {
-  const listed = recordingOptions((recording) => strataOf(recording, (name) => scaledOf(recording, name).length).length);
-  if (!listed.length) return;
   const { stratum, ahead_s } = pageData.headline;
-  startFigure({
+  const scaledStrata = (recording) => strataOf(recording, (name) => scaledOf(recording, name).length);
+  startFigureOfRecording({
     id: "scale",
     title: "Scale",
-    chosen: { recording: listed[0][0], stratum, score: scaledScores[0].name, ahead_s },
-    choices: (now) => {
-      const recording = recordingNamed(now.recording);
-      return [["recording", "Recording", listed],
-        ["stratum", "Cells", strataOf(recording, (name) => scaledOf(recording, name).length)],
-        ["score", "Score", scaledOf(recording, now.stratum).map(({ name, title }) => [name, title])], aheadChoice(now)];
-    },
+    has: (recording) => scaledStrata(recording).length,
+    chosen: () => ({ stratum, score: scaledScores[0].name, ahead_s }),
+    choices: (now, recording) => [["stratum", "Cells", scaledStrata(recording)],
+      ["score", "Score", scaledOf(recording, now.stratum).map(({ name, title }) => [name, title])], aheadChoice(now)],
     chart: scaleChart,
     line: (now) => `${scaleChart(now).y.name} over the side of a neighbourhood${bandWords(scaleChart(now))}.`,
   });
@@ -99,17 +90,13 @@ function hiddenChart(chosen) {
 }
 
 function startHiddenTime() {
-  const listed = recordingOptions((recording) => agesOf(recording).length > 1);
-  if (!listed.length) return;
-  startFigure({
+  const { score, ahead_s } = pageData.headline;
+  startFigureOfRecording({
     id: "hidden-time",
     title: "Hidden cells",
-    chosen: { recording: listed[0][0], score: pageData.headline.score, ahead_s: pageData.headline.ahead_s },
-    choices: (now) => {
-      const recording = recordingNamed(now.recording);
-      return [["recording", "Recording", listed], ["score", "Score", scoresOf(recording, agesOf(recording)[0])],
-        aheadChoice(now)];
-    },
+    has: (recording) => agesOf(recording).length > 1,
+    chosen: () => ({ score, ahead_s }),
+    choices: (now, recording) => [["score", "Score", scoresOf(recording, agesOf(recording)[0])], aheadChoice(now)],
     chart: hiddenChart,
     line: (now) => `${scoreWords(outputNamed(now.score))} of cells that no beam reached, by the time since then${bandWords(hiddenChart(now))}.`,
   });
@@ -147,20 +134,17 @@ const strataUnder = (recording, kind, score) =>
   [...new Set(recording.rows.flatMap((row) => Object.keys(row.conditions[kind]?.scores[score] ?? {})))];
 
 function startConditions() {
-  const listed = recordingOptions((recording) => kindsOf(recording).length);
-  if (!listed.length) return;
-  const [recording] = listed[0], [kind] = kindsOf(recordingNamed(recording)), scores = scoresUnder(recordingNamed(recording), kind);
-  const score = scores.includes(pageData.headline.score) ? pageData.headline.score : scores[0];
-  startFigure({
+  startFigureOfRecording({
     id: "conditions",
     title: "Deadline and degraded input",
-    chosen: { recording, kind, score, stratum: pageData.headline.stratum },
-    choices: (now) => {
-      const own = recordingNamed(now.recording);
-      return [["recording", "Recording", listed], ["kind", "Condition", kindsOf(own).map((one) => [one, pageData.conditions[one].name])],
-        ["score", "Score", scoresUnder(own, now.kind).map((one) => [one, outputNamed(one).heading])],
-        stratumChoice(own, now.score, (name) => strataUnder(own, now.kind, now.score).includes(name))];
+    has: (recording) => kindsOf(recording).length,
+    chosen: (recording) => {
+      const [kind] = kindsOf(recording), scores = scoresUnder(recording, kind), { score, stratum } = pageData.headline;
+      return { kind, score: scores.includes(score) ? score : scores[0], stratum };
     },
+    choices: (now, own) => [["kind", "Condition", kindsOf(own).map((one) => [one, pageData.conditions[one].name])],
+      ["score", "Score", scoresUnder(own, now.kind).map((one) => [one, outputNamed(one).heading])],
+      stratumChoice(own, now.score, (name) => strataUnder(own, now.kind, now.score).includes(name))],
     chart: conditionChart,
     fixed: (now) => ({ "horizon, s": recordingNamed(now.recording).conditions_ahead_s }),
     line: ({ recording: name, kind, score }) =>
@@ -218,18 +202,16 @@ function budgetNumbers(chosen) {
 }
 
 function startLabelBudget() {
-  const listed = recordingOptions((recording) => labelStrata(recording).length);
-  if (!listed.length) return;
-  const first = recordingNamed(listed[0][0]), [[stratum]] = labelStrata(first);
-  startFigure({
+  startFigureOfRecording({
     id: "label-budget",
     title: "Label budget",
-    chosen: { recording: first.name, stratum, score: labelScores(first, stratum)[0][0], ahead_s: pageData.headline.ahead_s },
-    choices: (now) => {
-      const recording = recordingNamed(now.recording);
-      return [["recording", "Recording", listed], ["stratum", "Cells", labelStrata(recording)],
-        ["score", "Score", labelScores(recording, now.stratum)], aheadChoice(now, allSteps(now))];
+    has: (recording) => labelStrata(recording).length,
+    chosen: (recording) => {
+      const [[stratum]] = labelStrata(recording);
+      return { stratum, score: labelScores(recording, stratum)[0][0], ahead_s: pageData.headline.ahead_s };
     },
+    choices: (now, recording) => [["stratum", "Cells", labelStrata(recording)],
+      ["score", "Score", labelScores(recording, now.stratum)], aheadChoice(now, allSteps(now))],
     chart: budgetChart,
     numbers: budgetNumbers,
     line: (now) => `${scoreWords(outputNamed(now.score))} over labelled scans${bandWords(budgetChart(now))}.`,

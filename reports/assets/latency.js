@@ -1,9 +1,8 @@
 // The times of updates and forecasts: distribution, median, 95th and 99th percentile, on a logarithmic axis with the
 // period.
 import { draw, heightOf, rowName, svgText } from "./drawing.js";
-import { startFigure } from "./figure.js";
 import { rowPlot } from "./row_plot.js";
-import { recordingNamed, recordingOptions } from "./scores.js";
+import { recordingNamed, startFigureOfRecording } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
 const ROW = 30, TICK_ROOM = 44, LEAST_MS = 0.01, SLICE_AREA = 48, MOST_SPREAD = 22;
@@ -62,13 +61,12 @@ function latencyNumbers({ recording, call }) {
 
 // Fills the section of times.
 export function startLatency() {
-  const listed = recordingOptions((recording) => rowsTimed(recording).length);
-  if (!listed.length) return;
-  startFigure({
+  startFigureOfRecording({
     id: "latency",
     title: "Time",
-    chosen: { recording: listed[0][0], call: "update" },
-    choices: () => [["recording", "Recording", listed], ["call", "Call", CALLS]],
+    has: (recording) => rowsTimed(recording).length,
+    chosen: () => ({ call: "update" }),
+    choices: () => [["call", "Call", CALLS]],
     drawing: drawLatency,
     numbers: latencyNumbers,
     line: ({ recording }) => `Median (dot), 95th and 99th percentile, spread; the line is one frame period, ${Number(recordingNamed(recording).period_ms.toPrecision(4))} ms.`,

@@ -1,7 +1,6 @@
 // Figures of probabilities: precision against recall, F1 over the threshold, and calibration.
-import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { aheadChoice, bandWords, lineOf, recordingNamed, recordingOptions, stepAt, stratumWords } from "./scores.js";
+import { aheadChoice, bandWords, lineOf, recordingNamed, startFigureOfRecording, stepAt, stratumWords } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
 // The figures of a row by stratum and step, from the score with the points `field`; empty without such a score.
@@ -73,13 +72,11 @@ const FIGURES = [
 export function startProbabilities() {
   const { stratum, ahead_s } = pageData.headline;
   for (const { field, ...figure } of FIGURES) {
-    const listed = recordingOptions((recording) => strataWith(recording, field).length);
-    if (!listed.length) continue;
-    startFigure({
+    startFigureOfRecording({
       ...figure,
-      chosen: { recording: listed[0][0], stratum, ahead_s },
-      choices: (now) => [["recording", "Recording", listed],
-        ["stratum", "Cells", strataWith(recordingNamed(now.recording), field)], aheadChoice(now, stepsWith(now, field))],
+      has: (recording) => strataWith(recording, field).length,
+      chosen: () => ({ stratum, ahead_s }),
+      choices: (now, recording) => [["stratum", "Cells", strataWith(recording, field)], aheadChoice(now, stepsWith(now, field))],
     });
   }
 }

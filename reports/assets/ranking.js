@@ -1,11 +1,11 @@
 // The ranking on a chosen score: a dot and its interval for each row, bars over rows that do not differ significantly, and
 // the difference of each row from a chosen reference.
 import { axisName, axisRange, draw, inDigits, rowName, svgText } from "./drawing.js";
-import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import { rowPlot } from "./row_plot.js";
 import {
-  aheadChoice, hasScores, outputNamed, pointsIn, recordingNamed, recordingOptions, rowsWith, scoresOf, scoreWords, stepAt, stratumChoice,
+  aheadChoice, anyHasScores, outputNamed, pointsIn, recordingNamed, rowsWith, scoresOf, scoreWords, startFigureOfRecording, stepAt,
+  stratumChoice,
 } from "./scores.js";
 
 const LINE = 26, VALUE_ROOM = 72, TIER_ROOM = 12, LESS_ROOM = 64, BESIDE_ROOM = 72, NO_REFERENCE = "";
@@ -151,18 +151,14 @@ function rankingNumbers(chosen) {
 
 // Fills the section of the ranking.
 export function startRanking() {
-  if (!pageData.recordings.some(hasScores)) return;
-  startFigure({
+  startFigureOfRecording({
     id: "ranking",
     aside: true,
-    chosen: { recording: pageData.recordings[0].name, ...pageData.headline },
-    choices: (now) => {
-      const recording = recordingNamed(now.recording);
-      const isRanked = (name) => scoresOf(recording, name, ranks).length;
-      return [["recording", "Recording", recordingOptions()], stratumChoice(recording, now.score, isRanked),
-        ["score", "Score", scoresOf(recording, now.stratum, ranks)], aheadChoice(now),
-        ["reference", "Reference", [[NO_REFERENCE, "none"], ...rankedRows(now).map(({ label, name }) => [label, name])]]];
-    },
+    has: anyHasScores,
+    chosen: () => pageData.headline,
+    choices: (now, recording) => [stratumChoice(recording, now.score, (name) => scoresOf(recording, name, ranks).length),
+      ["score", "Score", scoresOf(recording, now.stratum, ranks)], aheadChoice(now),
+      ["reference", "Reference", [[NO_REFERENCE, "none"], ...rankedRows(now).map(({ label, name }) => [label, name])]]],
     drawing: drawRanking,
     numbers: rankingNumbers,
     line: caption,

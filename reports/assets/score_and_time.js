@@ -1,8 +1,7 @@
 // A score over the time of a tracker: each point is a row, beside one frame period.
 import { axisName, axisRange, draw, heightOf, inDigits, namedRows, roundTicks, rowName, scaleOf, svgText } from "./drawing.js";
-import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { aheadChoice, outputNamed, pointsIn, recordingNamed, recordingOptions, rowsWith, scoresOf, scoreWords, strataOf, stratumChoice } from "./scores.js";
+import { aheadChoice, outputNamed, pointsIn, recordingNamed, rowsWith, scoresOf, scoreWords, startFigureOfRecording, strataOf, stratumChoice } from "./scores.js";
 
 const LEAST_HIGH = 360, LEFT_ROOM = 44, TOP_ROOM = 24, BOTTOM_ROOM = 46, LABEL_ROW = 18, LEAST_TIME_MS = 0.01;
 const TIME = "99th percentile of update and forecast, ms";
@@ -88,15 +87,14 @@ function timedNumbers(chosen) {
 
 // Fills the section of score and time.
 export function startScoreAndTime() {
-  const listed = recordingOptions((recording) => strataOf(timedRows(recording)).length);
-  if (!listed.length) return;
-  startFigure({
+  startFigureOfRecording({
     id: "score-and-time",
     title: "Score and time",
-    chosen: { recording: listed[0][0], ...pageData.headline },
-    choices: (now) => {
-      const timed = timedRows(recordingNamed(now.recording));
-      return [["recording", "Recording", listed], stratumChoice(timed, now.score, (name) => scoresOf(timed, name).length),
+    has: (recording) => strataOf(timedRows(recording)).length,
+    chosen: () => pageData.headline,
+    choices: (now, recording) => {
+      const timed = timedRows(recording);
+      return [stratumChoice(timed, now.score, (name) => scoresOf(timed, name).length),
         ["score", "Score", scoresOf(timed, now.stratum)], aheadChoice(now)];
     },
     drawing: drawScoreAndTime,

@@ -1,8 +1,7 @@
 // Every score of every tracker, for one recording, stratum and horizon.
 import { inDigits, make, swatch } from "./drawing.js";
-import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
-import { aheadChoice, allSteps, hasScores, outputNamed, pointsIn, recordingNamed, recordingOptions, scoresOf, strataOf } from "./scores.js";
+import { aheadChoice, allSteps, hasScores, outputNamed, pointsIn, recordingNamed, scoresOf, startFigureOfRecording, strataOf } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
 const rowsIn = ({ recording, stratum }) =>
@@ -35,17 +34,13 @@ function tableNumbers(chosen) {
 
 // Fills the section of every score.
 export function startScoreTable() {
-  const listed = recordingOptions(hasScores);
-  if (!listed.length) return;
   const { stratum, ahead_s } = pageData.headline;
-  startFigure({
+  startFigureOfRecording({
     id: "every-score",
     title: "Every score",
-    chosen: { recording: listed[0][0], stratum, ahead_s },
-    choices: (now) => {
-      const recording = recordingNamed(now.recording);
-      return [["recording", "Recording", listed], ["stratum", "Cells", strataOf(recording)], aheadChoice(now, allSteps(now))];
-    },
+    has: hasScores,
+    chosen: () => ({ stratum, ahead_s }),
+    choices: (now, recording) => [["stratum", "Cells", strataOf(recording)], aheadChoice(now, allSteps(now))],
     drawing: drawTable,
     numbers: tableNumbers,
     line: () => "Brackets are 95 % intervals.",

@@ -1,5 +1,6 @@
 // The scores of the page's data: estimates by recording, row, stratum, score, output and step.
 import { inDigits, inSeconds } from "./drawing.js";
+import { startFigure } from "./figure.js";
 import { isCrowded, wideInterval } from "./line_chart.js";
 import { pageData } from "./page_data.js";
 import { isShown } from "./shown_trackers.js";
@@ -17,6 +18,7 @@ const outputByKey = new Map(outputs.map((one) => [one.key, one]));
 export const recordingNamed = (name) => pageData.recordings.find((one) => one.name === name);
 export const outputNamed = (key) => outputByKey.get(key);
 export const hasScores = (recording) => recording.rows.some((row) => Object.keys(row.strata).length);
+export const anyHasScores = () => pageData.recordings.some(hasScores);
 
 // The curves { value, low, high } of a row; null if it has none. `low` and `high` may be missing.
 export function estimateOf(row, stratum, key) {
@@ -55,11 +57,20 @@ export function lineThrough(row, xs, points) {
   return lineOf(row, { xs, values, low, high });
 }
 
-// Options of selects, from the recording. `has`: whether an option is listed.
-export function recordingOptions(has = () => true) {
-  return pageData.recordings.filter(has).map((one) => [one.name, one.name]);
+// A figure of one of the recordings that it `has`; none without any. `chosen(recording)`: its other choices at the start,
+// on the first one; `choices(chosen, recording)`: those after the choice of the recording.
+export function startFigureOfRecording({ has, chosen, choices, ...figure }) {
+  const listed = pageData.recordings.filter(has);
+  if (!listed.length) return;
+  const options = listed.map(({ name }) => [name, name]);
+  startFigure({
+    ...figure,
+    chosen: { recording: listed[0].name, ...chosen(listed[0]) },
+    choices: (now) => [["recording", "Recording", options], ...choices(now, recordingNamed(now.recording))],
+  });
 }
 
+// Options of selects, from the recording. `has`: whether an option is listed.
 export function strataOf(recording, has = () => true, noun = "cells") {
   return [...new Set(recording.rows.flatMap((row) => Object.keys(row.strata)))].filter(has).map((name) => [name, stratumWords(name, noun)]);
 }

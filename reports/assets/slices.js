@@ -1,9 +1,8 @@
 // One score of two rows on every stratum: such as cells in motion, standing, hidden, near and far.
 import { axisName, axisRange, draw, inDigits, rowName, svgText } from "./drawing.js";
-import { startFigure } from "./figure.js";
 import { pageData } from "./page_data.js";
 import { rowPlot } from "./row_plot.js";
-import { aheadChoice, hasScores, isDefined, outputNamed, pointsIn, recordingNamed, recordingOptions, scoresOf, scoreWords, strataOf } from "./scores.js";
+import { aheadChoice, hasScores, isDefined, outputNamed, pointsIn, recordingNamed, scoresOf, scoreWords, startFigureOfRecording, strataOf } from "./scores.js";
 import { isShown } from "./shown_trackers.js";
 
 const SLICE_ROW = 36, DIFFERENCE_ROOM = 72, BESIDE = 6;
@@ -64,19 +63,19 @@ function sliceNumbers(chosen) {
 
 // Fills the section of slices.
 export function startSlices() {
-  const listed = recordingOptions((recording) => hasScores(recording) && recording.rows.length > 1 && slicedScores(recording).length);
-  if (!listed.length) return;
-  const recording = recordingNamed(listed[0][0]);
-  const inOrder = ["ranked", "floor", "unranked", "ceiling"].flatMap((group) => recording.rows.filter((row) => row.group === group));
-  const floor = inOrder.find((row) => row.group === "floor" && row !== inOrder[0]) ?? inOrder[1];
   const { score, ahead_s } = pageData.headline;
-  startFigure({
+  startFigureOfRecording({
     id: "slices",
     title: "Slices",
-    chosen: { recording: recording.name, score, ahead_s, row: inOrder[0].label, other: floor.label },
-    choices: (now) => {
-      const own = recordingNamed(now.recording), rows = own.rows.map(({ label, name }) => [label, name]);
-      return [["recording", "Recording", listed], ["score", "Score", slicedScores(own)], ["row", "Tracker", rows],
+    has: (recording) => hasScores(recording) && recording.rows.length > 1 && slicedScores(recording).length,
+    chosen: (recording) => {
+      const inOrder = ["ranked", "floor", "unranked", "ceiling"].flatMap((group) => recording.rows.filter((row) => row.group === group));
+      const floor = inOrder.find((row) => row.group === "floor" && row !== inOrder[0]) ?? inOrder[1];
+      return { score, ahead_s, row: inOrder[0].label, other: floor.label };
+    },
+    choices: (now, recording) => {
+      const rows = recording.rows.map(({ label, name }) => [label, name]);
+      return [["score", "Score", slicedScores(recording)], ["row", "Tracker", rows],
         ["other", "Beside", rows.filter(([label]) => label !== now.row)], aheadChoice(now)];
     },
     drawing: drawSlices,
