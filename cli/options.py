@@ -92,7 +92,7 @@ def _parameter(name: str, option: OptionField) -> inspect.Parameter:
         "autocompletion": COMPLETIONS.get(name) or complete_values(kind, literals),
     }
     flag = f"--{option.name}/--no-{option.name}" if field.default is True else f"--{option.name}"
-    made = typer.Argument(**shown) if option.argument else typer.Option(flag, **shown)
+    made = typer.Argument(**shown) if option.own.argument else typer.Option(flag, **shown)
     default = inspect.Parameter.empty if field.is_required() else None
     optional = annotation if field.is_required() else annotation | None
     return inspect.Parameter(name, KEYWORD_ONLY, default=default, annotation=Annotated[optional, made])

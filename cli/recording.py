@@ -20,10 +20,9 @@ from gridtrack.cli.options import (
 from gridtrack.common.errors import INTERRUPTED_EXIT_CODE, ConfigurationError, printable
 from gridtrack.common.grid import GridSpec
 from gridtrack.recordings import ReadOptions, Recording, import_recording, open_recording
+from gridtrack.recordings.importing import ImportSettings
 from gridtrack.recordings.outputs.conversion import OutputSettings, write_outputs
-from gridtrack.recordings.read_options import PoseSource
 from gridtrack.recordings.stream import open_stream
-from gridtrack.recordings.stretches import parse_named_stretch
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 
@@ -41,63 +40,17 @@ def _print_overview(recording: Recording, as_json: bool) -> None:
 
 
 @app.command("import")
-@settings_options(ReadOptions)
+@settings_options(ImportSettings)
 def recording_import(
     values: dict[str, Any],
     source: WholeRecordingArgument,
     out: Annotated[Path, typer.Option(metavar="FILE", help="The .mcap to write")],
-    site: Annotated[str | None, typer.Option(metavar="SITE", help="The site of the sensor")] = None,
-    grid: GridOption = None,
-    rate: RateOption = None,
-    stretch: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=RANGE", help="Stretch, such as train=0s-75s; repeat for several")
-    ] = None,
-    licence: Annotated[str, typer.Option(metavar="TEXT", help="Licence of the recording")] = "",
-    credit: Annotated[str, typer.Option(metavar="TEXT", help="Authors of the recording")] = "",
-    labels: Annotated[Path | None, typer.Option(metavar="FILE", help="CSV of the class of each beam")] = None,
-    people: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TOPIC|CSV",
-            help="Annotated positions of persons: a topic or FILE.csv, with @FRAME if they name no frame",
-        ),
-    ] = None,
-    people_by_order: Annotated[
-        bool, typer.Option("--people-by-order", help="Each place in an array of poses is one person")
-    ] = False,
-    people_delay: Annotated[
-        float, typer.Option(metavar="SECONDS", help="How much later than the scans the people are stamped")
-    ] = 0.0,
-    ego_motion: Annotated[
-        PoseSource,
-        typer.Option(
-            metavar="SOURCE",
-            help="Source of the poses: recorded; kiss-icp, from the scans alone; refined, from the scans with the"
-            " recorded motion as a prior",
-        ),
-    ] = "recorded",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file OUT if it exists")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a recording of any format (ROS 1 or 2 bag, ROS or Foxglove MCAP, CARMEN log, ...) as a native one."""
     try:
-        recording = import_recording(
-            Path(source),
-            out,
-            site=site,
-            grid=grid,
-            rate_hz=rate,
-            stretches=dict(parse_named_stretch(text) for text in stretch or ()),
-            licence=licence,
-            credit=credit,
-            labels=labels,
-            people=people,
-            people_by_order=people_by_order,
-            people_delay_s=people_delay,
-            ego_motion=ego_motion,
-            overwrite=overwrite,
-            **values,
-        )
+        recording = import_recording(Path(source), out, overwrite=overwrite, **values)
     except KeyboardInterrupt:
         print_note(f"interrupted: {out} is unchanged, or complete")
         raise typer.Exit(INTERRUPTED_EXIT_CODE) from None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
@@ -26,6 +26,10 @@ class Option:
     """Empty: the unit, or the type."""
     argument: bool = False
     """The field is given by its place on the command line."""
+    texts: Callable[[Any], Iterable[str]] | None = None
+    """The texts of a value in a command, one for each time that the option is given; None: by the type of the value."""
+    purpose: str = ""
+    """The inputs that have a use for the option; empty: all."""
 
 
 class OptionField(NamedTuple):
@@ -40,7 +44,7 @@ class OptionField(NamedTuple):
     """Without dashes."""
     metavar: str
     """Empty: the type."""
-    argument: bool
+    own: Option
 
     def checked(self, value: Any) -> Any:
         """The value that the field has for `value` as a user gave it; the option's name begins every error.
@@ -48,7 +52,7 @@ class OptionField(NamedTuple):
         Raises ConfigurationError.
         """
         kind: Any = Annotated[self.field.annotation, Option(), *self.field.metadata]
-        name = self.metavar if self.argument else f"--{self.name}"
+        name = self.metavar if self.own.argument else f"--{self.name}"
         try:
             return TypeAdapter(kind, config=ConfigDict(allow_inf_nan=False)).validate_python(value)
         except ConfigurationError as error:
@@ -75,7 +79,7 @@ def option_fields(model: type[BaseModel], above: tuple[str, ...] = ()) -> Iterat
         own = next((one for one in field.metadata if isinstance(one, Option)), Option())
         unit = next((unit for unit in UNITS if name.endswith(unit)), "")
         option_name = own.name or name.removesuffix(unit).replace("_", "-")
-        yield OptionField((*above, name), field, model, option_name, own.metavar or UNITS.get(unit, ""), own.argument)
+        yield OptionField((*above, name), field, model, option_name, own.metavar or UNITS.get(unit, ""), own)
 
 
 def option_words(model: type[BaseModel], values: Mapping[str, Any]) -> list[str]:
@@ -88,9 +92,14 @@ def option_words(model: type[BaseModel], values: Mapping[str, Any]) -> list[str]
         if isinstance(value, bool):
             words += [f"--{option.flag(value)}"] if value != option.field.default else []
         elif value is not None:
-            for one in value if isinstance(value, list | tuple) else [value]:
-                words += [_text_of(one)] if option.argument else [f"--{option.name}", _text_of(one)]
+            texts = option.own.texts or _texts_of
+            for text in texts(value):
+                words += [text] if option.own.argument else [f"--{option.name}", text]
     return words
+
+
+def _texts_of(value: Any) -> list[str]:
+    return [_text_of(one) for one in (value if isinstance(value, list | tuple) else [value])]
 
 
 def _text_of(value: Any) -> str:

@@ -11,14 +11,16 @@ from dataclasses import replace
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Annotated, Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import RecordingError, did_you_mean
 from gridtrack.common.files import atomic_write, check_path, name_from, user_cache_folder
+from gridtrack.common.options import Option, from_texts, option_words
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import UNLABELLED
 from gridtrack.recordings.formats.native import write_native
@@ -33,66 +35,81 @@ from gridtrack.recordings.people import (
     read_people,
     with_people,
 )
-from gridtrack.recordings.read_options import NO_POSES, PoseSource
+from gridtrack.recordings.read_options import NO_POSES, PoseSource, ReadOptions, reading_options
 from gridtrack.recordings.recording import Recording
 from gridtrack.recordings.recording_info import RecordingInfo, Stretch, stretch_text
-from gridtrack.recordings.stretches import stretch_of
+from gridtrack.recordings.stretches import parse_named_stretch, stretch_of
 
 MATCHING_VERSION = 1
 """Increases with every change to the poses that are found in the same scans."""
 
 
-def import_recording(
-    source: Path | str,
-    out: Path | str,
-    *,
-    site: str | None = None,
-    grid: str | None = None,
-    rate_hz: float | None = None,
-    stretches: Mapping[str, Stretch] | None = None,
-    licence: str = "",
-    credit: str = "",
-    labels: Path | str | None = None,
-    people: str | None = None,
-    people_by_order: bool = False,
-    people_delay_s: float = 0.0,
-    ego_motion: PoseSource = "recorded",
-    overwrite: bool = False,
-    **options: Any,
-) -> Recording:
+class ImportSettings(ReadOptions):
+    """What an import adds to a recording or changes in it, and how the recording is read."""
+
+    site: Annotated[str | None, Option(metavar="SITE")] = None
+    """The site of the sensor"""
+    grid: Annotated[str | None, Option(metavar="CELLSxMETRES[@X,Y]")] = None
+    """Grid, such as 100x0.2; default: the grid of the recording"""
+    licence: Annotated[str, Option(metavar="TEXT")] = ""
+    """Licence of the recording"""
+    credit: Annotated[str, Option(metavar="TEXT")] = ""
+    """Authors of the recording"""
+    rate_hz: float | None = None
+    """Frames per second; default: the rate of the recording"""
+    stretches: Annotated[
+        dict[str, Stretch],
+        from_texts(parse_named_stretch),
+        Option("stretch", "NAME=RANGE", texts=lambda named: (f"{name}={stretch_text(named[name])}" for name in named)),
+    ] = Field(default_factory=dict)
+    """Stretch, such as train=0s-75s; repeat for several"""
+    labels: Annotated[Path | None, Option(metavar="FILE", texts=lambda path: [path.name])] = None
+    """CSV of the class of each beam"""
+    people: Annotated[str | None, Option(metavar="TOPIC|CSV", texts=lambda text: [str(parse_people(text))])] = None
+    """Annotated positions of persons: a topic or FILE.csv, with @FRAME if they name no frame"""
+    people_by_order: bool = False
+    """Each place in an array of poses is one person"""
+    people_delay_s: float = Field(default=0.0, allow_inf_nan=True)
+    """How much later than the scans the people are stamped"""
+    ego_motion: Annotated[PoseSource, Option(metavar="SOURCE")] = "recorded"
+    """Source of the poses: recorded; kiss-icp, from the scans alone; refined, from the scans with the recorded motion
+    as a prior"""
+
+
+METADATA = ("site", "grid", "licence", "credit", "rate_hz", "stretches")
+"""Fields of the settings that replace those of RecordingInfo."""
+
+
+def import_recording(source: Path | str, out: Path | str, *, overwrite: bool = False, **options: Any) -> Recording:
     """Write the recording at `source`, in any format, as a native one at `out`, and open it.
 
     Ranges are copied exactly, including NaN and infinities; only `no_return` makes codes infinite. The same source and
-    options give the same bytes. Warnings about the file are written too, so reading the result repeats them. `site`
-    defaults to the site in the source, or to its file name. With `ego_motion` "kiss-icp" the poses come from matching
-    the scans, and a single sensor needs no usable recorded poses; with "refined" the recorded motion is the prior of
-    the matches. `people` are annotated positions of persons, TOPIC or FILE.csv, with @FRAME if they name none; with
-    `people_by_order` each place in an array of poses is one person, and `people_delay_s` is how much later than the
-    scans they are stamped. `options`: as in `open_recording`. An existing file
-    at `out` is replaced only with `overwrite`. Raises RecordingError and ConfigurationError; `out` is then not changed.
+    options give the same bytes. Warnings about the file are written too, so reading the result repeats them. `options`
+    are the fields of ImportSettings; `site` defaults to the site in the source, or to its file name. With `ego_motion`
+    "kiss-icp" a single sensor needs no usable recorded poses. An existing file at `out` is replaced only with
+    `overwrite`. Raises RecordingError and ConfigurationError; `out` is then not changed.
     """
     out = Path(out)
     check_path(out, RecordingError)
-    recording = _opened(source, options, ego_motion)
+    settings = validated(ImportSettings, options, "import")
+    recording = _opened(source, options, settings.ego_motion)
     _check_destination(out, recording, overwrite)
-    annotated = None if people is None else parse_people(people, by_order=people_by_order, delay_s=people_delay_s)
-    stretches = dict(stretches or {})
-    for stretch in stretches.values():
+    people: PeopleSource | None = None
+    if settings.people is not None:
+        people = parse_people(settings.people, by_order=settings.people_by_order, delay_s=settings.people_delay_s)
+    for stretch in settings.stretches.values():
         stretch_of(recording, stretch)
-    given = {"site": site, "grid": grid, "licence": licence, "credit": credit, "rate_hz": rate_hz}
-    info = _info(recording, {**given, "stretches": stretches}, labels).model_copy(
-        update={"command": _command(recording, out, given, stretches, labels, annotated, ego_motion)}
-    )
+    info = _info(recording, out, settings)
     if recording.pose_problem:
         raise RecordingError(f"{recording.path}: {recording.pose_problem}")
     posed: Callable[[], Iterable[Scan]] = recording.scans
-    if ego_motion != "recorded":
-        info, posed = _with_matched_poses(info, recording, ego_motion)
+    if settings.ego_motion != "recorded":
+        info, posed = _with_matched_poses(info, recording, settings.ego_motion)
     scans = posed()
-    if labels is not None:
-        scans = with_labels(scans, Path(labels), info.classes)
-    if annotated is not None:
-        found = _people_in(recording, annotated, SensorPaths(posed()), ego_motion)
+    if settings.labels is not None:
+        scans = with_labels(scans, settings.labels, info.classes)
+    if people is not None:
+        found = _people_in(recording, people, SensorPaths(posed()), settings.ego_motion)
         scans = with_people(scans, found, recording.notify)
     _write(out, info, scans, recording.warnings_for_copy)
     return open_recording(out, strict=recording.options.strict)
@@ -120,9 +137,10 @@ def posed_copy(path: Path, ego_motion: PoseSource, format: str | None, note: Cal
 
 def _opened(source: Path | str, options: Mapping[str, Any], ego_motion: PoseSource) -> Recording:
     """The source, opened without its poses if they cannot be used and are not needed."""
-    recording = open_recording(source, **options)
+    reading = reading_options(options)
+    recording = open_recording(source, **reading)
     if ego_motion == "kiss-icp" and not _can_use_poses(recording):
-        recording = open_recording(source, **{**options, "pose_topic": NO_POSES})
+        recording = open_recording(source, **{**reading, "pose_topic": NO_POSES})
     return recording
 
 
@@ -178,46 +196,17 @@ def _people_in(
     return placed_people(source, annotations, paths, frames, recording.notify)
 
 
-def _info(recording: Recording, given: Mapping[str, Any], labels: Path | str | None) -> RecordingInfo:
-    """The metadata of the source, replaced by the `given` values."""
-    values = recording.info.model_dump() | {key: value for key, value in given.items() if value}
+def _info(recording: Recording, out: Path, settings: ImportSettings) -> RecordingInfo:
+    """The metadata of the source, replaced by the given values, with the command that repeats the import."""
+    values = recording.info.model_dump() | {name: value for name in METADATA if (value := getattr(settings, name))}
     if not recording.info.source_sha256:  # else the source was imported itself: its own source identifies it
         values |= {"source": recording.name, "source_sha256": recording.sha256}
-    if labels is not None:
-        values["classes"] = classes_in(Path(labels))
-    return validated(RecordingInfo, values, "import")
-
-
-def _command(
-    recording: Recording,
-    out: Path,
-    given: Mapping[str, Any],
-    stretches: Mapping[str, Stretch],
-    labels: Path | str | None,
-    people: PeopleSource | None,
-    ego_motion: PoseSource,
-) -> str:
-    """The command line that repeats the import, without the folders of this machine."""
-    read = recording.options
-    options = [
-        ("--out", out.name),
-        ("--format", read.format),
-        ("--topic", read.topic),
-        ("--labels", labels and Path(labels).name),
-        ("--people", people),
-        ("--people-delay", people and people.delay_s and f"{people.delay_s:.9g}"),
-        *((f"--{name}", given[name]) for name in ("site", "grid", "licence", "credit")),
-        ("--rate", given["rate_hz"] and f"{given['rate_hz']:g}"),
-        *(("--stretch", f"{name}={stretch_text(stretch)}") for name, stretch in stretches.items()),
-        ("--cloud-slice", read.cloud_slice),
-        ("--pose-topic", read.pose_topic),
-        *(("--mount", str(mount)) for mount in read.mounts),
-        *read.meaning.items(),
-        ("--ego-motion", None if ego_motion == "recorded" else ego_motion),
-    ]
-    words = [word for option, value in options if value for word in (option, str(value))]
-    words += ["--people-by-order"] if people and people.by_order else []
-    return shlex.join(["gridtrack", "recording", "import", recording.name, *words])
+    if settings.labels is not None:
+        values["classes"] = classes_in(settings.labels)
+    given = {**settings.given, **recording.options.given, "strict": False}
+    words = ["--out", out.name, *option_words(ImportSettings, given)]  # without the folders of this machine
+    command = shlex.join(["gridtrack", "recording", "import", recording.name, *words])
+    return validated(RecordingInfo, values | {"command": command}, "import")
 
 
 def _write(out: Path, info: RecordingInfo, scans: Iterable[Scan], warnings: Callable[[], Sequence[str]]) -> None:

@@ -9,18 +9,11 @@ from typing import Any
 from gridtrack.common.config import validated
 from gridtrack.common.errors import GridtrackError, RecordingError, did_you_mean
 from gridtrack.common.files import LFS_POINTER, NOT_PULLED, check_utf8, open_regular
+from gridtrack.common.options import option_fields
 from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.read_options import ReadOptions
 from gridtrack.recordings.recording import Recording
 from gridtrack.recordings.registry import HEAD_BYTES, FormatRegistry, RecordingFormat
-
-OPTION_PURPOSE = {
-    "topic": "--topic is for recordings with several topics",
-    "cloud_slice": "--cloud-slice is for ROS recordings with point clouds",
-    "pose_topic": "--pose-topic is for recordings with poses on separate topics (ROS, Foxglove)",
-    "stamps": "--stamps is for ROS recordings and CARMEN logs",
-    "mounts": "--mount is for recordings with frames in their scans (ROS, Foxglove)",
-}
 
 
 def open_recording(path: Path | str, *, growth: Growth | None = None, **options: Any) -> Recording:
@@ -41,10 +34,12 @@ def open_recording(path: Path | str, *, growth: Growth | None = None, **options:
     recording_format = registry.recognising(path, _head(path, registry))
     if recording_format is None:
         raise RecordingError(f"{path}: {_why_unknown(path, registry)}")
-    default = dict(ReadOptions())
-    for name, purpose in OPTION_PURPOSE.items():
-        if getattr(given, name) != default[name] and name not in recording_format.options:
-            raise RecordingError(f"{path}: {purpose}; a {recording_format.name} has no use for it: leave it out")
+    for option in option_fields(ReadOptions):
+        (field,), purpose = option.path, option.own.purpose
+        if purpose and field in given.given and field not in recording_format.options:
+            raise RecordingError(
+                f"{path}: --{option.name} is for {purpose}; a {recording_format.name} has no use for it: leave it out"
+            )
     if growth is not None:
         _require_growing(path, recording_format)
     recording = _opened(path, recording_format, given)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -157,37 +158,69 @@ class ReadOptions(Settings):
     format: Annotated[str | None, Option(metavar="NAME")] = None
     """Recording format of another package, which is loaded only by this name; the formats of gridtrack are found by the
     file itself"""
-    topic: Annotated[str | None, Option(metavar="TOPIC")] = None
+    topic: Annotated[str | None, Option(metavar="TOPIC", purpose="recordings with several topics")] = None
     """Read the scans of this topic only, if the recording has several"""
     strict: bool = False
     """Refuse a recording with a fault, instead of giving a warning"""
-    cloud_slice: Annotated[CloudSlice | None, Option(metavar="KEY=VALUE,..."), from_text(parse_cloud_slice)] = None
+    cloud_slice: Annotated[
+        CloudSlice | None,
+        Option(metavar="KEY=VALUE,...", texts=lambda cut: [str(cut)], purpose="ROS recordings with point clouds"),
+        from_text(parse_cloud_slice),
+    ] = None
     """How a point cloud becomes a scan: low_m=0.2,high_m=1.0; bearings without points are free up to range_max_m, or
     unknown with empty=unknown"""
-    pose_topic: Annotated[str | None, Option(metavar="TOPIC")] = None
+    pose_topic: Annotated[
+        str | None, Option(metavar="TOPIC", purpose="recordings with poses on separate topics (ROS, Foxglove)")
+    ] = None
     """Topic with the poses of the robot, if the transforms are wrong; none: it stands still"""
-    mounts: Annotated[tuple[Annotated[Mount, from_text(parse_mount)], ...], Option("mount", "SENSOR=X,Y,ANGLE")] = ()
+    mounts: Annotated[
+        tuple[Annotated[Mount, from_text(parse_mount)], ...],
+        Option(
+            "mount",
+            "SENSOR=X,Y,ANGLE",
+            texts=lambda mounts: map(str, mounts),
+            purpose="recordings with frames in their scans (ROS, Foxglove)",
+        ),
+    ] = ()
     """Place of a sensor on the robot: laser=0.4,0.2,45deg, with ,mirrored if it is upside down; repeat for several"""
-    no_return: Annotated[tuple[NoReturn, ...], Option(metavar="CODE,..."), BeforeValidator(codes_in)] = ()
+    no_return: Annotated[
+        tuple[NoReturn, ...],
+        Option(metavar="CODE,...", texts=lambda codes: [",".join(codes)]),
+        BeforeValidator(codes_in),
+    ] = ()
     """Values that mean no return (free up to the maximum range): max, from 5 cm below the maximum range on; zero; nan.
     By default zero and nan are invalid (unknown), and the maximum range is a return"""
-    range_limits: Annotated[tuple[float, float] | None, Option(metavar="MIN,MAX"), from_text(parse_limits)] = None
+    range_limits: Annotated[
+        tuple[float, float] | None,
+        Option(metavar="MIN,MAX", texts=lambda limits: [",".join(f"{limit:g}" for limit in limits)]),
+        from_text(parse_limits),
+    ] = None
     """Range limits of the laser in metres, in place of wrong ones in the recording: 0.1,30"""
-    angles: Annotated[tuple[float, float] | None, Option(metavar="FIRST,LAST"), from_text(parse_angles)] = None
+    angles: Annotated[
+        tuple[float, float] | None,
+        Option(metavar="FIRST,LAST", texts=lambda angles: [",".join(f"{angle:.9g}rad" for angle in angles)]),
+        from_text(parse_angles),
+    ] = None
     """Angles of the first and the last beam, in place of wrong ones in the recording: -135deg,135deg"""
 
     stamps: Annotated[
-        float | Literal["header", "received", "end"], Option(metavar="SOURCE"), from_text(parse_stamps)
+        float | Literal["header", "received", "end"],
+        Option(
+            metavar="SOURCE",
+            texts=lambda stamps: [f"{stamps:g}hz" if isinstance(stamps, float) else stamps],
+            purpose="ROS recordings and CARMEN logs",
+        ),
+        from_text(parse_stamps),
     ] = "header"
     """Source of the stamps of scans: header; received, the time of reception; end, the header if it has the time of the
     last beam; or a rate for scans without usable stamps, such as 10hz (CARMEN logs)"""
 
     @property
-    def meaning(self) -> dict[str, str]:
-        """The options that change the numbers of scans, and their values as on the command line; empty if not given."""
-        return {
-            "--no-return": ",".join(self.no_return),
-            "--range-limits": ",".join(f"{limit:g}" for limit in self.range_limits or ()),
-            "--angles": ",".join(f"{angle:.9g}rad" for angle in self.angles or ()),
-            "--stamps": f"{self.stamps:g}hz" if isinstance(self.stamps, float) else self.stamps.replace("header", ""),
-        }
+    def given(self) -> dict[str, Any]:
+        """The options that differ from their defaults, by field."""
+        return {name: value for name, value in self if value != type(self).model_fields[name].default}
+
+
+def reading_options(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of `values` that are fields of ReadOptions."""
+    return {name: value for name, value in values.items() if name in ReadOptions.model_fields}

@@ -14,6 +14,7 @@ from pathlib import Path
 from gridtrack.common.errors import RecordingError, bounded_line, did_you_mean
 from gridtrack.common.files import name_from, sha256_of
 from gridtrack.common.notices import Notice
+from gridtrack.common.options import option_fields, option_words
 from gridtrack.common.scan import Scan
 from gridtrack.recordings.file_reading import DamageError, Growth
 from gridtrack.recordings.meaning import with_meaning
@@ -147,22 +148,17 @@ class Recording(ABC):
         name = name_from(self.path)
         imported = re.fullmatch(rf"(.+-{end})(?:-(\d+))?", name)
         stem = f"{imported[1]}-{int(imported[2] or 1) + 1}" if imported else f"{name}-{end}"
-        command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{stem}.mcap"]
-        given = {
-            "--format": self.options.format,
-            "--topic": self.options.topic,
-            "--cloud-slice": self.options.cloud_slice and str(self.options.cloud_slice),
-            "--pose-topic": self.options.pose_topic,
-            **self.options.meaning,
-        }
-        for option, value in given.items():
-            command += [option, value] if value and option not in words else []
         topic = words[words.index("--topic") + 1] if "--topic" in words else None
-        for mount in self.options.mounts:
-            is_replaced = any(word.startswith(f"{mount.sensor}=") for word in words)
-            if not is_replaced and (topic is None or self.is_mount_of(mount, topic)):
-                command += ["--mount", str(mount)]
-        return shlex.join([*command, *words])
+        mounts = [
+            mount
+            for mount in self.options.mounts
+            if not any(word.startswith(f"{mount.sensor}=") for word in words)
+            and (topic is None or self.is_mount_of(mount, topic))
+        ]
+        without = {"strict", *(option.path[0] for option in option_fields(ReadOptions) if f"--{option.name}" in words)}
+        kept = {name: value for name, value in self.options.given.items() if name not in without} | {"mounts": mounts}
+        command = ["gridtrack", "recording", "import", str(self.path), "--out", f"{stem}.mcap"]
+        return shlex.join([*command, *option_words(ReadOptions, kept), *words])
 
     def is_mount_of(self, mount: Mount, topic: str) -> bool:
         """Whether a mount belongs to the sensor with the scans of `topic`."""

@@ -160,7 +160,7 @@ def test_the_defaults_in_the_help_come_from_the_settings_and_the_command_has_non
     monkeypatch.setenv("COLUMNS", "240")
     lines = gridtrack(command, "--help").stdout.splitlines()
     shown = {found[1]: found[2] for line in lines if (found := re.search(r"--([\w-]+) .*\[default: (.*?)\]", line))}
-    fields = {option.name: option.field for option in option_fields(model) if not option.argument}
+    fields = {option.name: option.field for option in option_fields(model) if not option.own.argument}
     options = {name: field.get_default(call_default_factory=True) for name, field in fields.items()}
     own = {name for name, default in options.items() if default not in (None, (), {}, "") and default is not False}
     assert shown.keys() == own

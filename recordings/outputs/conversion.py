@@ -22,7 +22,7 @@ from gridtrack.recordings.outputs.object_table import ObjectList, TwistFrame, co
 from gridtrack.recordings.outputs.objects import OBJECT_MESSAGES, read_objects
 from gridtrack.recordings.outputs.rasterise import StaticMap
 from gridtrack.recordings.outputs.width import DEFAULT_WIDTH_M, Placed, WidthFit, drawn
-from gridtrack.recordings.read_options import ReadOptions
+from gridtrack.recordings.read_options import ReadOptions, reading_options
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.recordings.stretches import parse_stretch
 
@@ -72,8 +72,7 @@ def write_outputs(
         raise ConfigurationError(f"{out}: the folder {out.parent} does not exist: make it")
     if out.exists() and not overwrite:
         raise ConfigurationError(f"{out}: exists already; name another file, or replace it with --overwrite")
-    reading = {name: value for name, value in values.items() if name in ReadOptions.model_fields}
-    stream, notes = open_stream(recording, **reading), Notes()
+    stream, notes = open_stream(recording, **reading_options(values)), Notes()
     if settings.grid:
         write_grids(stream, list(settings.grid), out, notes)
     else:
