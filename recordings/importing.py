@@ -169,14 +169,14 @@ def _with_matched_poses(
     info: RecordingInfo, recording: Recording, ego_motion: PoseSource
 ) -> tuple[RecordingInfo, Callable[[], Iterator[Scan]]]:
     """The metadata that describes the poses of the matches, and the scans with these poses."""
-    from gridtrack.recordings.ego_motion import MatchingSettings, matched_trajectory, with_matched_poses
+    from gridtrack.recordings.ego_motion import matched_trajectory, with_matched_poses
 
     if ego_motion == "refined" and not recording.survey.moves:
         raise RecordingError(
             f"{recording.path}: the recorded poses do not change, so that there is no motion to refine: --ego-motion"
             " kiss-icp takes the poses from the scans alone"
         )
-    trajectory = matched_trajectory(recording.scans(), ego_motion, MatchingSettings())
+    trajectory = matched_trajectory(recording.scans(), ego_motion)
     described = info.model_copy(update={"poses": trajectory.describe(ego_motion)})
     has_people = any(sensor.with_people for sensor in recording.survey.sensors.values())
     return described, lambda: with_matched_poses(recording.scans(), trajectory, has_people=has_people)

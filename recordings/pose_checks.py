@@ -191,22 +191,26 @@ def displacement_m(earlier: Scan, moved: tuple[SE2, float], later: Scan, moves: 
     """
     from scipy.spatial import cKDTree
 
-    from gridtrack.recordings.ego_motion.fit import MatchingSettings, fit_at, share_on_map, stepped, walls_of
+    from gridtrack.recordings.ego_motion.fit import (
+        MIN_INLIER_SHARE,
+        MIN_RETURNS,
+        fit_at,
+        share_on_map,
+        stepped,
+        walls_of,
+    )
     from gridtrack.recordings.ego_motion.returns import returns_of
 
-    settings = MatchingSettings()
-    before, returns = (
-        returns_of(scan, settings.max_range_m, *motion) for scan, motion in ((earlier, moved), (later, moves))
-    )
-    if min(len(before.points), len(returns.points)) < settings.min_returns:
+    before, returns = returns_of(earlier, *moved), returns_of(later, *moves)
+    if min(len(before.points), len(returns.points)) < MIN_RETURNS:
         return None
     between = earlier.world_T_sensor.inverse() @ later.world_T_sensor
     map_points, walls, pose = cKDTree(before.points), walls_of(returns), between
     for kernel_m in KERNELS_M:
-        pose = stepped(pose, walls, map_points, (between, PRIOR_INFORMATION * np.eye(3)), kernel_m, settings)
+        pose = stepped(pose, walls, map_points, (between, PRIOR_INFORMATION * np.eye(3)), kernel_m)
     fit = fit_at(pose, walls, map_points, KERNELS_M[-1])
     shared = share_on_map(pose, returns, map_points, KERNELS_M[-1], len(returns.points))
-    if shared < settings.min_inlier_share or np.count_nonzero(fit.on_map) < settings.min_returns:
+    if shared < MIN_INLIER_SHARE or np.count_nonzero(fit.on_map) < MIN_RETURNS:
         return math.inf
     off = pose.inverse() @ between
     across = walls.jacobian[fit.on_map] @ [off.x, off.y, off.theta]

@@ -21,7 +21,7 @@ from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridSpec
 from gridtrack.common.scan import Scan
 from gridtrack.recordings import open_recording
-from gridtrack.recordings.ego_motion import MatchingSettings, matched_trajectory, with_matched_poses
+from gridtrack.recordings.ego_motion import matched_trajectory, with_matched_poses
 from gridtrack.recordings.formats.native import write_native
 from gridtrack.recordings.read_options import Mount, PoseSource, parse_mount
 from gridtrack.recordings.recording_info import RecordingInfo
@@ -111,7 +111,7 @@ def import_real(recording: RealRecording, scans: Iterable[Scan], poses: PoseSour
     posed = scans
     if poses != "recorded":
         scans = list(scans)
-        trajectory = matched_trajectory(scans, poses, MatchingSettings())
+        trajectory = matched_trajectory(scans, poses)
         described["poses"] = trajectory.describe(poses)
         print(f"{recording.name}: {described['poses']}", flush=True)
         posed = with_matched_poses(scans, trajectory)

@@ -5,6 +5,5 @@ from gridtrack.recordings.ego_motion.estimation import (
     matched_trajectory,
     with_matched_poses,
 )
-from gridtrack.recordings.ego_motion.fit import MatchingSettings
 
-__all__ = ["MatchedTrajectory", "MatchingSettings", "matched_trajectory", "with_matched_poses"]
+__all__ = ["MatchedTrajectory", "matched_trajectory", "with_matched_poses"]

@@ -10,7 +10,6 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.scan import PoseQuality, Scan
-from gridtrack.recordings.ego_motion.fit import MatchingSettings
 from gridtrack.recordings.ego_motion.matching import ScanMatch, ScanMatcher
 from gridtrack.recordings.ego_motion.prior import LastMotion, Prior, motion_prior, odometry_prior
 from gridtrack.recordings.ego_motion.returns import OBJECT_M
@@ -26,21 +25,21 @@ STANDING_M, STANDING_RAD = 0.05, 0.02
 class ScanOdometry:
     """Estimates the pose of one sensor scan by scan; with `odometry` the recorded motion is the prior of each match."""
 
-    def __init__(self, settings: MatchingSettings, odometry: bool) -> None:
+    def __init__(self, odometry: bool) -> None:
         """Raises RecordingError if kiss-icp is not installed."""
-        self._settings, self._odometry = settings, odometry
-        self._matcher = ScanMatcher(settings)
+        self._odometry = odometry
+        self._matcher = ScanMatcher()
         self._first: Scan | None = None
         self._last: Scan | None = None
         self._pose = SE2()
-        self._motion = LastMotion(0, SE2(), settings)
+        self._motion = LastMotion(0, SE2())
 
     def match(self, scan: Scan) -> ScanMatch:
         """The match of the next scan; the first scan keeps its recorded pose."""
         if self._last is None:
             self._last = self._first = scan
             self._pose = scan.world_T_sensor
-            self._motion = LastMotion(scan.stamp_ns, self._pose, self._settings)
+            self._motion = LastMotion(scan.stamp_ns, self._pose)
             self._matcher.start(scan, self._pose, SE2(), 0.0)
             return ScanMatch(self._pose, PoseQuality("start"), np.zeros((3, 3)))
         since_s = (scan.stamp_ns - self._last.stamp_ns) / 1e9
@@ -59,17 +58,17 @@ class ScanOdometry:
 
     def _rematched(self, scan: Scan, first: Scan, match: ScanMatch, motion: SE2, since_s: float) -> ScanMatch:
         """The second scan matched again with the first one, now deskewed by the `motion` between them."""
-        self._matcher = ScanMatcher(self._settings)
+        self._matcher = ScanMatcher()
         self._matcher.start(first, self._pose, motion, since_s)
-        again = LastMotion(first.stamp_ns, self._pose, self._settings)
+        again = LastMotion(first.stamp_ns, self._pose)
         again.add(scan.stamp_ns, self._pose @ motion, match.quality, match.information)
-        prior = motion_prior(self._pose, again.velocity(scan.stamp_ns), since_s, self._settings)
+        prior = motion_prior(self._pose, again.velocity(scan.stamp_ns), since_s)
         return self._matcher.match(scan, prior, since_s)
 
     def _prior(self, scan: Scan, last: Scan, since_s: float) -> Prior:
         if self._odometry:
-            return odometry_prior(self._pose, last.world_T_sensor.inverse() @ scan.world_T_sensor, self._settings)
-        return motion_prior(self._pose, self._motion.velocity(scan.stamp_ns), since_s, self._settings)
+            return odometry_prior(self._pose, last.world_T_sensor.inverse() @ scan.world_T_sensor)
+        return motion_prior(self._pose, self._motion.velocity(scan.stamp_ns), since_s)
 
 
 def _is_noise(motion: SE2) -> bool:
@@ -134,9 +133,9 @@ class MatchedTrajectory:
         return text + ("; the sensor is at rest" if self.stands else "")
 
 
-def matched_trajectory(scans: Iterable[Scan], source: PoseSource, settings: MatchingSettings) -> MatchedTrajectory:
+def matched_trajectory(scans: Iterable[Scan], source: PoseSource) -> MatchedTrajectory:
     """The trajectory of the first sensor of `scans`. Raises RecordingError if kiss-icp is not installed."""
-    odometry = ScanOdometry(settings, odometry=source == "refined")
+    odometry = ScanOdometry(odometry=source == "refined")
     trajectory: MatchedTrajectory | None = None
     for scan in scans:
         trajectory = trajectory or MatchedTrajectory(scan.sensor)

@@ -7,50 +7,20 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy.spatial import cKDTree
 
-from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings.ego_motion.returns import OBJECT_M, PlaneArray, ScanReturns
 
-
-class MatchingSettings(Settings):
-    """Parameters of matching scans with the local map, and of rejecting matches. Metres, radians, seconds."""
-
-    max_range_m: float = Field(default=20.0, gt=0.0, le=1e3)
-    """Range of the returns that are matched, and of the local map."""
-    voxel_m: float = Field(default=0.3, gt=0.0, le=10.0)
-    """Side of the voxels of the local map."""
-    point_spacing_m: float = Field(default=0.1, gt=0.0, le=10.0)
-    """Voxel size by which returns are thinned for the registration."""
-    map_spacing_m: float = Field(default=0.03, gt=0.0, le=10.0)
-    """Voxel size by which returns are thinned for the map."""
-    kernel_m: float = Field(default=0.1, gt=0.0, le=10.0)
-    """Scale of the robust kernel: the weight is a quarter at this distance from the map, and 0 at three times it."""
-    coarse_kernel_m: float = Field(default=0.5, gt=0.0, le=10.0)
-    """Scale of the registration's kernel without odometry."""
-    return_noise_m: float = Field(default=0.02, gt=0.0, le=10.0)
-    """Standard deviation of the distance of a return to its wall, which weighs the match against the prior."""
-    odometry_drift: float = Field(default=0.05, ge=0.0, le=10.0)
-    """Standard deviation of odometry's position, metres per metre driven."""
-    odometry_turn_drift: float = Field(default=1.0, ge=0.0, le=10.0)
-    """Standard deviation of odometry's heading, radians per radian turned, and half of it per metre driven."""
-    acceleration: float = Field(default=3.0, ge=0.0, le=100.0)
-    """Without odometry: standard deviation of the acceleration, m/s^2."""
-    turn_acceleration: float = Field(default=10.0, ge=0.0, le=1e3)
-    """Without odometry: standard deviation of the angular acceleration, rad/s^2."""
-    min_returns: int = Field(default=20, ge=3)
-    """Minimum number of returns in range for a match."""
-    min_inlier_share: float = Field(default=0.4, ge=0.0, le=1.0)
-    """Minimum share of the returns on the map."""
-    min_constraint: float = Field(default=0.01, ge=0.0, le=0.5)
-    """Minimum share of the surface that must constrain a direction; else the prior decides it. The compact cluster that
-    constrains the direction most does not count: it may move."""
-    max_deviations: float = Field(default=5.0, gt=0.0)
-    """Maximum distance of a match from the prior: this many standard deviations, plus 20 cm or 15 deg."""
-
-
+KERNEL_M = 0.1
+"""Scale of the robust kernel: the weight is a quarter at this distance from the map, and 0 at three times it."""
+RETURN_NOISE_M = 0.02
+"""Standard deviation of the distance of a return to its wall, which weighs the match against the prior."""
+MIN_RETURNS, MIN_INLIER_SHARE = 20, 0.4
+"""Minimum number of returns in range for a match, and minimum share of them on the map."""
+MIN_CONSTRAINT = 0.01
+"""Minimum share of the surface that must constrain a direction; else the prior decides it. The compact cluster that
+constrains the direction most does not count: it may move."""
 KERNEL_REACH = 3.0
 """Returns further from the map than this many kernel scales have no weight."""
 MAX_STEPS, SMALL_STEP = 10, 1e-3
@@ -186,14 +156,14 @@ def _of_compact(walls: Walls, weight: PlaneArray) -> PlaneArray:
     return sums.reshape(-1, 3, 3)
 
 
-def weighed_step(fit: Fit, fit_T_prior: SE2, prior: PlaneArray, settings: MatchingSettings) -> Step:
+def weighed_step(fit: Fit, fit_T_prior: SE2, prior: PlaneArray) -> Step:
     """The step from the pose of `fit` to the best one; `prior` (3, 3) is the information of the prior.
 
     In weak directions the step leads to the prior, in strong ones to the weighted mean of match and prior.
     """
-    scale, scaled, _, vectors, _, strong = _directions(fit, settings)
+    scale, scaled, _, vectors, _, strong = _directions(fit)
     kept = (vectors * strong) @ vectors.T
-    noise = settings.return_noise_m**2
+    noise = RETURN_NOISE_M**2
     information = (kept @ scaled @ kept) * np.outer(scale, scale) / noise + prior
     gradient = scale * (kept @ (fit.gradient / scale)) / noise
     towards = np.array([fit_T_prior.x, fit_T_prior.y, fit_T_prior.theta])
@@ -201,39 +171,32 @@ def weighed_step(fit: Fit, fit_T_prior: SE2, prior: PlaneArray, settings: Matchi
     return Step(SE2(*step.tolist()), information, bool(strong.all()))
 
 
-def stepped(
-    pose: SE2,
-    walls: Walls,
-    map_points: cKDTree,
-    prior: tuple[SE2, PlaneArray],
-    kernel_m: float,
-    settings: MatchingSettings,
-) -> SE2:
+def stepped(pose: SE2, walls: Walls, map_points: cKDTree, prior: tuple[SE2, PlaneArray], kernel_m: float) -> SE2:
     """The pose at which `walls` lie on the map, from a `pose` nearby; the `prior` (pose, information) decides weak
     directions."""
     expected, information = prior
     for _ in range(MAX_STEPS):
         fit = fit_at(pose, walls, map_points, kernel_m)
-        motion = weighed_step(fit, pose.inverse() @ expected, information, settings).motion
+        motion = weighed_step(fit, pose.inverse() @ expected, information).motion
         pose = pose @ motion
         if math.hypot(motion.x, motion.y) + abs(motion.theta) < SMALL_STEP:
             break
     return pose
 
 
-def by_objects(fit: Fit, walls: Walls, settings: MatchingSettings) -> bool:
+def by_objects(fit: Fit, walls: Walls) -> bool:
     """Whether clusters of an object's size alone constrain a direction of `fit`."""
-    scale, _, values, vectors, needed, strong = _directions(fit, settings)
+    scale, _, values, vectors, needed, strong = _directions(fit)
     of_objects = _information(walls.jacobian, fit.weight * walls.of_object) / np.outer(scale, scale)
     return bool((strong & (values - _along(vectors, of_objects) < needed)).any())
 
 
-def _directions(fit: Fit, settings: MatchingSettings) -> _Directions:
+def _directions(fit: Fit) -> _Directions:
     scale = np.array([1.0, 1.0, max(fit.lever_m, 1e-3)])
     scaled = fit.information / np.outer(scale, scale)
     values, vectors = np.linalg.eigh(scaled)
     of_compact = _along(vectors, fit.of_compact / np.outer(scale, scale))
-    needed = settings.min_constraint * max(float(fit.weight.sum()), 1.0)
+    needed = MIN_CONSTRAINT * max(float(fit.weight.sum()), 1.0)
     strong = values - of_compact.max(axis=0, initial=0.0) >= needed
     return _Directions(scale, scaled, values, vectors, needed, strong)
 

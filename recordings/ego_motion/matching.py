@@ -13,8 +13,10 @@ from gridtrack.common.errors import RecordingError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import MatchOutcome, PoseQuality, Scan
 from gridtrack.recordings.ego_motion.fit import (
+    KERNEL_M,
     KERNEL_REACH,
-    MatchingSettings,
+    MIN_INLIER_SHARE,
+    MIN_RETURNS,
     by_objects,
     fit_at,
     share_on_map,
@@ -24,6 +26,7 @@ from gridtrack.recordings.ego_motion.fit import (
 )
 from gridtrack.recordings.ego_motion.prior import Prior, inverse
 from gridtrack.recordings.ego_motion.returns import (
+    MATCHED_RANGE_M,
     EarlierScans,
     PlaneArray,
     ScanReturns,
@@ -33,6 +36,13 @@ from gridtrack.recordings.ego_motion.returns import (
     returns_of,
 )
 
+COARSE_KERNEL_M = 0.5
+"""Scale of the registration's kernel without odometry."""
+VOXEL_M, POINT_SPACING_M, MAP_SPACING_M = 0.3, 0.1, 0.03
+"""Sides of the voxels of the local map, and of those by which returns are thinned for the registration and for the
+map."""
+MAX_DEVIATIONS = 5.0
+"""Maximum distance of a match from the prior: this many standard deviations, plus 20 cm or 15 deg."""
 MAX_ITERATIONS, CONVERGED_M = 100, 1e-4
 POINTS_PER_VOXEL = 20
 PRIOR_SHARE = 1e-4
@@ -49,8 +59,7 @@ MIN_SCANS = 4
 class DriftFromOdometry:
     """The sum of the differences between matches and odometry over the last second."""
 
-    def __init__(self, max_deviations: float) -> None:
-        self._max_deviations = max_deviations
+    def __init__(self) -> None:
         self._steps: deque[tuple[int, PlaneArray, float]] = deque()
 
     def grows(self, stamp_ns: int, predicted: SE2, matched: SE2, position_m: float) -> bool:
@@ -67,7 +76,7 @@ class DriftFromOdometry:
         slip = int(np.hypot(*off.T).argmax())
         drift = off.sum(axis=0) - off[slip]
         noise_m = math.sqrt(sum(sigma**2 for _, _, sigma in self._steps))
-        return float(np.hypot(*drift)) > DRIFT_M + self._max_deviations * noise_m
+        return float(np.hypot(*drift)) > DRIFT_M + MAX_DEVIATIONS * noise_m
 
 
 class ScanMatch(NamedTuple):
@@ -85,7 +94,7 @@ class ScanMatch(NamedTuple):
 class ScanMatcher:
     """Matches scans with a local map of the scans before."""
 
-    def __init__(self, settings: MatchingSettings) -> None:
+    def __init__(self) -> None:
         """Raises RecordingError if kiss-icp is not installed."""
         try:
             from kiss_icp.mapping import VoxelHashMap
@@ -93,24 +102,23 @@ class ScanMatcher:
             from kiss_icp.voxelization import voxel_down_sample
         except ImportError:
             raise RecordingError("matching scans needs kiss-icp: pip install 'gridtrack[ego-motion]'") from None
-        self.settings = settings
         self._registration = Registration(MAX_ITERATIONS, CONVERGED_M, max_num_threads=1)
-        self._map = VoxelHashMap(settings.voxel_m, settings.max_range_m, POINTS_PER_VOXEL)
+        self._map = VoxelHashMap(VOXEL_M, MATCHED_RANGE_M, POINTS_PER_VOXEL)
         self._down_sample = voxel_down_sample
         self._earlier = EarlierScans()
-        self._drift = DriftFromOdometry(settings.max_deviations)
+        self._drift = DriftFromOdometry()
 
     def start(self, scan: Scan, world_T_sensor: SE2, motion: SE2, motion_s: float) -> None:
         """Begin the map with `scan` at its pose; `motion` is the sensor's motion in the `motion_s` seconds after it."""
-        returns = returns_of(scan, self.settings.max_range_m, motion, motion_s)
+        returns = returns_of(scan, motion, motion_s)
         self._keep(scan, returns, world_T_sensor)
 
     def match(self, scan: Scan, prior: Prior, since_s: float) -> ScanMatch:
         """The match of `scan`, `since_s` after the scan before; the scan is added to the map."""
-        returns = returns_of(scan, self.settings.max_range_m, prior.motion, since_s)
+        returns = returns_of(scan, prior.motion, since_s)
         failed = ScanMatch(prior.world_T_sensor, PoseQuality("few-returns"), prior.information)
         found = failed
-        if len(returns.points) >= self.settings.min_returns and not self._map.empty():
+        if len(returns.points) >= MIN_RETURNS and not self._map.empty():
             found, returns = self._matched(scan, returns, prior)
             if not found.quality.failed and self._is_dragged(scan.stamp_ns, found.world_T_sensor, prior):
                 far = PoseQuality("far", found.quality.inlier_share, found.quality.residual_m)
@@ -119,8 +127,8 @@ class ScanMatcher:
         return found
 
     def _keep(self, scan: Scan, returns: ScanReturns, world_T_sensor: SE2) -> None:
-        self._map.update(self._thinned(returns, self.settings.map_spacing_m), homogeneous(world_T_sensor))
-        points, _ = measured_points(scan, self.settings.max_range_m)
+        self._map.update(self._thinned(returns, MAP_SPACING_M), homogeneous(world_T_sensor))
+        points, _ = measured_points(scan)
         self._earlier.add(scan, points, world_T_sensor)
 
     def _thinned(self, returns: ScanReturns, spacing_m: float) -> PlaneArray:
@@ -151,39 +159,35 @@ class ScanMatcher:
 
     def _aligned(self, returns: ScanReturns, map_points: cKDTree, prior: Prior) -> SE2:
         """The pose at which the returns lie on the map: kiss-icp's registration, then steps on the walls."""
-        return self._stepped(self._registered(returns, prior), returns, map_points, prior)
+        weak = (prior.world_T_sensor, PRIOR_SHARE * prior.information)
+        return stepped(self._registered(returns, prior), walls_of(returns), map_points, weak, KERNEL_M)
 
     def _registered(self, returns: ScanReturns, prior: Prior) -> SE2:
         """The pose by kiss-icp's registration, with a wide kernel if the prior is coarse."""
-        kernel_m = self.settings.coarse_kernel_m if prior.coarse else self.settings.kernel_m
-        points, begin = self._thinned(returns, self.settings.point_spacing_m), homogeneous(prior.world_T_sensor)
+        kernel_m = COARSE_KERNEL_M if prior.coarse else KERNEL_M
+        points, begin = self._thinned(returns, POINT_SPACING_M), homogeneous(prior.world_T_sensor)
         pose = self._registration.align_points_to_map(points, self._map, begin, KERNEL_REACH * kernel_m, kernel_m)
         found = planar(pose)
         return found if all(map(math.isfinite, (found.x, found.y, found.theta))) else prior.world_T_sensor
 
-    def _stepped(self, pose: SE2, returns: ScanReturns, map_points: cKDTree, prior: Prior) -> SE2:
-        """The pose by steps on the walls; the prior decides weak directions."""
-        weak = (prior.world_T_sensor, PRIOR_SHARE * prior.information)
-        return stepped(pose, walls_of(returns), map_points, weak, self.settings.kernel_m, self.settings)
-
     def _judged(self, returns: ScanReturns, pose: SE2, map_points: cKDTree, prior: Prior, count: int) -> ScanMatch:
         """The pose from match and prior, or the prior's if the match is rejected; `count` includes moving returns."""
-        settings, walls = self.settings, walls_of(returns)
-        fit = fit_at(pose, walls, map_points, settings.kernel_m)
-        inlier_share = share_on_map(pose, returns, map_points, settings.kernel_m, count)
+        walls = walls_of(returns)
+        fit = fit_at(pose, walls, map_points, KERNEL_M)
+        inlier_share = share_on_map(pose, returns, map_points, KERNEL_M, count)
         outcome: MatchOutcome = "matched"
-        if inlier_share < settings.min_inlier_share:
+        if inlier_share < MIN_INLIER_SHARE:
             outcome = "few-inliers"
-        elif _is_far(pose, prior, settings.max_deviations):
+        elif _is_far(pose, prior):
             outcome = "far"
         if outcome != "matched":
             return ScanMatch(
                 prior.world_T_sensor, PoseQuality(outcome, inlier_share, fit.residual_m), prior.information
             )
-        step = weighed_step(fit, pose.inverse() @ prior.world_T_sensor, prior.information, settings)
+        step = weighed_step(fit, pose.inverse() @ prior.world_T_sensor, prior.information)
         outcome = "matched" if step.constrained else "partial"
         quality = PoseQuality(outcome, inlier_share, fit.residual_m)
-        return ScanMatch(pose @ step.motion, quality, step.information, by_objects(fit, walls, settings))
+        return ScanMatch(pose @ step.motion, quality, step.information, by_objects(fit, walls))
 
     def _is_dragged(self, stamp_ns: int, pose: SE2, prior: Prior) -> bool:
         """Whether the matches of the last second drift from odometry; always False without odometry."""
@@ -191,11 +195,11 @@ class ScanMatcher:
         return not prior.coarse and self._drift.grows(stamp_ns, prior.world_T_sensor, pose, position_m)
 
 
-def _is_far(match: SE2, prior: Prior, max_deviations: float) -> bool:
+def _is_far(match: SE2, prior: Prior) -> bool:
     """Whether the match is further from the prior than the noise of both explains."""
     off = prior.world_T_sensor.inverse() @ match
     x_m, y_m, heading_rad = np.sqrt(np.diag(inverse(prior.information)))
     return bool(
-        math.hypot(off.x, off.y) > MATCH_M + max_deviations * max(x_m, y_m)
-        or abs(off.theta) > MATCH_RAD + max_deviations * heading_rad
+        math.hypot(off.x, off.y) > MATCH_M + MAX_DEVIATIONS * max(x_m, y_m)
+        or abs(off.theta) > MATCH_RAD + MAX_DEVIATIONS * heading_rad
     )

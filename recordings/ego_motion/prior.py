@@ -9,9 +9,13 @@ import numpy as np
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.scan import PoseQuality
-from gridtrack.recordings.ego_motion.fit import MatchingSettings
 from gridtrack.recordings.ego_motion.returns import PlaneArray
 
+ODOMETRY_DRIFT, ODOMETRY_TURN_DRIFT = 0.05, 1.0
+"""Standard deviations of odometry: of the position, metres per metre driven, and of the heading, radians per radian
+turned, and half of it per metre driven."""
+ACCELERATION, TURN_ACCELERATION = 3.0, 10.0
+"""Without odometry: standard deviations of the acceleration, m/s^2, and of the angular acceleration, rad/s^2."""
 POSITION_FLOOR_M, HEADING_FLOOR_RAD = 0.002, 0.002
 """Minimum standard deviations of a prior."""
 TURN_LEVER_M = 0.5
@@ -49,20 +53,20 @@ class Prior(NamedTuple):
     coarse: bool
 
 
-def odometry_prior(last: SE2, odometry: SE2, settings: MatchingSettings) -> Prior:
+def odometry_prior(last: SE2, odometry: SE2) -> Prior:
     """The pose after the recorded motion `odometry` (last_T_sensor) from the pose `last`."""
     distance, turn = math.hypot(odometry.x, odometry.y), abs(odometry.theta)
-    position = POSITION_FLOOR_M + settings.odometry_drift * (distance + TURN_LEVER_M * turn)
-    heading = HEADING_FLOOR_RAD + settings.odometry_turn_drift * (turn + TURN_LEVER_M * distance)
+    position = POSITION_FLOOR_M + ODOMETRY_DRIFT * (distance + TURN_LEVER_M * turn)
+    heading = HEADING_FLOOR_RAD + ODOMETRY_TURN_DRIFT * (turn + TURN_LEVER_M * distance)
     return Prior(last @ odometry, odometry, _information(position, heading), False)
 
 
-def motion_prior(last: SE2, velocity: Velocity, since_s: float, settings: MatchingSettings) -> Prior:
+def motion_prior(last: SE2, velocity: Velocity, since_s: float) -> Prior:
     """The pose `since_s` seconds after the pose `last`, by `velocity` and its possible change."""
     mean, noise_s = velocity.mean, max(since_s, MIN_NOISE_S)
     motion = SE2(mean.x * since_s, mean.y * since_s, mean.theta * since_s)
-    position = POSITION_FLOOR_M + settings.acceleration * noise_s**2 / 2.0
-    heading = HEADING_FLOOR_RAD + settings.turn_acceleration * noise_s**2 / 2.0
+    position = POSITION_FLOOR_M + ACCELERATION * noise_s**2 / 2.0
+    heading = HEADING_FLOOR_RAD + TURN_ACCELERATION * noise_s**2 / 2.0
     covariance = np.diag([position**2, position**2, heading**2]) + velocity.covariance * noise_s**2
     return Prior(last @ motion, motion, inverse(covariance), True)
 
@@ -79,11 +83,11 @@ def _information(position_m: float, heading_rad: float) -> PlaneArray:
 class LastMotion:
     """The velocity from scan to scan; its covariance grows in each direction until a match constrains it."""
 
-    def __init__(self, stamp_ns: int, world_T_sensor: SE2, settings: MatchingSettings) -> None:
+    def __init__(self, stamp_ns: int, world_T_sensor: SE2) -> None:
         self._from = stamp_ns, world_T_sensor
         self._stamp_ns = self._matched_ns = self._constrained_ns = stamp_ns
         self._velocity = Velocity(SE2(), np.diag(UNKNOWN_VELOCITY**2))
-        self._change = np.array([settings.acceleration, settings.acceleration, settings.turn_acceleration])
+        self._change = np.array([ACCELERATION, ACCELERATION, TURN_ACCELERATION])
 
     def velocity(self, stamp_ns: int) -> Velocity:
         """The velocity for the prediction of the pose at a stamp."""

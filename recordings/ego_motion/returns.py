@@ -15,6 +15,8 @@ from gridtrack.common.geometry import SE2, wrap_angle
 from gridtrack.common.scan import Scan
 
 PlaneArray = NDArray[np.float64]
+MATCHED_RANGE_M = 20.0
+"""Range of the returns that are matched, and of the local map."""
 MAX_RETURNS = 720
 """If a scan has more returns, every n-th one is used."""
 WALL_HALF_M = 0.2
@@ -68,22 +70,22 @@ class ScanReturns(NamedTuple):
         )
 
 
-def returns_of(scan: Scan, max_range_m: float, motion: SE2, motion_s: float) -> ScanReturns:
-    """The returns of `scan` up to `max_range_m`, deskewed to its stamp.
+def returns_of(scan: Scan, motion: SE2, motion_s: float) -> ScanReturns:
+    """The returns of `scan` up to MATCHED_RANGE_M, deskewed to its stamp.
 
     `motion` is the sensor's motion over `motion_s` seconds, sensor frame. If the scan has beam times, each return is
     moved by the motion since the stamp, at constant velocity.
     """
-    points, beam = measured_points(scan, max_range_m)
+    points, beam = measured_points(scan)
     if scan.time_increment_s and motion_s > 0.0:
         points = deskewed(points, beam * (scan.time_increment_s / motion_s), motion)
     return returns_at(points)
 
 
-def measured_points(scan: Scan, max_range_m: float) -> tuple[PlaneArray, PlaneArray]:
-    """The returns of `scan` up to `max_range_m` as points (N, 2), sensor frame, and the numbers of their beams (N,)."""
+def measured_points(scan: Scan) -> tuple[PlaneArray, PlaneArray]:
+    """The returns up to MATCHED_RANGE_M as points (N, 2), sensor frame, and the numbers of their beams (N,)."""
     ranges = scan.ranges.astype(np.float64)
-    (beam,) = np.nonzero((ranges >= max(scan.range_min, NEAREST_M)) & (ranges <= min(scan.range_max, max_range_m)))
+    (beam,) = np.nonzero((ranges >= max(scan.range_min, NEAREST_M)) & (ranges <= min(scan.range_max, MATCHED_RANGE_M)))
     beam = beam[:: max(1, -(-beam.size // MAX_RETURNS))]
     number = beam.astype(np.float64)
     angle = scan.angle_min + scan.angle_increment * number

@@ -21,7 +21,7 @@ from gridtrack.common.geometry import SE2, same_pose, wrap_angle
 from gridtrack.common.scan import Scan
 from gridtrack.common.scene import UNLABELLED, Outline, Scene
 from gridtrack.recordings import import_recording, open_recording
-from gridtrack.recordings.ego_motion import MatchedTrajectory, MatchingSettings, matched_trajectory
+from gridtrack.recordings.ego_motion import MatchedTrajectory, matched_trajectory
 
 from scenes.drives import (
     BARE_STREET,
@@ -49,13 +49,13 @@ def true_pose(scan: Scan) -> SE2:
 
 def refined(scans: Sequence[Scan]) -> MatchedTrajectory:
     """With odometry."""
-    return matched_trajectory(scans, "refined", MatchingSettings())
+    return matched_trajectory(scans, "refined")
 
 
 def alone(scans: Sequence[Scan]) -> MatchedTrajectory:
     """Without odometry: every scan has the first true pose."""
     first = true_pose(scans[0])
-    return matched_trajectory([replace(scan, world_T_sensor=first) for scan in scans], "kiss-icp", MatchingSettings())
+    return matched_trajectory([replace(scan, world_T_sensor=first) for scan in scans], "kiss-icp")
 
 
 def errors(scans: Sequence[Scan], poses: Sequence[SE2]) -> list[SE2]:
