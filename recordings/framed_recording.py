@@ -20,7 +20,7 @@ from gridtrack.recordings.alternation import TwoLasers
 from gridtrack.recordings.file_reading import DamageError
 from gridtrack.recordings.frames.chains import ChainOptions, Chains, LinkKey
 from gridtrack.recordings.frames.choice import chosen_chains
-from gridtrack.recordings.frames.trajectory import MAX_TRANSFORMS, AllTransforms, FramedScan, ScansOnChains
+from gridtrack.recordings.frames.trajectory import MAX_TRANSFORMS, FramedScan, ScansOnChains, Trajectory
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FrameTree, StampedTransform, frame_name
 from gridtrack.recordings.meaning import with_meaning
@@ -314,16 +314,16 @@ class FramedRecording(Recording):
         return set(self.chains.moving)
 
     @cached_property
-    def _known_transforms(self) -> dict[LinkKey, AllTransforms] | None:
+    def _known_transforms(self) -> dict[LinkKey, Trajectory] | None:
         """All transforms of each moving link; None if they are read together with the scans.
 
         They are in a file that grows, and in one with more than MAX_TRANSFORMS.
         """
         return None if self.growth is not None else self.transforms_of_links(self._moving_links)
 
-    def transforms_of_links(self, keys: Iterable[LinkKey]) -> dict[LinkKey, AllTransforms] | None:
+    def transforms_of_links(self, keys: Iterable[LinkKey]) -> dict[LinkKey, Trajectory] | None:
         """All transforms of links that move; None if there are more than MAX_TRANSFORMS."""
-        known, count = {key: AllTransforms() for key in keys}, 0
+        known, count = {key: Trajectory(whole=True) for key in keys}, 0
         with contextlib.suppress(DamageError):  # reported when the scans are read
             for message in self.messages() if known else ():
                 for key, stamp_ns, transform in self._transforms_in(message, known):

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import bisect
 import math
-from abc import ABC, abstractmethod
 from array import array
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,14 +45,25 @@ class Found(NamedTuple):
     is_first: bool = False
 
 
-class Trajectory(ABC):
-    """Transforms of one frame, added in the order of the file; one with a stamp far from the others is left out."""
+class Trajectory:
+    """Transforms of one frame, added in the order of the file; one with a stamp far from the others is left out.
 
-    def __init__(self) -> None:
+    `whole`: all those of a finished file, so that no scan waits. If the clock was set back, the transforms of a time
+    are then the first ones in the file; so are the scans (StampFilter). Else they are read together with the scans, and
+    those of the last few seconds are kept.
+    """
+
+    def __init__(self, *, whole: bool) -> None:
+        self._whole = whole
+        self._parts = [_Packed()]
+        self._sorted = True
         self._far = FarStamps()
         self._held: tuple[int, SE3] | None = None
         self.first_ns: int | None = None
         self.left_out = 0
+
+    def __len__(self) -> int:
+        return len(self._in_order().stamps)
 
     @property
     def last_ns(self) -> int:
@@ -61,7 +71,13 @@ class Trajectory(ABC):
         return self._far.last_ns
 
     def add(self, stamp_ns: int, transform: SE3) -> None:
-        """Add a transform; if its stamp is far from the stamps before, the next one decides whether it is used."""
+        """Add a transform; one with a stamp that no scan can have is left out, and it replaces one with its stamp.
+
+        If its stamp is far from the stamps before, the next one decides whether it is used.
+        """
+        if not 0 <= stamp_ns < MAX_STAMP_NS:
+            self.left_out += 1
+            return
         judgement = self._far.judge(stamp_ns)
         held, self._held = self._held, None
         self.left_out += held is not None and judgement != "confirmed"
@@ -73,131 +89,60 @@ class Trajectory(ABC):
         added = [(stamp_ns, transform)] if judgement == "near" or held is None else [held, (stamp_ns, transform)]
         for one_ns, one in added:
             self.first_ns = one_ns if self.first_ns is None else min(self.first_ns, one_ns)
-            self._insert(one_ns, one)
+            newest = self._parts[-1]
+            self._sorted = self._sorted and len(self._parts) == 1 and (not newest.stamps or one_ns > newest.stamps[-1])
+            newest.append(one_ns, one)
+        if not self._whole and len(self._parts[-1].stamps) > 2 * MAX_KEPT:
+            self.drop_before(-1)
 
-    @abstractmethod
-    def __len__(self) -> int:
-        """The number of transforms."""
-
-    @abstractmethod
     def covers(self, stamp_ns: int) -> bool:
-        """Whether a scan at a stamp needs no later transforms."""
+        """Whether a scan at a stamp needs no later transforms; a single one may have a wrong stamp."""
+        return self._whole or (len(self) > 1 and self.last_ns >= stamp_ns)
 
-    @abstractmethod
     def at(self, stamp_ns: int) -> Found | None:
         """The transform at a stamp, interpolated; None without any.
 
         In a gap of more than MAX_GAP_NS it is the last one before, and before the first one it is the first.
         """
-
-    @abstractmethod
-    def drop_before(self, stamp_ns: int) -> None:
-        """Drop the transforms before a stamp that no scan needs, if that saves memory."""
-
-    @abstractmethod
-    def _insert(self, stamp_ns: int, transform: SE3) -> None:
-        """Store a transform; it replaces one with the same stamp."""
-
-    @abstractmethod
-    def _restart(self) -> None:
-        """Called when the clock was set back, or when the only transform so far had a wrong stamp."""
-
-
-class NewestTransforms(Trajectory):
-    """Transforms of the last few seconds, read together with the scans."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._stamps: list[int] = []
-        self._transforms: list[SE3] = []
-
-    def __len__(self) -> int:
-        return len(self._stamps)
-
-    def covers(self, stamp_ns: int) -> bool:
-        """Whether there is a transform at or after a stamp; a single one may have a wrong stamp."""
-        return len(self) > 1 and self.last_ns >= stamp_ns
-
-    def at(self, stamp_ns: int) -> Found | None:
-        """As in every trajectory."""
-        return _found(self._stamps, self._transforms, stamp_ns)
+        transforms = self._in_order()
+        stamps = transforms.stamps
+        if not stamps:
+            return None
+        index = bisect.bisect_left(stamps, stamp_ns)
+        if index == len(stamps):
+            return Found(transforms[-1], stamp_ns - stamps[-1] <= MAX_GAP_NS)
+        after_ns = stamps[index]
+        if index == 0 or after_ns == stamp_ns:
+            return Found(transforms[index], after_ns - stamp_ns <= MAX_GAP_NS, after_ns > stamp_ns)
+        before_ns = stamps[index - 1]
+        if after_ns - before_ns > MAX_GAP_NS:
+            return Found(transforms[index - 1], stamp_ns - before_ns <= MAX_GAP_NS)
+        share = (stamp_ns - before_ns) / (after_ns - before_ns)
+        return Found(interpolated(transforms[index - 1], transforms[index], share), True)
 
     def drop_before(self, stamp_ns: int) -> None:
-        """Drop all transforms before a stamp except the last of them, and all but the newest MAX_KEPT."""
-        keep_from = max(bisect.bisect_right(self._stamps, stamp_ns) - 1, len(self._stamps) - MAX_KEPT)
-        if keep_from > 0:
-            del self._stamps[:keep_from], self._transforms[:keep_from]
-
-    def _insert(self, stamp_ns: int, transform: SE3) -> None:
-        index = bisect.bisect_left(self._stamps, stamp_ns)
-        if index < len(self._stamps) and self._stamps[index] == stamp_ns:
-            self._transforms[index] = transform
-        else:
-            self._stamps.insert(index, stamp_ns)
-            self._transforms.insert(index, transform)
-        if len(self._stamps) > 2 * MAX_KEPT:
-            self.drop_before(-1)
+        """Drop all before a stamp except the last of them, and all but the newest MAX_KEPT; none if it is `whole`."""
+        if not self._whole:
+            kept = self._in_order()
+            kept.drop(max(bisect.bisect_right(kept.stamps, stamp_ns) - 1, len(kept.stamps) - MAX_KEPT, 0))
 
     def _restart(self) -> None:
-        self._stamps, self._transforms = [], []
-
-
-class AllTransforms(Trajectory):
-    """All transforms of a finished file, in 64 bytes each, so that no scan waits.
-
-    If the clock was set back, the transforms of a time are the first ones in the file; so are the scans (StampFilter).
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._parts = [_Packed()]
-        self._sorted = True
-
-    def __len__(self) -> int:
-        return len(self._whole().stamps)
-
-    def add(self, stamp_ns: int, transform: SE3) -> None:
-        """As in every trajectory; transforms with a stamp that no scan can have are left out."""
-        if 0 <= stamp_ns < MAX_STAMP_NS:
-            super().add(stamp_ns, transform)
-        else:
-            self.left_out += 1
-
-    def covers(self, stamp_ns: int) -> bool:
-        """Always True: all transforms are known."""
-        return True
-
-    def at(self, stamp_ns: int) -> Found | None:
-        """As in every trajectory."""
-        whole = self._whole()
-        return _found(whole.stamps, whole, stamp_ns)
-
-    def drop_before(self, stamp_ns: int) -> None:
-        """Drop nothing: the scans may be read again."""
-
-    def _insert(self, stamp_ns: int, transform: SE3) -> None:
-        self._parts[-1].append(stamp_ns, transform)
-        self._sorted = False
-
-    def _restart(self) -> None:
-        if len(self._parts[-1].stamps) == 1:
+        """Begin again: the clock was set back, or the only transform so far had a wrong stamp."""
+        if not self._whole or len(self._parts[-1].stamps) == 1:
             self._parts[-1] = _Packed()
         elif len(self._parts) < MAX_PARTS:
             self._parts.append(_Packed())
+            self._sorted = False
 
-    def _whole(self) -> _Packed:
+    def _in_order(self) -> _Packed:
         """All transforms in the order of their stamps."""
         if not self._sorted:
             self._parts, self._sorted = [_merged(self._parts)], True
         return self._parts[0]
 
 
-class _Transforms(Protocol):
-    def __getitem__(self, index: int, /) -> SE3: ...
-
-
 class _Packed:
-    """Stamps and transforms as arrays of numbers."""
+    """Stamps and transforms as arrays of numbers, 64 bytes each."""
 
     def __init__(self, stamps: bytes = b"", numbers: bytes = b"") -> None:
         """`stamps`: (n,) int64, nanoseconds; `numbers`: (n, 7) float64, translations and quaternions."""
@@ -216,6 +161,10 @@ class _Packed:
     def append(self, stamp_ns: int, transform: SE3) -> None:
         self.stamps.append(stamp_ns)
         self._numbers.extend((*transform.translation, *transform.rotation))
+
+    def drop(self, count: int) -> None:
+        """Drop the first ones."""
+        del self.stamps[:count], self._numbers[: 7 * count]
 
 
 def _merged(parts: Sequence[_Packed]) -> _Packed:
@@ -240,23 +189,6 @@ def _within(stamps: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.
     inside[inside] = np.diff(stamps)[after[inside] - 1] <= MAX_GAP_NS
     within: NDArray[np.bool_] = inside | np.isin(others, stamps)
     return within
-
-
-def _found(stamps: Sequence[int], transforms: _Transforms, stamp_ns: int) -> Found | None:
-    """The transform at a stamp as in `Trajectory.at`; `stamps` are sorted."""
-    if not stamps:
-        return None
-    index = bisect.bisect_left(stamps, stamp_ns)
-    if index == len(stamps):
-        return Found(transforms[-1], stamp_ns - stamps[-1] <= MAX_GAP_NS)
-    after_ns = stamps[index]
-    if index == 0 or after_ns == stamp_ns:
-        return Found(transforms[index], after_ns - stamp_ns <= MAX_GAP_NS, after_ns > stamp_ns)
-    before_ns = stamps[index - 1]
-    if after_ns - before_ns > MAX_GAP_NS:
-        return Found(transforms[index - 1], stamp_ns - before_ns <= MAX_GAP_NS)
-    share = (stamp_ns - before_ns) / (after_ns - before_ns)
-    return Found(interpolated(transforms[index - 1], transforms[index], share), True)
 
 
 class ClocksApartError(RecordingError):
@@ -285,14 +217,12 @@ class ScansOnChains:
         self,
         chains: Mapping[str, Chain],
         warn: Callable[[str], None],
-        known: Mapping[LinkKey, AllTransforms] | None = None,
+        known: Mapping[LinkKey, Trajectory] | None = None,
     ) -> None:
         """`chains` by topic; `known`: all transforms of every moving link, None if they are added with the scans."""
         self._chains, self._warn = chains, warn
         moving = {link.key for chain in chains.values() for link in chain.moving}
-        self._trajectories: Mapping[LinkKey, Trajectory] = (
-            {key: NewestTransforms() for key in moving} if known is None else known
-        )
+        self._trajectories = {key: Trajectory(whole=False) for key in moving} if known is None else known
         self._waiting: deque[FramedScan] = deque()
         self._last_two_ns: dict[str, tuple[int, int]] = {}
         """The last two stamps of each topic: one of them may be damaged."""

@@ -17,7 +17,7 @@ from gridtrack.common.errors import RecordingError, did_you_mean
 from gridtrack.common.geometry import SE2
 from gridtrack.recordings.file_reading import DamageError
 from gridtrack.recordings.framed_recording import EncodedMessage
-from gridtrack.recordings.frames.trajectory import MAX_TILT_RAD, AllTransforms
+from gridtrack.recordings.frames.trajectory import MAX_TILT_RAD, Trajectory
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import frame_name
 from gridtrack.recordings.recording import Recording
@@ -115,7 +115,7 @@ class WorldFrames:
 
     def __init__(self, recording: RosRecording) -> None:
         self._recording, self._chains = recording, recording.chains
-        self._transforms: dict[str, dict[Any, AllTransforms]] = {}
+        self._transforms: dict[str, dict[Any, Trajectory]] = {}
 
     def pose(self, topic: str, frame: str, at_ns: int) -> SE3 | None:
         """The pose of a frame at a stamp; None if its transforms are further away than 1 s.

@@ -15,7 +15,7 @@ from gridtrack.recordings import framed_recording, open_recording, parse_mount
 from gridtrack.recordings.file_reading import Growth
 from gridtrack.recordings.frames import trajectory
 from gridtrack.recordings.frames.chains import Chain, Link
-from gridtrack.recordings.frames.trajectory import AllTransforms, FramedScan, NewestTransforms, ScansOnChains
+from gridtrack.recordings.frames.trajectory import FramedScan, ScansOnChains, Trajectory
 from gridtrack.recordings.frames.transform import SE3
 from gridtrack.recordings.frames.tree import FarStamps
 
@@ -124,7 +124,7 @@ def test_scans_after_a_common_gap_wait_for_their_transforms(scan) -> None:
 def test_all_transforms_agree_with_the_newest_ones() -> None:
     rng = np.random.default_rng(1)
     stamps = rng.integers(0, 2 * SECOND_NS, 300)
-    in_order, whole = NewestTransforms(), AllTransforms()
+    in_order, whole = Trajectory(whole=False), Trajectory(whole=True)
     for k, stamp_ns in enumerate(np.concatenate([stamps, stamps[:50]]).tolist()):
         transform = SE3.in_plane(SE2(k / 10.0, 0.0, k / 100.0))
         in_order.add(stamp_ns, transform)
@@ -135,7 +135,7 @@ def test_all_transforms_agree_with_the_newest_ones() -> None:
 
 
 def test_all_transforms_include_earlier_ones_after_the_clock_is_set_back() -> None:
-    whole = AllTransforms()
+    whole = Trajectory(whole=True)
     for x, stamps_s in ((1.0, range(100)), (2.0, range(50, 60)), (3.0, [*range(20), *range(200, 205)])):
         for stamp_s in stamps_s:
             whole.add(stamp_s * SECOND_NS, SE3((x, 0.0, 0.0)))
@@ -145,7 +145,7 @@ def test_all_transforms_include_earlier_ones_after_the_clock_is_set_back() -> No
 
 
 def test_two_damaged_stamps_do_not_restart_the_trajectory() -> None:
-    whole = AllTransforms()
+    whole = Trajectory(whole=True)
     for stamp_s in [*range(20), 5000, 5001, *range(20, 40)]:
         whole.add(stamp_s * SECOND_NS, SE3((float(stamp_s), 0.0, 0.0)))
     places = [whole.at(at_s * SECOND_NS) for at_s in range(40)]
@@ -154,7 +154,7 @@ def test_two_damaged_stamps_do_not_restart_the_trajectory() -> None:
 
 
 def test_a_first_stamp_far_off_is_left_out() -> None:
-    whole = AllTransforms()
+    whole = Trajectory(whole=True)
     for stamp_s in [5000, *range(20)]:
         whole.add(stamp_s * SECOND_NS, SE3((float(stamp_s), 0.0, 0.0)))
     found = whole.at(5000 * SECOND_NS)
@@ -164,7 +164,7 @@ def test_a_first_stamp_far_off_is_left_out() -> None:
 
 def test_memory_of_transforms_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trajectory, "MAX_KEPT", 1000)
-    newest = NewestTransforms()
+    newest = Trajectory(whole=False)
     for k in range(2010):
         newest.add(k, SE3())
     assert newest.at(2000) is not None
