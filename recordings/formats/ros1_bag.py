@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator
 from io import SEEK_CUR, BytesIO
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import lz4.frame  # type: ignore[import-untyped]
 
@@ -34,8 +34,26 @@ class Ros1Bag(RosRecording):
 
     def messages(self) -> Iterator[EncodedMessage]:
         """All messages in the order of the file. Raises DamageError if it is cut off or corrupt."""
-        for message in bag_messages(self.path):
-            yield EncodedMessage(message.topic, ros2_name(message.kind), message.received_ns, "ros1", message.data)
+        with self.path.open("rb") as file:
+            if file.read(len(ROS1_MAGIC)) != ROS1_MAGIC:
+                raise DamageError("does not begin as a ROS 1 bag of format 2.0")
+            connections: dict[bytes, tuple[str, str]] = {}
+            chunks_left, budget = 0, ReadBudget()
+            try:
+                for header, data in _records(file):
+                    operation = header["op"][0]
+                    if operation == BAG_HEADER_OP:
+                        (chunks_left,) = struct.unpack("<I", header["chunk_count"])
+                    elif operation == CHUNK_OP:
+                        chunks_left -= 1
+                        for inner, body in _chunk(header, data, budget, file.tell()):
+                            yield from _read_record(inner, body, connections)
+                    else:
+                        yield from _read_record(header, data, connections)
+            except (struct.error, KeyError, UnicodeDecodeError, IndexError, ValueError) as error:
+                raise DamageError(f"corrupt {file.tell()} bytes into the file ({error})") from None
+            if chunks_left > 0:
+                raise DamageError(f"cut off: {chunks_left} of the chunks in the bag's header are missing")
 
 
 def is_ros1_bag(path: Path, head: bytes) -> bool:
@@ -44,39 +62,6 @@ def is_ros1_bag(path: Path, head: bytes) -> bool:
 
 
 ROS1_BAG_FORMAT = RecordingFormat("ROS 1 bag", (".bag",), is_ros1_bag, Ros1Bag, ROS_OPTIONS)
-
-
-class BagMessage(NamedTuple):
-    """One message, still encoded: its topic, its type (`package/Name`), and the time of its reception."""
-
-    topic: str
-    kind: str
-    received_ns: int
-    data: bytes
-
-
-def bag_messages(path: Path) -> Iterator[BagMessage]:
-    """All messages of a bag in the order of the file. Raises DamageError if it is cut off or corrupt."""
-    with path.open("rb") as file:
-        if file.read(len(ROS1_MAGIC)) != ROS1_MAGIC:
-            raise DamageError("does not begin as a ROS 1 bag of format 2.0")
-        connections: dict[bytes, tuple[str, str]] = {}
-        chunks_left, budget = 0, ReadBudget()
-        try:
-            for header, data in _records(file):
-                operation = header["op"][0]
-                if operation == BAG_HEADER_OP:
-                    (chunks_left,) = struct.unpack("<I", header["chunk_count"])
-                elif operation == CHUNK_OP:
-                    chunks_left -= 1
-                    for inner, body in _chunk(header, data, budget, file.tell()):
-                        yield from _read_record(inner, body, connections)
-                else:
-                    yield from _read_record(header, data, connections)
-        except (struct.error, KeyError, UnicodeDecodeError, IndexError, ValueError) as error:
-            raise DamageError(f"corrupt {file.tell()} bytes into the file ({error})") from None
-        if chunks_left > 0:
-            raise DamageError(f"cut off: {chunks_left} of the chunks in the bag's header are missing")
 
 
 def _chunk(header: Fields, data: bytes, budget: ReadBudget, position: int) -> Iterator[tuple[Fields, bytes]]:
@@ -91,15 +76,15 @@ def _chunk(header: Fields, data: bytes, budget: ReadBudget, position: int) -> It
         raise DamageError(f"cut off or corrupt: a chunk of {len(content)} bytes, where its header says {size}")
 
 
-def _read_record(header: Fields, data: bytes, connections: dict[bytes, tuple[str, str]]) -> Iterator[BagMessage]:
+def _read_record(header: Fields, data: bytes, connections: dict[bytes, tuple[str, str]]) -> Iterator[EncodedMessage]:
     operation = header["op"][0]
     if operation == CONNECTION_OP:
-        kind = _fields(data)["type"].decode()
+        kind = ros2_name(_fields(data)["type"].decode())
         connections[header["conn"]] = (header["topic"].decode(), kind)
     elif operation == MESSAGE_OP:
         topic, kind = connections[header["conn"]]
         seconds, nanoseconds = struct.unpack("<II", header["time"])
-        yield BagMessage(topic, kind, seconds * 1_000_000_000 + nanoseconds, data)
+        yield EncodedMessage(topic, kind, seconds * 1_000_000_000 + nanoseconds, "ros1", data)
 
 
 def _records(file: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
