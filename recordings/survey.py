@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import math
 from array import array
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,22 +34,6 @@ ENOUGH_ALIKE = 100
 """Returns at one distance, and none elsewhere, from which on this distance is a constant of the driver."""
 MIN_REST_S = 10.0
 """Shorter rests of a sensor are not suggested as a stretch."""
-SURVEY_COUNTS = (
-    "moved",
-    "no_return",
-    "at_end",
-    "invalid",
-    "zeros",
-    "readings",
-    "nearest",
-    "farthest",
-    "labelled",
-    "with_truth",
-    "with_people",
-)
-POSE_JUMPS = tuple(field.name for field in fields(PoseJumps) if not field.name.startswith("_"))
-FIRST_SCAN = ("stamp_ns", "angle_min", "angle_increment", "range_min", "range_max", "sensor", "time_increment_s")
-"""Stored fields of the first scan besides its ranges and poses; labels and truth are not stored."""
 
 
 @dataclass
@@ -303,71 +288,48 @@ def _likely_unit(nearest: float, farthest: float, low_m: float, high_m: float) -
 
 
 def write_survey(recording: Recording, path: Path) -> None:
-    """Write the survey of `recording`, its warnings and damage to `path` (.npz). Raises RecordingError, OSError."""
+    """Write the survey of `recording`, its warnings and damage to `path`. Raises RecordingError, OSError."""
     survey = recording.survey
     about = {
-        "sensors": {name: _values(sensor) for name, sensor in survey.sensors.items()},
+        "sensors": {name: _plain(sensor) for name, sensor in survey.sensors.items()},
         "topics": survey.topics,
         "warnings": recording.warning_texts(),
         "damage": recording.damage,
     }
-    arrays: dict[str, Any] = {}
-    for n, sensor in enumerate(survey.sensors.values()):
-        arrays |= {f"stamps_{n}": sensor.stamps_ns, f"ranges_{n}": sensor.first.ranges}
     with atomic_write(path) as file:
-        np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
+        file.write(gzip.compress(json.dumps(about).encode(), mtime=0))
 
 
 def recall_survey(recording: Recording, path: Path) -> None:
     """Let `recording` use the survey that `write_survey` wrote about the same file. Raises OSError."""
-    with np.load(path, allow_pickle=False) as stored:
-        about = json.loads(str(stored["about"]))
-        sensors = {
-            name: _sensor(values, stored[f"stamps_{n}"], stored[f"ranges_{n}"])
-            for n, (name, values) in enumerate(about["sensors"].items())
-        }
+    about = json.loads(gzip.decompress(path.read_bytes()))
+    like = SensorSurvey(Scan(0, np.empty(0, np.float32), 0.0, 0.0, 0.0, 0.0, reference_T_sensor=SE2()))
+    sensors = {name: _restored(like, values) for name, values in about["sensors"].items()}
     topics = {topic: (kind, count) for topic, (kind, count) in about["topics"].items()}
     recording.recall(Survey(sensors, topics), about["warnings"], about["damage"])
 
 
-def _values(sensor: SensorSurvey) -> dict[str, Any]:
-    first = sensor.first
-    return {
-        "first": {name: getattr(first, name) for name in FIRST_SCAN},
-        "pose": asdict(first.world_T_sensor),
-        "reference": first.reference_T_sensor and asdict(first.reference_T_sensor),
-        "beams": sorted(sensor.beams),
-        "longest_rest_ns": sensor.longest_rest_ns,
-        "people_ns": sensor.people_ns,
-        "counts": {name: getattr(sensor, name) for name in SURVEY_COUNTS},
-        "jumps": {name: getattr(sensor.jumps, name) for name in POSE_JUMPS},
-        "drift": sensor.drift.displacements_m.tolist(),
-        "turned": {str(deg): found_m.tolist() for deg, found_m in sensor.drift.turned_m.items()},
-        "rest": sensor.rest.displacements_m.tolist(),
-        "alternating": sensor.alternation.count,
-    }
+def _plain(value: Any) -> Any:
+    """A value as JSON has it: the public fields of a dataclass, but labels and truth of the first scan."""
+    if isinstance(value, Scan):
+        value = replace(value, labels=None, scene=None, people=None, pose_quality=None, last_angle=None)
+    if is_dataclass(value):
+        public = (field.name for field in fields(value) if not field.name.startswith("_"))
+        return {name: _plain(getattr(value, name)) for name in public}
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    return list(value) if isinstance(value, set) else value.tolist() if hasattr(value, "tolist") else value
 
 
-def _sensor(values: Mapping[str, Any], stamps_ns: NDArray[np.int64], ranges: NDArray[np.float32]) -> SensorSurvey:
-    reference = values["reference"]
-    first = Scan(
-        **values["first"],
-        ranges=ranges,
-        world_T_sensor=SE2(**values["pose"]),
-        reference_T_sensor=SE2(**reference) if reference else None,
-    )
-    return SensorSurvey(
-        first,
-        stamps=array("q", stamps_ns.tolist()),
-        beams=set(values["beams"]),
-        longest_rest_ns=tuple(values["longest_rest_ns"]),
-        people_ns=tuple(values["people_ns"]),
-        jumps=PoseJumps(**values["jumps"]),
-        drift=PoseDrift(
-            displacements_m=array("d", values["drift"]),
-            turned_m={int(deg): array("d", found_m) for deg, found_m in values["turned"].items()},
-        ),
-        rest=PoseDrift(at_rest=True, displacements_m=array("d", values["rest"])),
-        alternation=Alternation(values["alternating"]),
-        **values["counts"],
-    )
+def _restored(like: Any, value: Any) -> Any:
+    """The value of `_plain`, of the types in `like`."""
+    kind: Any = type(like)
+    if is_dataclass(like) and value is not None:
+        return kind(**{name: _restored(getattr(like, name), one) for name, one in value.items()})
+    if isinstance(like, dict):
+        return {key: _restored(one, value[str(key)]) for key, one in like.items()}
+    if isinstance(like, array):
+        return array(like.typecode, value)
+    if isinstance(like, np.ndarray):
+        return np.array(value, like.dtype)
+    return kind(value) if isinstance(like, set | tuple) else value

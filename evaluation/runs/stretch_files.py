@@ -28,7 +28,7 @@ from gridtrack.trackers.wire import Fill, Message, WireError, encode, receive
 
 STRETCHES_VERSION = 4
 """Increases with every change to the frames or the labels of the same recording."""
-SURVEY_VERSION = 2
+SURVEY_VERSION = 3
 """Increases with every change to the survey of the same recording."""
 KINDS_VERSION = 3
 """Increases with every change to the kinds of cells, or the returns in motion, of the same frames."""
