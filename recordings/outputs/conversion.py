@@ -2,31 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from gridtrack.common.config import validated
 from gridtrack.common.errors import ConfigurationError, RecordingError
 from gridtrack.common.forecast_file import MAX_LEADS, ForecastFile, open_forecasts, write_forecasts
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, nearest_step
+from gridtrack.common.grid import GridFrame, GridSpec, nearest_step
 from gridtrack.common.options import Option, Seconds, from_text
+from gridtrack.recordings.observation import cells_in_window
 from gridtrack.recordings.outputs.grids import MAX_OUTPUT_BYTES, GridSource, parse_grid_source, write_grids
 from gridtrack.recordings.outputs.messages import Notes, OutputTopics
-from gridtrack.recordings.outputs.object_table import ObjectList, TwistFrame, completed, read_table
+from gridtrack.recordings.outputs.object_table import Numbers, ObjectList, TwistFrame, completed, read_table
 from gridtrack.recordings.outputs.objects import OBJECT_MESSAGES, read_objects
-from gridtrack.recordings.outputs.rasterise import StaticMap
-from gridtrack.recordings.outputs.width import DEFAULT_WIDTH_M, Placed, WidthFit, drawn
+from gridtrack.recordings.outputs.rasterise import StaticMap, draw_object
 from gridtrack.recordings.read_options import ReadOptions, reading_options
 from gridtrack.recordings.stream import GridStream, open_stream
 from gridtrack.recordings.stretches import parse_stretch
 
 TABLES = (".csv", ".parquet")
+DEFAULT_WIDTH_M = 0.2
+"""The width without a validation stretch."""
+TRIED_WIDTHS_M = (0.0, 0.1, 0.2, 0.3, 0.45, 0.7)
+FITTED_LEADS_S = (0.5, 1.0, 2.0)
+MAX_FITTED_LISTS = 60
+"""Limit of the lists that the width is fitted on, evenly spaced."""
+SUREST = 1e-3
+"""P(occupied) counts as at least this far from 0 and 1: drawn objects are surer than they can know."""
 
 
 def metres(text: str) -> float:
@@ -80,6 +89,24 @@ def write_outputs(
     return open_forecasts(out), [*notes.all_lines(), *stream.recording.warnings]
 
 
+class Placed(NamedTuple):
+    """Objects of one stamp, P(occupied) (M, M) of the static map then, and the window, `world_T_grid`."""
+
+    objects: ObjectList
+    static: NDArray[np.float32]
+    window: SE2
+
+
+def _drawn(
+    placed: Placed, twist_frame: TwistFrame, lead_s: Numbers, grid: GridSpec, width_m: float
+) -> NDArray[np.float32]:
+    """P(occupied) (T, M, M) of the objects over the static map, at `lead_s` (T,)."""
+    planes = np.repeat(placed.static[None], len(lead_s), axis=0)
+    for one in placed.objects.objects:
+        draw_object(planes, one, one.velocities[twist_frame], lead_s, grid, placed.window, width_m)
+    return planes
+
+
 def write_objects(stream: GridStream, settings: OutputSettings, out: Path, notes: Notes) -> None:
     """Write the forecasts of objects, drawn into the grid of the stream, to the array file `out`."""
     lists, twist_frame = _lists(stream, settings, notes)
@@ -102,7 +129,7 @@ def write_objects(stream: GridStream, settings: OutputSettings, out: Path, notes
         shape = (len(lists), len(lead_s), *grid.shape)
         occupancy = np.lib.format.open_memmap(Path(folder) / "occupancy.npy", "w+", np.uint8, shape)
         for n, placed in enumerate(_placed(stream, lists)):
-            occupancy[n] = np.rint(255.0 * drawn(placed, twist_frame, lead_s, grid, width_m))
+            occupancy[n] = np.rint(255.0 * _drawn(placed, twist_frame, lead_s, grid, width_m))
             origins[n] = placed.window.x + grid.origin[0], placed.window.y + grid.origin[1]
         write_forecasts(
             out,
@@ -157,11 +184,38 @@ def _fitted_width(
     of_fit = GridStream(stream.recording, stretch, grid=stream.grid)
     within = of_fit.recorded
     placed = [one for one in _placed(stream, lists) if within.start_ns <= one.objects.stamp_ns < within.end_ns]
-    fit = WidthFit(placed, twist_frame, stream.grid, settings.horizon_s)
-    for frame in of_fit:
-        fit.add(frame, of_fit.period_s)
-    if not fit.forecasts:
+    losses, forecasts = _losses(placed, of_fit, twist_frame, settings.horizon_s)
+    if not forecasts:
         notes.note(f"--width is {DEFAULT_WIDTH_M} m, the default: no forecast and later frame lie in {of_fit.name}")
         return DEFAULT_WIDTH_M
-    notes.note(f"--width is {fit.best_m:g} m: the least log loss of {fit.forecasts} predicted frames of {of_fit.name}")
-    return fit.best_m
+    best_m = TRIED_WIDTHS_M[int(losses.argmin())]
+    notes.note(f"--width is {best_m:g} m: the least log loss of {forecasts} predicted frames of {of_fit.name}")
+    return best_m
+
+
+def _losses(
+    placed: Sequence[Placed], stream: GridStream, twist_frame: TwistFrame, horizon_s: float
+) -> tuple[Numbers, int]:
+    """The log loss of each of TRIED_WIDTHS_M on the visible cells of later frames, nats, and the number of forecasts.
+
+    A forecast is of a frame that is FITTED_LEADS_S after its objects, to the nearest period.
+    """
+    leads_s = [lead for lead in FITTED_LEADS_S if lead <= horizon_s]
+    losses, forecasts = np.zeros(len(TRIED_WIDTHS_M)), 0
+    fitted = placed[:: max(1, -(-len(placed) // MAX_FITTED_LISTS))]
+    for frame, one in ((frame, one) for frame in stream for one in fitted):
+        ahead_s = (frame.stamp_ns - one.objects.stamp_ns) / 1e9
+        if any(-0.5 * stream.period_s < ahead_s - lead <= 0.5 * stream.period_s for lead in leads_s):
+            marks = np.stack([frame.visible, frame.occupied])
+            visible, occupied = cells_in_window(marks, frame.world_T_grid, one.window, stream.grid)
+            for number, width_m in enumerate(TRIED_WIDTHS_M):
+                plane = _drawn(one, twist_frame, np.array([ahead_s]), stream.grid, width_m)[0]
+                losses[number] += _log_loss(plane[visible], occupied[visible])
+            forecasts += 1
+    return losses, forecasts
+
+
+def _log_loss(probabilities: NDArray[np.float32], occupied: NDArray[np.bool_]) -> float:
+    """The sum of the log losses of cells (K,), nats."""
+    of_outcome = np.where(occupied, probabilities, 1.0 - probabilities).astype(np.float64)
+    return float(-np.log(of_outcome.clip(SUREST, 1.0 - SUREST)).sum())
