@@ -171,24 +171,18 @@ def shift_between(before: SE2, after: SE2, cell_m: float) -> Shift:
 
 
 def rolled(
-    values: NDArray[Any],
-    shift: Shift,
-    fill: Any,
-    *,
-    axes: tuple[int, int] = (-2, -1),
-    size: int | None = None,
-    out: NDArray[Any] | None = None,
+    values: NDArray[Any], shift: Shift, fill: Any, *, axes: tuple[int, int] = (-2, -1), size: int | None = None
 ) -> NDArray[Any]:
     """The values of cells after the window moved by `shift`: each value stays at its place in the world.
 
     `axes` of `values` are row and column. New cells get `fill`, a scalar or an array that broadcasts to the result.
     With `size` the result has `size` cells a side, cut from `values` of a larger area, such as a map; its first cell
-    was the first cell of the window before the shift. The result is always a copy, written to `out` if given.
+    was the first cell of the window before the shift. The result is always a copy.
     """
     shape = list(values.shape)
     for axis in axes:
         shape[axis] = shape[axis] if size is None else size
-    result = np.empty(shape, values.dtype) if out is None else out
+    result = np.empty(shape, values.dtype)
     filling = np.broadcast_to(fill, result.shape)
     kept: list[slice] = [slice(None)] * values.ndim
     source = kept.copy()

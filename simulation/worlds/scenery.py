@@ -18,6 +18,7 @@ from gridtrack.simulation.tracks import Corner
 Corners = tuple[Corner, ...]
 WALKER_CLEARANCE_M = 0.1
 """Minimum distance of walkers from obstacles, besides their radius."""
+LASER_FREE_M = 0.35
 SIMPLER_M = 0.02
 CEILING_M = 3.0
 DOOR_M = (0.85, 1.6)
@@ -95,9 +96,9 @@ class Scenery:
         """The things that the plane at a height intersects."""
         return [thing for thing in self.things if thing.low_m <= plane_m < thing.high_m]
 
-    def walkable(self, *standing: Corner, radius_m: float = 0.35) -> Polygon:
-        """The largest connected walkable ground, without a disc around each point of `standing`."""
-        discs = [shapely.Point(at).buffer(radius_m, quad_segs=4) for at in standing]
+    def walkable(self, *standing: Corner) -> Polygon:
+        """The largest connected walkable ground, without a disc of LASER_FREE_M around each point of `standing`."""
+        discs = [shapely.Point(at).buffer(LASER_FREE_M, quad_segs=4) for at in standing]
         solid = shapely.union_all([*self.blocked, *discs]).buffer(WALKER_CLEARANCE_M, quad_segs=2, join_style="mitre")
         area = shapely.union_all([self.inside, *self.thresholds])
         free = area.buffer(-WALKER_CLEARANCE_M).difference(solid).simplify(SIMPLER_M)
