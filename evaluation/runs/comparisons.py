@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from itertools import combinations
 from typing import NamedTuple
@@ -75,10 +75,24 @@ class Comparisons:
         Raises ScoresError.
         """
         found = [one for names in self._run.groups for one in self._against_reference(names)]
-        p = iter(holm(np.array([p for one in found for p in one.p])).tolist())
-        return [one.summarised(self._run.horizons_of(one.names), self._headline, p) for one in found]
+        corrected = _corrected([test for _, test in tests] for _, tests in found)
+        return [
+            compared.model_copy(update={"tests": tuple(map(self._headline_test, tests, p))})
+            for (compared, tests), p in zip(found, corrected, strict=True)
+        ]
 
-    def _against_reference(self, names: list[str]) -> Iterator[_Comparison]:
+    def _headline_test(self, test: tuple[Place, IntervalEstimate], p: float) -> HeadlineTest:
+        """A test at a place, with its corrected p-value."""
+        place, found = test
+        return HeadlineTest(
+            stratum=place.stratum,
+            horizon_s=round(place.horizon_s, 6),
+            step=place.step,
+            p_holm=rounded_p(p),
+            verdict=verdict_of(self._headline[1].direction * float(found.value), p),
+        )
+
+    def _against_reference(self, names: list[str]) -> Iterator[_Compared]:
         for part in ("occupancy", "classes"):
             scores = [score for score in self._scores if score.compared_with == part]
             rows = self._rows_with(scores, names)
@@ -107,22 +121,29 @@ class Comparisons:
 
     def _compared(
         self, label: str, reference: str, names: list[str], scores: Sequence[ScoreDefinition], headline: bool
-    ) -> _Comparison:
+    ) -> _Compared:
         """`label` against the reference on `names`; both must be comparable on every one of them."""
-        why = self._run.why_not_compared(reference, names) or self._run.why_not_compared(label, names)
-        if why:
-            return _Comparison(tuple(names), label, reference, why=f"not compared: {why}")
+        compared = TrackerDifference(recordings=_name_of(names), tracker=label, reference=reference)
         own, others = (self._run.comparable(row, names) for row in (label, reference))
-        if own[0].points != others[0].points:
-            return _Comparison(tuple(names), label, reference, why=OTHER_RETURNS)
+        why = self._run.why_not_compared(reference, names) or self._run.why_not_compared(label, names)
+        if why or own[0].points != others[0].points:
+            interval = f"not compared: {why}" if why else OTHER_RETURNS
+            return compared.model_copy(update={"interval": interval}), []
         mine, theirs = self._paired([own, others], names)
         frames = sum(int((units >= 0).sum()) for units in mine.units)
         if not frames:
-            return _Comparison(tuple(names), label, reference, why=OTHER_FRAMES)
-        short = self._run.unit_rule(names).too_short(mine.number) if mine.number < LEAST_UNITS else ""
+            return compared.model_copy(update={"interval": OTHER_FRAMES}), []
         found = _differences(self._all(mine), self._all(theirs), scores)
-        places = self._places(names, [*own, *others], self._headline[0]) if headline else ()
-        return _Comparison(tuple(names), label, reference, mine.number, frames, short, found, places, self._headline)
+        strata: dict[str, Estimates] = {}
+        for (stratum, name, output), one in found.items():
+            strata.setdefault(stratum, {}).setdefault(name, {})[output] = estimate_of(one)
+        score, lead = self._headline
+        places = self._places(names, [*own, *others], score) if headline else ()
+        keys = ((place, (place.stratum, score.name, lead.name)) for place in places)
+        tests = [(place, found[key].at(place.step)) for place, key in keys if key in found]
+        short = self._run.unit_rule(names).too_short(mine.number) if mine.number < LEAST_UNITS else ""
+        known = {"units": mine.number, "frames": frames, "interval": short, "strata": strata}
+        return compared.model_copy(update=known), tests
 
     def _paired(self, rows: Sequence[Sequence[FinishedTrial]], names: Sequence[str]) -> list[Selected]:
         """The rows on the frames that all of them have, in the same units."""
@@ -201,14 +222,13 @@ class Comparisons:
             return
         found = {label: self._all(one) for label, one in chosen.items()}
         trials = [trial for own in rows.values() for trial in own]
-        recordings = ALL_RECORDINGS if len(names) > 1 else names[0]
         for score in self._scores:
             for place in self._places(names, trials, score):
                 replicates = {label: _at(one, score, score.lead, place) for label, one in found.items()}
                 known = {label: one for label, one in replicates.items() if one is not None}
                 if tested := tuple(_pair_tests(known, score.lead)):
                     family = PairFamily(
-                        recordings=recordings,
+                        recordings=_name_of(names),
                         score=score.name,
                         output=score.lead.name,
                         stratum=place.stratum,
@@ -225,28 +245,56 @@ class Comparisons:
         Rows of the same tracker, options and points that differ in their weights are trainings of one tracker. Raises
         ScoresError.
         """
-        rows = [one for names in self._run.groups for one in training_rows(self._run, names)]
-        compared = [self._trained(one) for one in rows]
-        ends = np.cumsum([0, *(len(one.difference.p) for one in compared)]).tolist()
-        p = holm(np.concatenate([np.zeros(0), *(one.difference.p for one in compared)]))
+        found = [self._trained(one) for names in self._run.groups for one in _training_rows(self._run, names)]
+        corrected = _corrected(tests for _, tests in found)
         return [
-            one.summarised(of, p[start:end], self._headline[1])
-            for of, one, start, end in zip(rows, compared, ends, ends[1:], strict=False)
+            trained.model_copy(update={"scores": tuple(map(self._tested_trainings, trained.scores, tests, p))})
+            if trained.reference not in trained.labels
+            else trained
+            for (trained, tests), p in zip(found, corrected, strict=True)
         ]
 
-    def _trained(self, rows: TrainingRows) -> _Trained:
-        """The headline score of the trainings, and their difference from the reference's."""
+    def _tested_trainings(self, score: TrainingsScore, test: IntervalEstimate, p: float) -> TrainingsScore:
+        """The score of the trainings with the corrected p-value of its difference."""
+        verdict = verdict_of(self._headline[1].direction * float(test.value), p)
+        return score.model_copy(update={"p_holm": rounded_p(p), "verdict": verdict})
+
+    def _trained(self, rows: _TrainingRows) -> tuple[TrackerTrainings, list[IntervalEstimate]]:
+        """The headline score of the trainings, and at each place its uncorrected difference from the reference's."""
         places = self._places(rows.names, [*rows.own[0], *rows.reference[0]], self._headline[0])
         own, why = self._each(rows.own, places, rows.names), rows.why_partial or self._why_unpaired(rows)
-        if why or rows.own is rows.reference:
-            nothing = np.full(len(places), np.nan)
-            return _Trained(places, own, IntervalEstimate(*(nothing.copy() for _ in range(4))), why)
-        reference = self._each(rows.reference, places, rows.names)
-        if own.each[0].units < LEAST_UNITS:
-            why = self._run.unit_rule(rows.names).too_short(own.each[0].units)
-        elif not (own.spread_known and reference.spread_known):
-            why = FEW_TRAININGS
-        return _Trained(places, own, training_differences(own, reference), why)
+        difference = IntervalEstimate.unknown(np.full(len(places), np.nan))
+        if not why and rows.own is not rows.reference:
+            reference = self._each(rows.reference, places, rows.names)
+            difference = training_differences(own, reference)
+            if own.each[0].units < LEAST_UNITS:
+                why = self._run.unit_rule(rows.names).too_short(own.each[0].units)
+            elif not (own.spread_known and reference.spread_known):
+                why = FEW_TRAININGS
+        values = np.stack([one.value for one in own.each])
+        spread = spread_between(own.each).deviation if len(values) > 1 else np.full(len(places), np.nan)
+        tests = [difference.at(i) for i in range(len(places))]
+        trained = TrackerTrainings(
+            recordings=_name_of(rows.names),
+            tracker=rows.own[0][0].tracker,
+            labels=tuple(trials[0].record.label for trials in rows.own),
+            reference=rows.reference[0][0].record.label,
+            units=own.each[0].units,
+            interval=why,
+            scores=tuple(
+                TrainingsScore(
+                    stratum=place.stratum,
+                    horizon_s=round(place.horizon_s, 6),
+                    step=place.step,
+                    values=tuple(map(rounded, values[:, i].tolist())),
+                    mean=rounded(float(values[:, i].mean())),
+                    spread=rounded(float(spread[i])),
+                    difference=_point_of(tests[i]),
+                )
+                for i, place in enumerate(places)
+            ),
+        )
+        return trained, tests
 
     def _each(
         self, rows: Sequence[Sequence[FinishedTrial]], places: Sequence[Place], names: Sequence[str]
@@ -259,7 +307,7 @@ class Comparisons:
             each.append(_stacked(found, output.name, places, chosen.number))
         return Trainings(tuple(each), learned=any(_weights(rows[0])))
 
-    def _why_unpaired(self, rows: TrainingRows) -> str:
+    def _why_unpaired(self, rows: _TrainingRows) -> str:
         if rows.own[0][0].points != rows.reference[0][0].points:
             return OTHER_RETURNS
         return OTHER_FRAMES if len({self._frames_key(one) for one in (*rows.own, *rows.reference)}) > 1 else ""
@@ -270,62 +318,20 @@ class Comparisons:
         return tuple(one.stamps_ns.tobytes() + one.delivered.tobytes() for one in frames)
 
 
-@dataclass(frozen=True, slots=True)
-class _Comparison:
-    """One tracker against the reference: differences (S,) by stratum, score and output, and the places of its tests."""
+_Compared = tuple[TrackerDifference, list[tuple[Place, IntervalEstimate]]]
+"""A comparison without its tests, and the uncorrected differences () of the headline score that are tested."""
 
-    names: tuple[str, ...]
-    tracker: str
-    reference: str
-    units: int = 0
-    frames: int = 0
-    why: str = ""
-    found: Mapping[tuple[str, str, str], IntervalEstimate] | None = None
-    places: tuple[Place, ...] = ()
-    headline: tuple[ScoreDefinition, Output] | None = None
 
-    @property
-    def tests(self) -> list[tuple[Place, IntervalEstimate]]:
-        """The differences of the headline score at each place."""
-        if self.headline is None or self.found is None:
-            return []
-        score, output = self.headline
-        keys = ((place, (place.stratum, score.name, output.name)) for place in self.places)
-        return [(place, self.found[key].at(place.step)) for place, key in keys if key in self.found]
+def _name_of(names: Sequence[str]) -> str:
+    """The name in the summary of these recordings together."""
+    return ALL_RECORDINGS if len(names) > 1 else names[0]
 
-    @property
-    def p(self) -> list[float]:
-        """The uncorrected p-values of the tests."""
-        return [float(one.p) for _, one in self.tests]
 
-    def summarised(
-        self, horizons_s: Sequence[float], headline: tuple[ScoreDefinition, Output], p_holm: Iterator[float]
-    ) -> TrackerDifference:
-        """The comparison for the summary; `p_holm` gives the corrected p-values, one for each test."""
-        tests = []
-        for (place, one), p in zip(self.tests, p_holm, strict=False):
-            verdict = verdict_of(headline[1].direction * float(one.value), p)
-            test = HeadlineTest(
-                stratum=place.stratum,
-                horizon_s=round(place.horizon_s, 6),
-                step=place.step,
-                p_holm=rounded_p(p),
-                verdict=verdict,
-            )
-            tests.append(test)
-        strata: dict[str, Estimates] = {}
-        for (stratum, score, output), one in (self.found or {}).items():
-            strata.setdefault(stratum, {}).setdefault(score, {})[output] = estimate_of(one)
-        return TrackerDifference(
-            recordings=ALL_RECORDINGS if len(self.names) > 1 else self.names[0],
-            tracker=self.tracker,
-            reference=self.reference,
-            units=self.units,
-            frames=self.frames,
-            interval=self.why,
-            strata=strata,
-            tests=tuple(tests),
-        )
+def _corrected(families: Iterable[Iterable[IntervalEstimate]]) -> list[list[float]]:
+    """The p-values of tests (), corrected over all of them."""
+    p = [[float(test.p) for test in own] for own in families]
+    corrected = iter(holm(np.array([one for own in p for one in own])).tolist())
+    return [[next(corrected) for _ in own] for own in p]
 
 
 def _tested(found: Estimated, score: ScoreDefinition) -> Estimated:
@@ -333,10 +339,7 @@ def _tested(found: Estimated, score: ScoreDefinition) -> Estimated:
     strata = tuple(name for name in TESTED_STRATA if name in found.strata)
     k, names = [found.strata.index(name) for name in strata], [output.name for output in score.tested]
     values = {name: found.values[name][:, k] for name in names}
-    kept = {name: found.replicates[name] for name in names if name in found.replicates}
-    replicates = {
-        name: Replicates(one.value[:, k], one.without[:, :, k], one.size[:, :, k]) for name, one in kept.items()
-    }
+    replicates = {name: found.replicates[name].at(slice(None), k) for name in names if name in found.replicates}
     return Estimated(strata, values, replicates)
 
 
@@ -361,14 +364,9 @@ def _difference_in(own: Estimated, reference: Estimated, output: str, stratum: s
     """The difference (S,) in one stratum; without intervals if there are too few units."""
     k, n = own.strata.index(stratum), reference.strata.index(stratum)
     if output in own.replicates and output in reference.replicates:
-        return difference(_column(own.replicates[output], k), _column(reference.replicates[output], n))
-    value = own.values[output][:, k] - reference.values[output][:, n]
-    nothing = np.full_like(value, np.nan)
-    return IntervalEstimate(value, nothing, nothing, nothing)
-
-
-def _column(found: Replicates, k: int) -> Replicates:
-    return Replicates(found.value[:, k], found.without[:, :, k], found.size[:, :, k])
+        steps = slice(None)
+        return difference(own.replicates[output].at(steps, k), reference.replicates[output].at(steps, n))
+    return IntervalEstimate.unknown(own.values[output][:, k] - reference.values[output][:, n])
 
 
 def _at(found: Mapping[str, Estimated], score: ScoreDefinition, output: Output, place: Place) -> Replicates | None:
@@ -376,62 +374,51 @@ def _at(found: Mapping[str, Estimated], score: ScoreDefinition, output: Output, 
     one = found.get(score.name)
     if one is None or place.stratum not in one.strata or output.name not in one.replicates:
         return None
-    own, k = one.replicates[output.name], one.strata.index(place.stratum)
-    return Replicates(own.value[place.step, k], own.without[:, place.step, k], own.size[:, place.step, k])
+    return one.replicates[output.name].at(place.step, one.strata.index(place.stratum))
 
 
 def _stacked(found: Estimated, output: str, places: Sequence[Place], units: int) -> Replicates:
     """The replicates (R,) of an output at the places; with too few units only its values."""
     at = [place.step for place in places], [found.strata.index(place.stratum) for place in places]
     value: Floats = found.values[output][at]
-    if output not in found.replicates:
-        nothing = np.full((units, len(places)), np.nan)
-        return Replicates(value, nothing, nothing)
-    own = found.replicates[output]
-    return Replicates(value, own.without[:, *at], own.size[:, *at])
+    if output in found.replicates:
+        return replace(found.replicates[output].at(*at), value=value)
+    nothing = np.full((units, len(places)), np.nan)
+    return Replicates(value, nothing, nothing)
 
 
 def _pair_tests(rows: Mapping[str, Replicates], output: Output) -> Iterator[PairTest]:
     """The test of each pair of rows with a result, corrected over the pairs."""
     pairs = list(combinations(rows, 2))
     found = [difference(rows[one], rows[other]) for one, other in pairs]
-    adjusted = holm(np.array([one.p for one in found])).tolist() if found else []
+    (adjusted,) = _corrected([found])
     for (tracker, other), one, p in zip(pairs, found, adjusted, strict=True):
         if not np.isnan(p):
             yield PairTest(
                 tracker=tracker,
                 other=other,
-                difference=point_of(one),
+                difference=_point_of(one),
                 p_holm=rounded_p(p),
                 verdict=verdict_of(output.direction * float(one.value), p),
             )
 
 
-def point_of(found: IntervalEstimate) -> PointEstimate:
+def _point_of(found: IntervalEstimate) -> PointEstimate:
     """An estimate () as the summary holds it."""
     value, low, high = (rounded(float(one)) for one in (found.value, found.low, found.high))
     return PointEstimate(value=value, low=low, high=high, p=rounded_p(float(found.p)))
 
 
-_ByWeights = dict[tuple[str, ...], list[FinishedTrial]]
-"""Rows of one tracker by the hashes of their weights on each recording."""
+_Tracker = tuple[str, str, str]
+"""Name, options and points, which all trainings of one tracker have in common."""
+
+
+def _tracker_of(trial: FinishedTrial) -> _Tracker:
+    return trial.tracker, json.dumps(dict(trial.options), sort_keys=True, default=str), trial.points
 
 
 @dataclass(frozen=True, slots=True)
-class _Tracker:
-    """The common properties of all trainings of one tracker."""
-
-    name: str
-    options: str
-    points: str
-
-    @classmethod
-    def of(cls, trial: FinishedTrial) -> _Tracker:
-        return cls(trial.tracker, json.dumps(dict(trial.options), sort_keys=True, default=str), trial.points)
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingRows:
+class _TrainingRows:
     """The rows of one tracker and of the reference on the recordings `names`: the trials of each training.
 
     `why_partial`: one of the two has trainings that did not complete these recordings, and they may be its worse ones.
@@ -443,24 +430,24 @@ class TrainingRows:
     why_partial: str
 
 
-def training_rows(run: RunTrials, names: Sequence[str]) -> list[TrainingRows]:
+def _training_rows(run: RunTrials, names: Sequence[str]) -> list[_TrainingRows]:
     """The trackers on these recordings by their trainings; none if no tracker has several."""
-    groups: dict[tuple[_Tracker, str], _ByWeights] = {}
+    groups: dict[tuple[_Tracker, str], dict[tuple[str, ...], list[FinishedTrial]]] = {}  # by card, then by weights
     group_of: dict[str | None, tuple[_Tracker, str]] = {}
     for label in run.labels:
         trials = run.comparable(label, names)
         if len(trials) == len(names) and trials[0].tracker != ORACLE:
-            group = group_of[label] = _Tracker.of(trials[0]), trials[0].record.card
+            group = group_of[label] = _tracker_of(trials[0]), trials[0].record.card
             groups.setdefault(group, {}).setdefault(_weights(trials), trials)
     of_reference = group_of.get(run.reference_for("occupancy"))
     if of_reference is None or all(len(one) == 1 for one in groups.values()):
         return []
     incomplete = [run.of(label, names) for label in run.labels]
-    failed = Counter(_Tracker.of(trials[0]) for trials in incomplete if trials and not all(t.complete for t in trials))
+    failed = Counter(_tracker_of(trials[0]) for trials in incomplete if trials and not all(t.complete for t in trials))
     rows = {group: list(of_group.values()) for group, of_group in groups.items()}
-    why = {group: _why_partial(group[0].name, len(rows[group]), failed[group[0]]) for group in groups}
+    why = {group: _why_partial(group[0][0], len(rows[group]), failed[group[0]]) for group in groups}
     return [
-        TrainingRows(tuple(names), own, rows[of_reference], why[group] or why[of_reference])
+        _TrainingRows(tuple(names), own, rows[of_reference], why[group] or why[of_reference])
         for group, own in rows.items()
     ]
 
@@ -475,43 +462,3 @@ def _why_partial(tracker: str, complete: int, failed: int) -> str:
 def _weights(trials: Sequence[FinishedTrial]) -> tuple[str, ...]:
     """The hash of the weights of each trial of a row; empty texts of a tracker without weights."""
     return tuple(trial.record.weights_sha256 for trial in trials)
-
-
-@dataclass(frozen=True, slots=True)
-class _Trained:
-    """The trainings of one tracker at the places, their difference from the reference's, and why there is none."""
-
-    places: tuple[Place, ...]
-    own: Trainings
-    difference: IntervalEstimate
-    why: str
-
-    def summarised(self, rows: TrainingRows, p_holm: Floats, output: Output) -> TrackerTrainings:
-        """The trainings for the summary, with corrected p-values (R,)."""
-        values = np.stack([one.value for one in self.own.each])
-        spread = spread_between(self.own.each).deviation if len(values) > 1 else np.full(values.shape[1], np.nan)
-        is_reference = rows.own is rows.reference
-        return TrackerTrainings(
-            recordings=ALL_RECORDINGS if len(rows.names) > 1 else rows.names[0],
-            tracker=rows.own[0][0].tracker,
-            labels=tuple(trials[0].record.label for trials in rows.own),
-            reference=rows.reference[0][0].record.label,
-            units=self.own.each[0].units,
-            interval=self.why,
-            scores=tuple(
-                TrainingsScore(
-                    stratum=place.stratum,
-                    horizon_s=round(place.horizon_s, 6),
-                    step=place.step,
-                    values=tuple(rounded(float(value)) for value in values[:, i]),
-                    mean=rounded(float(values[:, i].mean())),
-                    spread=rounded(float(spread[i])),
-                    difference=point_of(self.difference.at(i)),
-                    p_holm=rounded_p(float(p_holm[i])),
-                    verdict=""
-                    if is_reference
-                    else verdict_of(output.direction * float(self.difference.value[i]), float(p_holm[i])),
-                )
-                for i, place in enumerate(self.places)
-            ),
-        )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy  # loads scipy.special at its first use: most processes make no interval
@@ -43,6 +44,11 @@ class IntervalEstimate:
     high: Floats
     p: Floats
 
+    @classmethod
+    def unknown(cls, value: Floats) -> IntervalEstimate:
+        """A value without an interval."""
+        return cls(value, *(np.full_like(value, np.nan) for _ in range(3)))
+
     def at(self, *index: int) -> IntervalEstimate:
         """The estimate at one index of each of the first axes."""
         return IntervalEstimate(self.value[index], self.low[index], self.high[index], self.p[index])
@@ -65,6 +71,10 @@ class Replicates:
     def units(self) -> int:
         """The number of units."""
         return len(self.without)
+
+    def at(self, *index: Any) -> Replicates:
+        """The replicates at an index, or at several, of each of the first axes of the value."""
+        return Replicates(self.value[index], self.without[:, *index], self.size[:, *index])
 
     def minus(self, other: Replicates) -> Replicates:
         """This value less another one of the same units, itself a value to compare."""
@@ -123,8 +133,7 @@ def interval(found: Replicates, scale: Scale, level: float = LEVEL) -> IntervalE
     where the value is undefined, also without one of the units.
     """
     if not scale or found.units < LEAST_UNITS:
-        nothing = np.full_like(found.value, np.nan)
-        return IntervalEstimate(found.value, nothing, nothing, nothing)
+        return IntervalEstimate.unknown(found.value)
     if scale == "linear":
         error = _standard_error(np.nan_to_num(found.without))
         return difference_of(found.value, error, degrees_of_freedom(found.size), level)
@@ -181,8 +190,7 @@ def difference(own: Replicates, reference: Replicates, level: float = LEVEL) -> 
     if own.units != reference.units:
         raise ValueError(f"{own.units} units cannot be paired with {reference.units}")
     if own.units < LEAST_UNITS:
-        nothing = np.full_like(value, np.nan)
-        return IntervalEstimate(value, nothing, nothing, nothing)
+        return IntervalEstimate.unknown(value)
     error = _standard_error(np.nan_to_num(own.without - reference.without))
     return difference_of(value, error, degrees_of_freedom(own.size, reference.size), level)
 

@@ -130,8 +130,7 @@ def training_differences(own: Trainings, reference: Trainings, level: float = LE
     mine, theirs = own.mean, reference.mean
     value, units = mine.value - theirs.value, mine.units
     if units < LEAST_UNITS or not (own.spread_known and reference.spread_known):
-        nothing = np.full_like(value, np.nan)
-        return IntervalEstimate(value, nothing, nothing, nothing)
+        return IntervalEstimate.unknown(value)
     without = mine.without - theirs.without
     over_units = (units - 1) / units * ((without - without.mean(axis=0)) ** 2).sum(axis=0)
     of_units = over_units, degrees_of_freedom(mine.size, theirs.size)
