@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -39,20 +40,29 @@ class JobObserver(Protocol):
         """The next frame is delivered."""
 
 
-class Monitor(Protocol):
-    """Receives the progress of one job, and interrupts it."""
+class Monitor:
+    """Passes the progress of the job `name` to an observer, and interrupts the job when `stop` is set."""
+
+    def __init__(self, name: str, observer: JobObserver, stop: threading.Event) -> None:
+        self._name, self._observer, self._stop = name, observer, stop
 
     def note(self, text: str) -> None:
         """A message for the user, one line."""
+        self._observer.note(text)
 
     def started(self, frames: int) -> None:
         """The job starts; it will deliver `frames` frames."""
+        self._observer.started(self._name, frames)
 
     def next_frame(self) -> None:
         """The next frame is delivered. Raises Interrupted."""
+        self.check()
+        self._observer.advanced(self._name)
 
     def check(self) -> None:
         """Raises Interrupted if the run was interrupted."""
+        if self._stop.is_set():
+            raise Interrupted
 
 
 class JobResult(Protocol):
@@ -95,32 +105,35 @@ class Job(Protocol[Result_co]):
         """End it from another thread, also during a call."""
 
 
-class Engine(Protocol):
-    """Executes jobs. A context manager: leaving it ends everything that it started."""
+class Engine(ABC):
+    """Executes jobs, at most `capacity` at the same time. A context manager: leaving it ends everything it started.
 
-    capacity: int
-    """Limit of the jobs that run at the same time; 0 if none can."""
-    scratch: Path
-    """A folder that all its processes can read, removed when the engine is left."""
+    `observer` receives the progress of the jobs.
+    """
 
+    def __init__(self, capacity: int, run_folder: Path, observer: JobObserver) -> None:
+        """Removes the scratch folder of a killed run. Raises OSError."""
+        self.capacity, self._run_folder, self._observer = capacity, run_folder.absolute(), observer
+        remove_scratch(self._run_folder)
+        (self._run_folder / SCRATCH).mkdir(exist_ok=True)
+        self.scratch = Path(mkdtemp(dir=self._run_folder / SCRATCH))
+        """A folder that all its processes can read, removed when the engine is left."""
+
+    @abstractmethod
     def submit(self, jobs: Sequence[Job[Result]]) -> list[Future[Result]]:
         """Execute `jobs` in any order. Each future gets the job's result, or the error that ended it."""
 
+    @abstractmethod
     def cancel(self) -> None:
         """End all jobs: waiting jobs never start, running ones are interrupted and return the result so far."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
+    @abstractmethod
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
-
-
-def new_scratch(run_folder: Path) -> Path:
-    """An empty folder below the run's folder. Removes the scratch folder of a killed run. Raises OSError."""
-    remove_scratch(run_folder)
-    (run_folder / SCRATCH).mkdir(exist_ok=True)
-    return Path(mkdtemp(dir=run_folder / SCRATCH))
 
 
 def remove_scratch(run_folder: Path) -> None:
@@ -128,21 +141,16 @@ def remove_scratch(run_folder: Path) -> None:
     shutil.rmtree(run_folder / SCRATCH, ignore_errors=True)
 
 
-class LocalEngine:
-    """An Engine of `capacity` threads. `observer` receives the progress of the jobs."""
+class LocalEngine(Engine):
+    """An Engine of threads."""
 
     def __init__(self, capacity: int, run_folder: Path, observer: JobObserver) -> None:
         """Raises OSError."""
-        self.capacity = capacity
-        self._run_folder, self._observer = run_folder.absolute(), observer
-        self.scratch = new_scratch(self._run_folder)
+        super().__init__(capacity, run_folder, observer)
         self._threads = ThreadPoolExecutor(capacity, "trial")
         self._stop = threading.Event()
         self._futures: list[Future[Any]] = []
         self._running: set[Job[Any]] = set()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -171,27 +179,6 @@ class LocalEngine:
     def _run(self, job: Job[Result]) -> Result:
         self._running.add(job)
         try:
-            return job.run(_LocalMonitor(job.name, self._observer, self._stop))
+            return job.run(Monitor(job.name, self._observer, self._stop))
         finally:
             self._running.discard(job)
-
-
-class _LocalMonitor:
-    """The Monitor of a job in a thread."""
-
-    def __init__(self, name: str, observer: JobObserver, stop: threading.Event) -> None:
-        self._name, self._observer, self._stop = name, observer, stop
-
-    def note(self, text: str) -> None:
-        self._observer.note(text)
-
-    def started(self, frames: int) -> None:
-        self._observer.started(self._name, frames)
-
-    def next_frame(self) -> None:
-        self.check()
-        self._observer.advanced(self._name)
-
-    def check(self) -> None:
-        if self._stop.is_set():
-            raise Interrupted

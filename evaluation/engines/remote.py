@@ -11,10 +11,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from gridtrack.common.errors import GridtrackError
-from gridtrack.evaluation.engines.engine import EngineError, Job, JobObserver, Result, new_scratch, remove_scratch
+from gridtrack.evaluation.engines.engine import Engine, EngineError, Job, JobObserver, Result, remove_scratch
 from gridtrack.evaluation.engines.task import INTERRUPTED, Reply, TaskFolder, TaskProgress
 
 Task = TypeVar("Task")
@@ -71,7 +71,7 @@ class _Submitted:
     """When the end of its task without a reply was noticed."""
 
 
-class RemoteEngine(Generic[Task]):
+class RemoteEngine(Engine, Generic[Task]):
     """An Engine of the machines of a cluster. They share the run's folder, at the same path.
 
     A thread watches the tasks. Each task has its own folder, so a task on a lost machine that still writes changes no
@@ -84,9 +84,8 @@ class RemoteEngine(Generic[Task]):
             with suppress(EngineError):
                 cluster.close()
             raise EngineError(f"{cluster.name}: no machine of the cluster has the cores for one trial: lower --threads")
-        self.capacity = cluster.capacity
-        self._cluster, self._run_folder, self._observer = cluster, run_folder.absolute(), observer
-        self.scratch = new_scratch(self._run_folder)
+        super().__init__(cluster.capacity, run_folder, observer)
+        self._cluster = cluster
         self._lock = threading.Lock()
         self._running: dict[Task, _Submitted] = {}
         self._count = 0
@@ -96,9 +95,6 @@ class RemoteEngine(Generic[Task]):
         self._watcher = threading.Thread(target=self._watch, name="engine", daemon=True)
         self._watcher.start()
         observer.note(f"engine {cluster.name}: at most {self.capacity} trials at the same time")
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -20,7 +20,7 @@ from pydantic import BaseModel, ValidationError
 from gridtrack.common.config import Settings
 from gridtrack.common.errors import GridtrackError
 from gridtrack.common.files import read_bounded, write_text
-from gridtrack.evaluation.engines.engine import WAKE_S, EngineError, Interrupted, Job, JobResult
+from gridtrack.evaluation.engines.engine import WAKE_S, EngineError, Interrupted, Job, JobResult, Monitor
 from gridtrack.evaluation.hosting.supervisor import make_unreadable
 
 MAX_ORDER_BYTES = MAX_REPLY_BYTES = 1 << 24
@@ -125,32 +125,31 @@ def run_task(path: Path, job_of: JobOf, reason_of: Callable[[Exception], str]) -
     make_unreadable()
     # a process that was started in the background ignores interrupts
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    folder = TaskFolder(path)
-    monitor = TaskMonitor()
+    folder, counted, stop = TaskFolder(path), _Counted(), threading.Event()
     try:
-        reply = _executed(folder, job_of, monitor)
+        reply = _executed(folder, job_of, counted, stop)
     except (Interrupted, KeyboardInterrupt):
-        monitor.stop()
+        stop.set()
         reply = Reply(error=INTERRUPTED)
     except GridtrackError as error:
         reply = Reply(error=str(error))
     except Exception as error:  # noqa: BLE001 the host reports it to the user
         reply = Reply(error=reason_of(error))
     if path.is_dir():
-        folder.write_progress(monitor.progress())
+        folder.write_progress(counted.progress)
         folder.write_reply(reply)
-    return not monitor.stopped()
+    return not stop.is_set()
 
 
-def _executed(folder: TaskFolder, job_of: JobOf, monitor: TaskMonitor) -> Reply:
+def _executed(folder: TaskFolder, job_of: JobOf, counted: _Counted, stop: threading.Event) -> Reply:
     """Run the job in a thread; its progress and interrupts are handled beside it."""
-    job = job_of(folder, monitor.note)
+    job = job_of(folder, counted.note)
     with ThreadPoolExecutor(1, "trial") as thread:
-        future: Future[JobResult] = thread.submit(job.run, monitor)
+        future: Future[JobResult] = thread.submit(job.run, Monitor(job.name, counted, stop))
         try:
-            _write_progress(future, folder, monitor)
+            _write_progress(future, folder, counted)
         except BaseException:
-            monitor.stop()
+            stop.set()
             job.interrupt()
             wait([future])
             if future.exception() is not None:
@@ -159,55 +158,37 @@ def _executed(folder: TaskFolder, job_of: JobOf, monitor: TaskMonitor) -> Reply:
         return Reply(outcome=future.result().outcome, files=tuple(names))
 
 
-def _write_progress(future: Future[JobResult], folder: TaskFolder, monitor: TaskMonitor) -> None:
+def _write_progress(future: Future[JobResult], folder: TaskFolder, counted: _Counted) -> None:
     """Write the progress until the job has ended. Raises FileNotFoundError if the task was abandoned."""
     written: TaskProgress | None = None
     while True:
         for _ in range(round(PROGRESS_S / WAKE_S)):
             if wait([future], WAKE_S).done:
                 return
-        if (progress := monitor.progress()) != written:
+        if (progress := counted.progress) != written:
             folder.write_progress(progress)
             written = progress
         elif not folder.path.is_dir():
             raise Interrupted
 
 
-class TaskMonitor:
-    """The Monitor of a job in a process of a cluster: it only counts, and `progress` is written by another thread."""
+class _Counted:
+    """A JobObserver of one job in a process of a cluster; its `progress` is written by another thread."""
 
     def __init__(self) -> None:
-        self._frames: int | None = None
-        self._delivered = 0
-        self._notes: tuple[str, ...] = ()
-        self._stop = threading.Event()
+        self.progress = TaskProgress()
 
     def note(self, text: str) -> None:
         """A message for the user, one line."""
-        self._notes = (*self._notes, text)
+        self._add(notes=(*self.progress.notes, text))
 
-    def started(self, frames: int) -> None:
+    def started(self, job: str, frames: int) -> None:
         """The job starts; it will deliver `frames` frames."""
-        self._frames = frames
+        self._add(frames=frames)
 
-    def next_frame(self) -> None:
-        """The next frame is delivered. Raises Interrupted."""
-        self.check()
-        self._delivered += 1
+    def advanced(self, job: str) -> None:
+        """The next frame is delivered."""
+        self._add(delivered=self.progress.delivered + 1)
 
-    def check(self) -> None:
-        """Raises Interrupted if the run was interrupted."""
-        if self._stop.is_set():
-            raise Interrupted
-
-    def stop(self) -> None:
-        """Interrupt the job at its next frame."""
-        self._stop.set()
-
-    def stopped(self) -> bool:
-        """Whether the job was interrupted."""
-        return self._stop.is_set()
-
-    def progress(self) -> TaskProgress:
-        """The progress so far."""
-        return TaskProgress(frames=self._frames, delivered=self._delivered, notes=self._notes)
+    def _add(self, **known: Any) -> None:
+        self.progress = self.progress.model_copy(update=known)
