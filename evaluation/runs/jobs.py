@@ -13,7 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -26,11 +26,11 @@ from gridtrack.evaluation.engines.engine import EngineError, Monitor
 from gridtrack.evaluation.engines.task import TaskFolder, run_task
 from gridtrack.evaluation.hosting.outcome import TrialEnded
 from gridtrack.evaluation.referee.splits import EvaluationSplit, SplitMoments, SplitRegions, plan_split
+from gridtrack.evaluation.runs.conditions import measure_robustness
 from gridtrack.evaluation.runs.learned import read_weights
 from gridtrack.evaluation.runs.oracle import ORACLE_REPLACES, oracle_validation, run_oracle
 from gridtrack.evaluation.runs.plan import Trial, sampling_of, segmented
 from gridtrack.evaluation.runs.recorded_rows import hash_of_file
-from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
 from gridtrack.evaluation.runs.run_folder import versions
 from gridtrack.evaluation.runs.run_record import RecordingIdentity, TrialIdentity, identity_of
 from gridtrack.evaluation.runs.settings import CompareSettings
@@ -96,10 +96,6 @@ class SharedInputs:
             found.set_exception(error)
 
 
-class _Interruptible(Protocol):
-    def interrupt(self) -> None: ...
-
-
 class _RunJob:
     """A job with the name of a trial; its result is the record in the trial's folder."""
 
@@ -112,7 +108,7 @@ class _RunJob:
         """`folder`: the folder for the files of the trial."""
         self.name = name
         self._subject, self._folder, self._shared = subject, folder, shared
-        self._running: _Interruptible | None = None
+        self._end: Callable[[], None] | None = None
         self._interrupted = False
 
     def order(self) -> str:
@@ -129,18 +125,14 @@ class _RunJob:
     def interrupt(self) -> None:
         """End it from another thread, also before it has begun."""
         self._interrupted = True
-        if self._running is not None:
-            self._running.interrupt()
+        if self._end is not None:
+            self._end()
 
-    def _begin(self, run: _Interruptible) -> None:
-        """From now on an interrupt ends `run`."""
-        self._running = run
+    def _begin(self, end: Callable[[], None]) -> None:
+        """From now on an interrupt calls `end()`."""
+        self._end = end
         if self._interrupted:
-            run.interrupt()
-
-    def _write(self, record: TrialRecord) -> TrialRecord:
-        record.write(self._folder)
-        return record
+            end()
 
 
 class TrialJob(_RunJob):
@@ -163,7 +155,7 @@ class TrialJob(_RunJob):
         moments = self._shared.moments_of(self.split, self.trial.selection.points, monitor.check)
         run = TrialRun(self.trial, moments, self._folder, monitor.next_frame, self._shared.thresholds)
         monitor.started(run.frames)
-        self._begin(run)
+        self._begin(run.interrupt)
         return run.run()
 
     def on_error(self, error: Exception) -> TrialRecord:
@@ -228,11 +220,12 @@ class RobustnessJob(_RunJob):
         monitor.note(f"{self.name}: degraded input")
         degradation = self._shared.settings.degrade
         assert degradation is not None, "the run requests no degraded input"
-        run = RobustnessRun(self.trial, degradation, self._folder)
-        self._begin(run)
-        moments = self._shared.moments_of(self.split, self.trial.selection.points, monitor.check)
-        robustness = run.run(moments.test, self.record.thresholds, monitor.check)
-        return self._write(self.record.model_copy(update={"robustness": robustness}))
+        test = self._shared.moments_of(self.split, self.trial.selection.points, monitor.check).test
+        used, began = self.record.thresholds, lambda process: self._begin(process.kill)
+        found = measure_robustness(self.trial, degradation, test, used, self._folder, monitor.check, began)
+        record = self.record.model_copy(update={"robustness": found})
+        record.write(self._folder)
+        return record
 
     def on_error(self, error: Exception) -> Notice:
         """The notice for the user."""

@@ -14,6 +14,7 @@ from gridtrack.evaluation.engines.engine import WAKE_S, Engine, JobObserver, Loc
 from gridtrack.evaluation.engines.ray_cluster import RayCluster
 from gridtrack.evaluation.engines.remote import RemoteEngine
 from gridtrack.evaluation.engines.slurm_cluster import SlurmCluster, SlurmSettings
+from gridtrack.evaluation.runs.conditions import measure_deadline, measure_latency
 from gridtrack.evaluation.runs.jobs import (
     OracleJob,
     RobustnessJob,
@@ -27,7 +28,6 @@ from gridtrack.evaluation.runs.plan import ComparisonPlan, Trial, with_copied_we
 from gridtrack.evaluation.runs.run_folder import RunFolder, refuse_other_files, run_lock, usable_cores, without_edited
 from gridtrack.evaluation.runs.settings import CompareSettings
 from gridtrack.evaluation.runs.summary import RunSummary
-from gridtrack.evaluation.runs.timed_passes import measure_deadline, measure_latency
 from gridtrack.evaluation.runs.trial import unstarted
 from gridtrack.evaluation.runs.trial_record import OUTCOME_FILE, TrialRecord
 

@@ -6,9 +6,8 @@ import pytest
 
 from gridtrack.evaluation.hosting.timing import Call
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
-from gridtrack.evaluation.runs import timed_passes
+from gridtrack.evaluation.runs import conditions, jobs
 from gridtrack.evaluation.runs.passes import AtStrength, Robustness
-from gridtrack.evaluation.runs.robustness_pass import RobustnessRun
 from gridtrack.evaluation.runs.summarise import _mismatched_degradations
 from gridtrack.evaluation.runs.trial_record import TRIAL_SCHEMA, TrialRecord, read_trial_record
 from gridtrack.evaluation.scores.registry import built_in
@@ -28,9 +27,9 @@ def costing(monkeypatch):
     """`costing(update_ms, predict_ms)` sets the measured cost of every frame."""
 
     def costing(update_ms, predict_ms):
-        calls = timed_passes._TimedCalls()
+        calls = conditions._TimedCalls()
         calls.add(Call(update_ms, update_ms), Call(predict_ms, predict_ms))
-        monkeypatch.setattr(timed_passes, "_timed_calls", lambda *_: calls)
+        monkeypatch.setattr(conditions, "_timed_calls", lambda *_: calls)
 
     return costing
 
@@ -122,7 +121,7 @@ def test_an_interrupt_while_input_is_degraded_keeps_every_score(compare, monkeyp
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(RobustnessRun, "run", interrupted)
+    monkeypatch.setattr(jobs, "measure_robustness", interrupted)
     summary = compare("blank", "persistence", degrade=Degradation(range_noise=0.1))
     assert summary.interrupted is True
     assert {trial_of(summary, label).outcome for label in ("blank", "persistence")} == {"ok"}
@@ -169,8 +168,8 @@ def test_mismatched_degraded_frames_are_detected():
 def test_a_resumed_run_degrades_again_only_for_other_strengths(compare, monkeypatch):
     compare("blank", degrade=Degradation(range_noise=0.1))
     passes = []
-    original = RobustnessRun.run
-    monkeypatch.setattr(RobustnessRun, "run", lambda *a: (passes.append(1), original(*a))[1])
+    original = jobs.measure_robustness
+    monkeypatch.setattr(jobs, "measure_robustness", lambda *a: (passes.append(1), original(*a))[1])
     compare("blank", degrade=Degradation(range_noise=0.1), resume=True)
     assert passes == []
     summary = compare("blank", degrade=Degradation(range_noise=0.2), resume=True)

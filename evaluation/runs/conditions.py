@@ -1,32 +1,57 @@
-"""Passes that time a tracker alone on the machine: latencies, and scores on a simulated clock with measured times.
+"""Passes of a trial under other conditions: its latency, scores on a simulated clock, and scores on degraded input.
 
-The calls are as in the trial: the same frames, and forecasts at the same frames. A tracker cannot recognise by its
-requests that it is timed.
+A tracker is timed alone on the machine, by the calls of the trial: the same frames, and forecasts at the same frames.
+It cannot recognise by its requests that it is timed. Every scored pass over the stream has a process of its own: a
+tracker that keeps frames over `reset` would know the stream.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridtrack.common.grid import GridFrame
 from gridtrack.evaluation.hosting.timing import Call, Timings
 from gridtrack.evaluation.hosting.tracker_process import TrackerProcess
 from gridtrack.evaluation.referee.deadline import RATES, Costs, DeadlineTracker, Timeline, spare_steps, timeline
-from gridtrack.evaluation.referee.referee import WARM_UP, KeptMoments
-from gridtrack.evaluation.runs.passes import TWENTIETHS, AtRate, CallTimes, Deadline, Latency, Quantiles, RoundTrips
+from gridtrack.evaluation.referee.referee import (
+    WARM_UP,
+    Delivery,
+    KeptMoments,
+    Moment,
+    TrackerLike,
+    moments,
+    scored_forecasts,
+)
+from gridtrack.evaluation.runs.passes import (
+    TWENTIETHS,
+    AtRate,
+    AtStrength,
+    CallTimes,
+    Deadline,
+    Latency,
+    Quantiles,
+    Robustness,
+    RoundTrips,
+)
 from gridtrack.evaluation.runs.plan import Trial
-from gridtrack.evaluation.runs.replay import replayed
-from gridtrack.evaluation.runs.result_files import Curves
+from gridtrack.evaluation.runs.result_files import Curves, rounded_curve
+from gridtrack.evaluation.runs.scorekeeper import Counter, facts_of
 from gridtrack.evaluation.runs.trial_record import ThresholdsUsed, TrialRecord
+from gridtrack.evaluation.scores.definition import Floats
+from gridtrack.evaluation.scores.registry import scores
+from gridtrack.recordings.degradation import Degradation, degrader
 
 MAX_FORECASTS, MIN_FORECASTS, MAX_TIMED_S = 61, 16, 30.0
 """Forecasts of a timed pass: at most MAX_FORECASTS; of a slow tracker at least MIN_FORECASTS, and no further one after
 MAX_TIMED_S seconds of calls. The first one, which may compile and allocate, is not timed."""
-LATENCY_LOG, DEADLINE_LOG = "latency.log", "deadline.log"
+LATENCY_LOG, DEADLINE_LOG, ROBUSTNESS_LOG = "latency.log", "deadline.log", "robustness.log"
+STRENGTHS = (0.25, 0.5, 1.0)
+"""Strengths as shares of the requested degradation; strength 0 is the trial's own score."""
 
 
 def measure_latency(trial: Trial, folder: Path) -> Latency:
@@ -49,7 +74,6 @@ def measure_deadline(trial: Trial, test: KeptMoments, record: TrialRecord, folde
     """Time the tracker, then score it on its `test` stretch with the simulated clock, at the thresholds of `record`.
 
     It is scored at every rate of RATES. Forecasts reach further by the delay that the round trips of the trial show.
-    Every pass over the stream has a process of its own: a tracker that keeps frames over `reset` would know the stream.
     The log of the last process goes to `folder`. Raises TrialEnded.
     """
     log, steps, scored = folder / DEADLINE_LOG, trial.split.steps, trial.split.schedule.scored
@@ -130,7 +154,7 @@ def _at_every_rate(
         if key not in scores_of:
             with trial.tracker_process(log) as process:
                 tracker = DeadlineTracker(process, clock, schedule, reach, trial.test.grid.cell_m)
-                scores_of[key] = replayed(tracker, test, trial, thresholds)
+                scores_of[key] = _replayed(tracker, test, trial, thresholds)
         results.append(
             AtRate(
                 rate=rate,
@@ -153,3 +177,67 @@ def _ages(clock: Timeline) -> NDArray[np.int64]:
 def _call_times(ms: NDArray[np.float64]) -> CallTimes:
     twentieths = np.percentile(ms, TWENTIETHS, method="higher").tolist()
     return CallTimes(**Quantiles.of(ms).model_dump(), twentieths=tuple(twentieths))
+
+
+def measure_robustness(
+    trial: Trial,
+    degradation: Degradation,
+    test: KeptMoments,
+    thresholds: ThresholdsUsed,
+    folder: Path,
+    on_frame: Callable[[], None],
+    began: Callable[[TrackerProcess], None],
+) -> Robustness:
+    """Score the tracker on its `test` stretch with each kind of the degradation separately, at every strength.
+
+    `on_frame()` is called before each frame, and may raise to end the pass; `began` receives each process before it
+    starts. The log of the last process goes to `folder`. Raises TrialEnded.
+    """
+
+    def at(kind: str, strength: float) -> AtStrength:
+        own = degradation.only(kind).scaled(strength)
+        stream = test.stream.degraded(degrader(own, trial.seed))
+        degraded = Delivery(moments(stream, test.regions), on_frame)
+        process = trial.tracker_process(folder / ROBUSTNESS_LOG)
+        began(process)
+        with process:
+            found = _replayed(_DegradedInput(process, degraded), test, trial, thresholds)
+        return AtStrength(strength=strength, value=getattr(own, kind), delivered=degraded.digest, scores=found)
+
+    kinds = {kind: tuple(at(kind, strength) for strength in STRENGTHS) for kind in degradation.kinds}
+    return Robustness(degradation=degradation, kinds=kinds)
+
+
+class _DegradedInput:
+    """A tracker that receives the degraded frame in place of each frame that the referee delivers."""
+
+    def __init__(self, tracker: TrackerLike, degraded: Delivery) -> None:
+        self.reset, self.predict = tracker.reset, tracker.predict
+        self._tracker, self._degraded = tracker, iter(degraded)
+
+    def update(self, frame: GridFrame) -> None:
+        """Update the tracker with the degraded frame of the same stamp."""
+        received = next(self._degraded).frame
+        assert received.stamp_ns == frame.stamp_ns
+        self._tracker.update(received)
+
+
+def _replayed(
+    tracker: TrackerLike, frames: Iterable[Moment], trial: Trial, thresholds: ThresholdsUsed
+) -> dict[str, Curves]:
+    """The leading values of the scores that may lead, by score and stratum, of `tracker` on the trial's `frames`.
+
+    Forecasts are made at the frames that the trial scored.
+    """
+    leading = [score for score in scores(trial.scores) if score.may_lead]
+    facts = facts_of(trial.split, thresholds.thresholds(), trial.robot)
+    counter, sums = Counter(leading, facts), dict[str, Floats]()
+    for scored in scored_forecasts(tracker, frames, trial.split.schedule, trial.seed):
+        for name, own in counter.count(scored).items():
+            sums[name] = sums[name] + own if name in sums else own
+    found = {}
+    for score in leading:
+        if score.name in sums:
+            values = score.leading(sums[score.name], facts)
+            found[score.name] = {name: rounded_curve(values[:, k]) for k, name in enumerate(score.strata(facts))}
+    return found
