@@ -255,13 +255,19 @@ class Observed(Protocol):
     def observations(self) -> Iterator[Observation]: ...  # noqa: D102
 
 
-def moments(stream: FrameSource, regions: Regions, motion: MotionFinder | None = None) -> Iterator[Moment]:
+def moments(
+    stream: FrameSource,
+    regions: Regions,
+    observations: Iterable[Observation] | None = None,
+    motion: MotionFinder | None = None,
+) -> Iterator[Moment]:
     """The frames of a stretch as moments; with the truth and labels that its source has.
 
-    `motion` finds returns in motion; None: from the observations of the stream.
+    `observations` are those of its frames, and `motion` finds returns in motion in them; None: by the stream itself.
     """
     found = motion or ObservedMotion(stream)
-    observations = stream.observations() if isinstance(stream, Observed) else map(Observation, stream)
+    if observations is None:
+        observations = stream.observations() if isinstance(stream, Observed) else map(Observation, stream)
     return (Moment(observation, found.of(observation), stream, regions) for observation in observations)
 
 

@@ -7,9 +7,9 @@ for each scored stretch, so every tracker, and every part of a stretch, is score
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gridtrack.common.errors import RecordingError
 from gridtrack.common.files import atomic_write
 from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import GridFrame, GridSpec, LabelledFrame, Mask
+from gridtrack.common.grid import GridFrame, GridSpec, Mask
 from gridtrack.common.scan import Scan
 from gridtrack.evaluation.referee.kinds import (
     KindsOfPlaces,
@@ -29,7 +29,7 @@ from gridtrack.evaluation.referee.kinds import (
     kinds_of_outlines,
     observed_kinds,
 )
-from gridtrack.evaluation.referee.motion import MotionFinder, ObservedMotion
+from gridtrack.evaluation.referee.motion import ObservedMotion
 from gridtrack.evaluation.referee.referee import Schedule, moments, scored_forecasts
 from gridtrack.evaluation.referee.strata import STRATA
 from gridtrack.evaluation.scores.cells import Tally, count_cells
@@ -75,7 +75,8 @@ def store_regions(stream: GridStream, kinds: StoredKinds, path: Path) -> Path:
 
     Raises RecordingError, OSError.
     """
-    motion, moves, scans = ObservedMotion(stream), stream.first_move_s is not None, ScansWriter()
+    motion, moves = ObservedMotion(stream), stream.first_move_s is not None
+    scans: list[list[tuple[NDArray[np.float32], tuple[float, ...]]]] = []
     stamps_ns: list[int] = []
     moving: list[NDArray[np.int64]] = []
     reference_T_world: list[tuple[float, float, float]] = []
@@ -84,7 +85,8 @@ def store_regions(stream: GridStream, kinds: StoredKinds, path: Path) -> Path:
         stamps_ns.append(observation.frame.stamp_ns)
         moving.append(np.flatnonzero(motion.of(observation).among(observation, stream.grid)))
         reference_T_world.append((pose.x, pose.y, pose.theta))
-        scans.add(observation.scans if moves else ())
+        scans.append([(scan.ranges, _geometry(scan)) for scan in observation.scans] if moves else [])
+    ranges, geometry = [own for frame in scans for own, _ in frame], [own for frame in scans for _, own in frame]
     with atomic_write(path) as file:
         np.savez_compressed(
             file,
@@ -96,9 +98,18 @@ def store_regions(stream: GridStream, kinds: StoredKinds, path: Path) -> Path:
             moving=np.concatenate([np.zeros(0, np.int64), *moving]).astype(np.int32),
             reference_T_world=np.array(reference_T_world),
             **_kinds_arrays(kinds),
-            **scans.arrays(),
+            scan_starts=np.cumsum([0, *map(len, scans)]),
+            range_starts=np.cumsum([0, *map(len, ranges)]),
+            ranges=np.concatenate([np.zeros(0, np.float32), *ranges]),
+            geometry=np.array(geometry, np.float64).reshape(-1, 7),
         )
     return path
+
+
+def _geometry(scan: Scan) -> tuple[float, ...]:
+    """The angle of the first beam, that between beams, the range limits, and the reference pose."""
+    pose = reference_pose(scan)
+    return scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max, pose.x, pose.y, pose.theta
 
 
 def _kinds_arrays(kinds: StoredKinds) -> dict[str, Any]:
@@ -131,31 +142,39 @@ def _kinds_from(stored: Mapping[str, NDArray[Any]], grid: GridSpec) -> StoredKin
 
 @dataclass(frozen=True, slots=True)
 class StretchRegions:
-    """The regions of one stretch.
+    """The regions of one stretch. It is a MotionFinder for any source of its frames.
 
-    `kinds`: of its cells; `moves`: whether the window moves; `scans`: of its frames, if it moves; `stamps_ns` (N,)
-    int64; the returns in motion of frame n are the cells `moving[starts[n] : starts[n + 1]]`, row * M + column;
-    `reference_T_world` (N, 3) float64: x, y, theta.
+    `kinds`: of its cells; `moves`: whether the window moves; `stamps_ns` (N,) int64; `reference_T_world` (N, 3)
+    float64: x, y, theta. The returns in motion of frame n are the cells `moving[starts[n] : starts[n + 1]]`, row * M +
+    column.
+
+    The scans of frame n, if the window moves, are `scan_starts[n]` to `scan_starts[n + 1]`, without labels and truth.
+    Scan s has `ranges[range_starts[s] : range_starts[s + 1]]`, and in `geometry` (S, 7) float64 the angle of its first
+    beam, that between beams, its range limits, and its reference pose.
     """
 
     sha256: str
     grid: str
     kinds: StoredKinds
-    scans: StoredScans
     moves: bool
     stamps_ns: NDArray[np.int64]
     starts: NDArray[np.int64]
     moving: NDArray[np.int32]
     reference_T_world: NDArray[np.float64]
+    scan_starts: NDArray[np.int64]
+    range_starts: NDArray[np.int64]
+    ranges: NDArray[np.float32]
+    geometry: NDArray[np.float64]
 
     @classmethod
     def read(cls, path: Path) -> StretchRegions:
         """Read a file of `store_regions`. Raises OSError."""
         with np.load(path, allow_pickle=False) as stored:
-            grid, arrays = str(stored["grid"]), {name: stored[name] for name in stored.files}
-            kinds, scans = _kinds_from(arrays, GridSpec.parse(grid)), StoredScans.read(arrays)
-            own = (arrays[name] for name in ("stamps_ns", "starts", "moving", "reference_T_world"))
-            return cls(str(stored["sha256"]), grid, kinds, scans, bool(stored["moves"]), *own)
+            arrays = {name: stored[name] for name in stored.files}
+        grid = str(arrays["grid"])
+        of_frames = {one.name: arrays[one.name] for one in fields(cls)[4:]}
+        kinds = _kinds_from(arrays, GridSpec.parse(grid))
+        return cls(str(arrays["sha256"]), grid, kinds, bool(arrays["moves"]), **of_frames)
 
     def has(self, source: FrameSource, stamp_ns: int) -> bool:
         """Whether the frame of `source` with this stamp belongs to the stretch."""
@@ -163,35 +182,29 @@ class StretchRegions:
         same = source.sha256 == self.sha256 and str(source.grid) == self.grid
         return same and n < len(self.stamps_ns) and int(self.stamps_ns[n]) == stamp_ns
 
-    def moving_at(self, stamp_ns: int, grid: GridSpec) -> Mask:
-        """The returns in motion (M, M) of the frame with this stamp, in its own window."""
-        n = self._number(stamp_ns)
-        mask = np.zeros(grid.shape, np.bool_)
-        mask.reshape(-1)[self.moving[self.starts[n] : self.starts[n + 1]]] = True
-        return mask
+    def of(self, observation: Observation) -> InCells:
+        """The returns in motion of an observation of the stretch."""
+        n = self._number(observation.frame.stamp_ns)
+        marked = np.zeros(observation.frame.occupied.shape, np.bool_)
+        marked.reshape(-1)[self.moving[self.starts[n] : self.starts[n + 1]]] = True
+        return InCells(marked, observation.reference_T_grid)
 
     def observation_of(self, frame: GridFrame) -> Observation:
         """The observation of a frame of the stretch, at its place in the world of the reference poses."""
         n = self._number(frame.stamp_ns)
-        reference_T_world, scans = SE2(*self.reference_T_world[n].tolist()), self.scans.of(n, frame.stamp_ns)
+        reference_T_world = SE2(*self.reference_T_world[n].tolist())
+        scans = tuple(self._scan(s, frame.stamp_ns) for s in range(self.scan_starts[n], self.scan_starts[n + 1]))
         grid_T_reference = (reference_T_world @ frame.world_T_grid).inverse()
         grid_T_sensor = tuple(grid_T_reference @ scan.world_T_sensor for scan in scans)
         return Observation(frame, scans, grid_T_sensor, reference_T_world=reference_T_world)
 
+    def _scan(self, s: int, stamp_ns: int) -> Scan:
+        ranges = self.ranges[self.range_starts[s] : self.range_starts[s + 1]]
+        angle_min, step, range_min, range_max, *pose = self.geometry[s].tolist()
+        return Scan(stamp_ns, ranges, angle_min, step, range_min, range_max, world_T_sensor=SE2(*pose))
+
     def _number(self, stamp_ns: int) -> int:
         return int(np.searchsorted(self.stamps_ns, stamp_ns))
-
-
-class StoredMotion:
-    """Motion in a source of frames of a stretch."""
-
-    def __init__(self, regions: StretchRegions, source: FrameSource) -> None:
-        self._regions, self._source = regions, source
-
-    def of(self, observation: Observation) -> InCells:
-        """The returns in motion of the next observation."""
-        moving = self._regions.moving_at(observation.frame.stamp_ns, self._source.grid)
-        return InCells(moving, observation.reference_T_grid)
 
 
 class InCells:
@@ -209,27 +222,6 @@ class InCells:
             self._marked if window == self._own else cells_in_window(self._marked[None], self._own, window, grid)[0]
         )
         return marked
-
-
-class _ObservedSource:
-    """The frames of a source with their places in the world of the reference poses, for scoring."""
-
-    def __init__(self, source: FrameSource, regions: StretchRegions) -> None:
-        self.name, self.sha256, self.site, self.classes = source.name, source.sha256, source.site, source.classes
-        self.grid, self.period_s = source.grid, source.period_s
-        self._source, self._regions = source, regions
-
-    def __len__(self) -> int:
-        return len(self._source)
-
-    def __iter__(self) -> Iterator[GridFrame]:
-        return iter(self._source)
-
-    def labelled(self) -> Iterator[LabelledFrame]:
-        return self._source.labelled()
-
-    def observations(self) -> Iterator[Observation]:
-        return map(self._regions.observation_of, self._source)
 
 
 class FitScores:
@@ -251,9 +243,7 @@ class FitScores:
                 f"{source.name}: the sensor moves, and {type(tracker).__name__} follows only a sensor at rest"
                 " (moving_sensor is false): train on stretches in which it is at rest"
             )
-        observed = _ObservedSource(source, stretch)
-        regions = Regions(source.grid, stretch.kinds)
-        return score_in_process(tracker, observed, steps, regions, StoredMotion(stretch, source))
+        return score_in_process(tracker, source, steps, Regions(source.grid, stretch.kinds), stretch)
 
     def _regions_beside(self, source: FrameSource) -> Iterator[StretchRegions]:
         """The regions of the stretches of the same recording, on the same grid."""
@@ -264,62 +254,6 @@ class FitScores:
                 yield self._read[n]
 
 
-class ScansWriter:
-    """Collects the scans of frames, without labels and truth."""
-
-    def __init__(self) -> None:
-        self._counts: list[int] = []
-        self._ranges: list[NDArray[np.float32]] = []
-        self._geometry: list[tuple[float, ...]] = []
-
-    def add(self, scans: tuple[Scan, ...]) -> None:
-        """Add the scans of the next frame."""
-        self._counts.append(len(scans))
-        for scan in scans:
-            pose = reference_pose(scan)
-            self._ranges.append(scan.ranges)
-            self._geometry.append(
-                (scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max, pose.x, pose.y, pose.theta)
-            )
-
-    def arrays(self) -> dict[str, Any]:
-        """The arrays of `StoredScans.read`."""
-        return {
-            "scan_starts": np.cumsum([0, *self._counts]),
-            "range_starts": np.cumsum([0, *map(len, self._ranges)]),
-            "ranges": np.concatenate([np.zeros(0, np.float32), *self._ranges]),
-            "geometry": np.array(self._geometry, np.float64).reshape(-1, 7),
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class StoredScans:
-    """The scans of frame n are `scan_starts[n]` to `scan_starts[n + 1]`.
-
-    Scan s has `ranges[range_starts[s] : range_starts[s + 1]]`, and in `geometry` (S, 7) float64 the angle of its first
-    beam, that between beams, its range limits, and its reference pose.
-    """
-
-    scan_starts: NDArray[np.int64]
-    range_starts: NDArray[np.int64]
-    ranges: NDArray[np.float32]
-    geometry: NDArray[np.float64]
-
-    @classmethod
-    def read(cls, stored: Mapping[str, NDArray[Any]]) -> Self:
-        """Read the arrays of `ScansWriter.arrays`."""
-        return cls(stored["scan_starts"], stored["range_starts"], stored["ranges"], stored["geometry"])
-
-    def of(self, frame: int, stamp_ns: int) -> tuple[Scan, ...]:
-        """The scans of a frame by its number, with this stamp, at their reference poses."""
-        return tuple(self._scan(s, stamp_ns) for s in range(self.scan_starts[frame], self.scan_starts[frame + 1]))
-
-    def _scan(self, s: int, stamp_ns: int) -> Scan:
-        ranges = self.ranges[self.range_starts[s] : self.range_starts[s + 1]]
-        angle_min, step, range_min, range_max, *pose = self.geometry[s].tolist()
-        return Scan(stamp_ns, ranges, angle_min, step, range_min, range_max, world_T_sensor=SE2(*pose))
-
-
 FIT_FORECAST_EVERY_S = 1.0
 FIT_FORECASTS = 30
 LEAST_FIT_EVERY = 5
@@ -328,12 +262,12 @@ validation of a network costs; twice as many changed a difference of two setting
 
 
 def score_in_process(
-    tracker: Tracker, source: FrameSource, steps: int, regions: Regions, motion: MotionFinder | None = None
+    tracker: Tracker, source: FrameSource, steps: int, regions: Regions, stretch: StretchRegions | None = None
 ) -> StretchScore:
     """Stream `source` through the tracker and score its forecasts with the referee's counts, on its regions.
 
-    `motion`: as in `moments`. Thresholds are chosen on the same stretch: a score for choosing parameters, not for
-    reports. Raises RecordingError if the stretch is too short to score a forecast.
+    Observations and motion are those of the `stretch`; None: by the source itself. Thresholds are chosen on the same
+    frames: a score for choosing parameters, not for reports. Raises RecordingError if these are too few for a forecast.
     """
     every = max(LEAST_FIT_EVERY, min(round(FIT_FORECAST_EVERY_S / source.period_s), len(source) // FIT_FORECASTS))
     schedule = Schedule(len(source), steps, every)
@@ -342,7 +276,8 @@ def score_in_process(
     facts = TrialFacts(source.grid.cell_m, steps, STRATA, half(steps), period_s=source.period_s)
     tally, memory = Tally.empty(steps), CONTACT_FORESIGHT.new_memory(facts)
     contacts: Any = 0.0
-    for scored in scored_forecasts(tracker, moments(source, regions, motion), schedule, seed=0):
+    observations = None if stretch is None else map(stretch.observation_of, source)
+    for scored in scored_forecasts(tracker, moments(source, regions, observations, stretch), schedule, seed=0):
         tally.add(count_cells(scored.forecast.occupancy, scored.targets, scored.region_maps))
         contacts += CONTACT_FORESIGHT.count(scored, facts, memory)
     confusion = tally.confusion(best_thresholds(tally, source.name).bins)
