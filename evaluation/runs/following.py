@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -280,68 +280,33 @@ class Following:
                 thread.join(WAKE_S)
 
     def _notices(self) -> list[Notice]:
-        ending = Ending(
-            path=self._path,
-            at_s=self._frames * self._split.test.period_s,
-            frames_before=self._frames_before,
-            problem=self._arrivals.problem,
-            interrupted=self.interrupted,
-            idle=self._watch.idle,
-            limit=self._growth.limit,
-            table_problem=self._scores.problem,
-            delivered=self._digest.hexdigest(),
-        )
-        return follow_notices(ending, self._records.values())
+        """The notices of the run."""
+        records = self._records.values()
+        of_trials = (Notice(text=text, row=record.label) for record in records for text in self._about_a_trial(record))
+        return [*(Notice(text=text) for text in self._about_the_end()), *of_trials]
 
+    def _about_the_end(self) -> Iterator[str]:
+        path, before = self._path, self._frames_before
+        ended = f"{path}: ended at {self._frames * self._split.test.period_s:.1f} s"
+        if before:
+            yield f"{path}: the first {before} frames, written before the comparison began, have no deadline"
+        if self._arrivals.problem:
+            yield f"{ended}: {self._arrivals.problem}"
+        elif self.interrupted:
+            yield f"{ended} by Ctrl-C"
+        elif self._watch.idle:
+            yield f"{ended}: nothing was written to it for --idle-timeout"
+        if self._growth.limit is not None:
+            yield f"{path}: its recorder had not closed it: its first {self._growth.limit} bytes were read"
+        if self._scores.problem:
+            yield f"the live table lacks scores: {self._scores.problem}"
 
-@dataclass(frozen=True, slots=True)
-class Ending:
-    """The end of the recording at `path`, `at_s` seconds after its first frame."""
-
-    path: Path
-    at_s: float
-    frames_before: int
-    """Frames that were written before the comparison began."""
-    problem: str
-    """The reason why the rest of the recording cannot be read; empty if it can."""
-    interrupted: bool
-    idle: bool
-    limit: int | None
-    """Bytes that were read, if the recorder had not closed the file."""
-    table_problem: str
-    """The reason why the live table lacks scores; empty if it does not."""
-    delivered: str
-    """Hash of the frames that were presented."""
-
-
-def follow_notices(ending: Ending, records: Iterable[TrialRecord]) -> list[Notice]:
-    """The notices of the run."""
-    of_trials = (Notice(text=text, row=record.label) for record in records for text in _about_a_trial(record, ending))
-    return [*(Notice(text=text) for text in _about_the_end(ending)), *of_trials]
-
-
-def _about_the_end(ending: Ending) -> Iterator[str]:
-    path, ended = ending.path, f"{ending.path}: ended at {ending.at_s:.1f} s"
-    if ending.frames_before:
-        yield f"{path}: the first {ending.frames_before} frames, written before the comparison began, have no deadline"
-    if ending.problem:
-        yield f"{ended}: {ending.problem}"
-    elif ending.interrupted:
-        yield f"{ended} by Ctrl-C"
-    elif ending.idle:
-        yield f"{ended}: nothing was written to it for --idle-timeout"
-    if ending.limit is not None:
-        yield f"{path}: its recorder had not closed it: its first {ending.limit} bytes were read"
-    if ending.table_problem:
-        yield f"the live table lacks scores: {ending.table_problem}"
-
-
-def _about_a_trial(record: TrialRecord, ending: Ending) -> Iterator[str]:
-    followed = record.followed
-    if followed and followed.missed and followed.age_frames:
-        yield (
-            f"missed {followed.missed} of {followed.frames} frames with a deadline; its newest forecast"
-            f" in time was {followed.age_frames.p99:g} frames old at the 99th percentile"
-        )
-    if record.complete and record.delivered != ending.delivered:
-        yield "received other frames than it was scored on"
+    def _about_a_trial(self, record: TrialRecord) -> Iterator[str]:
+        followed = record.followed
+        if followed and followed.missed and followed.age_frames:
+            yield (
+                f"missed {followed.missed} of {followed.frames} frames with a deadline; its newest forecast"
+                f" in time was {followed.age_frames.p99:g} frames old at the 99th percentile"
+            )
+        if record.complete and record.delivered != self._digest.hexdigest():
+            yield "received other frames than it was scored on"
