@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -95,6 +95,15 @@ def detail_step(horizons_s: Sequence[float]) -> int:
     return detail if detail in steps else steps[0]
 
 
+def unlike_most(received: Iterable[tuple[str, Hashable, str]]) -> list[str]:
+    """The labels that `received` another digest than most under a condition: (label, condition, digest) of each."""
+    received, found = list(received), defaultdict[Hashable, Counter[str]](Counter)
+    for _, condition, digest in received:
+        found[condition][digest] += 1
+    usual = {condition: digests.most_common(1)[0][0] for condition, digests in found.items()}
+    return list(dict.fromkeys(label for label, condition, digest in received if digest != usual[condition]))
+
+
 class RunTrials:
     """The trials of a run: the same units and frames for all rows."""
 
@@ -151,18 +160,12 @@ class RunTrials:
 
         Trials of raw returns are compared among themselves: their frames differ by design.
         """
-        usual: dict[tuple[str, int], Counter[str]] = {}
-        scored = [trial for trial in self.on(recording) if trial.record.frames_scored]
-        frames = [(trial, self.frames(trial)) for trial in scored]
-        deliveries = [(t, dict(zip(of.stamps_ns.tolist(), of.delivered.tolist(), strict=True))) for t, of in frames]
-        for trial, delivered in deliveries:
-            for stamp, digest in delivered.items():
-                usual.setdefault((trial.points, stamp), Counter())[digest] += 1
-        return [
-            trial.record.label
-            for trial, delivered in deliveries
-            if any(digest != usual[trial.points, stamp].most_common(1)[0][0] for stamp, digest in delivered.items())
-        ]
+        frames = ((trial, self.frames(trial)) for trial in self.on(recording) if trial.record.frames_scored)
+        return unlike_most(
+            (trial.record.label, (trial.points, stamp), digest)
+            for trial, own in frames
+            for stamp, digest in zip(own.stamps_ns.tolist(), own.delivered.tolist(), strict=True)
+        )
 
     def on(self, recording: str) -> list[FinishedTrial]:
         """The trials of one recording."""

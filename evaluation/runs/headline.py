@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,7 @@ def leading_scores(run: RunTrials, scores: Sequence[ScoreDefinition]) -> tuple[l
     Raises ScoresError.
     """
     counted = {name for trial in run.all if trial.complete for name in run.sums(trial).scores}
-    groups = [_Group.of(run, names) for names in run.groups]
+    groups = {names[0]: _one_trial_each(run, names) for names in run.groups}
     may_lead, too_few = [], []
     for score in (one for one in scores if one.may_lead):
         applies = score.name in counted if counted else score.events is None  # where nothing is scored, none has events
@@ -34,41 +33,35 @@ def leading_scores(run: RunTrials, scores: Sequence[ScoreDefinition]) -> tuple[l
         missing = _too_few(run, groups, score, score.events) if score.events else None
         too_few += [missing] if missing else []
         may_lead += [] if missing else [score]
-    tested = any(group.chosen.number >= LEAST_UNITS for group in groups)
+    tested = any(chosen.number >= LEAST_UNITS for chosen in groups.values())
     return sorted(may_lead, key=lambda score: score.thresholded and not tested), too_few
 
 
-class _Group(NamedTuple):
-    """Recordings that trackers are compared on together: for each that has one, a trial with all scores.
+def _one_trial_each(run: RunTrials, names: Sequence[str]) -> Selected:
+    """A complete trial on each of these recordings that has one: events and units are the same for all rows.
 
-    `chosen` has the units of their frames: events and units are the same for all rows. `name`: the first recording.
+    Raises ScoresError.
     """
-
-    name: str
-    chosen: Selected
-
-    @classmethod
-    def of(cls, run: RunTrials, names: Sequence[str]) -> _Group:
-        """The group of these recordings. Raises ScoresError."""
-        complete = [[trial for trial in run.on(name) if trial.complete] for name in names]
-        trials = [found[0] for found in complete if found]
-        rule = run.unit_rule([trial.record.recording for trial in trials], names)
-        return cls(names[0], selected(run, trials, rule))
+    complete = [[trial for trial in run.on(name) if trial.complete] for name in names]
+    trials = [found[0] for found in complete if found]
+    return selected(run, trials, run.unit_rule([trial.record.recording for trial in trials], names))
 
 
-def _too_few(run: RunTrials, groups: Sequence[_Group], score: ScoreDefinition, events: RareEvents) -> Notice | None:
-    """A notice of the first group of recordings that has too few events; None if all have enough."""
-    for group in groups:
-        found = [_events_of(run, trial, score, events) for trial in group.chosen.trials]
+def _too_few(
+    run: RunTrials, groups: Mapping[str, Selected], score: ScoreDefinition, events: RareEvents
+) -> Notice | None:
+    """A notice of the first group of recordings that has too few events, by its first one; None if all have enough."""
+    for name, chosen in groups.items():
+        found = [_events_of(run, trial, score, events) for trial in chosen.trials]
         forecasts = sum(_apart(stamps_ns[has_event], DETAIL_HORIZON_S) for stamps_ns, has_event in found)
-        with_event = (own[has_event] for own, (_, has_event) in zip(group.chosen.units, found, strict=True))
+        with_event = (own[has_event] for own, (_, has_event) in zip(chosen.units, found, strict=True))
         units = len({unit for own in with_event for unit in own.tolist()})
         if units < LEAST_UNITS and forecasts < ENOUGH_FORECASTS:
             text = (
                 f"too few {events.name}: {forecasts} separate forecasts and {units} units have any, and"
                 f" {ENOUGH_FORECASTS} forecasts or {LEAST_UNITS} units are needed for {score.title} to lead"
             )
-            return Notice(text=text, recording=group.name if len(groups) > 1 else "")
+            return Notice(text=text, recording=name if len(groups) > 1 else "")
     return None
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
@@ -26,6 +25,7 @@ from gridtrack.evaluation.runs.finished import (
     RunTrials,
     detail_step,
     headline_steps,
+    unlike_most,
     unlike_recordings,
 )
 from gridtrack.evaluation.runs.headline import leading_scores
@@ -53,6 +53,8 @@ from gridtrack.evaluation.statistics.units import UnitRule
 from gridtrack.trackers.contract import Role
 
 STARTED_BEFORE = "the tracker was started before, in a trial that did not end"
+AS_IN_RECORD = TrialSummary.model_fields.keys() & (TrialRecord.model_fields.keys() - {"thresholds", "robustness"})
+"""The fields of a trial in the summary that are those of its record."""
 LEAST_LEAD = 0.001
 """A row is ahead of another by at least this much in either order: less is not shown in a table."""
 
@@ -139,22 +141,9 @@ class _Summary:
     def _trial(self, trial: FinishedTrial) -> TrialSummary:
         record = trial.record
         summary = TrialSummary(
-            outcome=record.outcome,
-            reason=record.reason,
-            card=record.card,
-            leak=record.leak,
+            **{name: getattr(record, name) for name in AS_IN_RECORD},
             memory=STARTED_BEFORE if record.started_before else "",
-            frames_scored=record.frames_scored,
-            frames_expected=record.frames_expected,
-            frames_missing=record.frames_missing,
-            made_by=record.made_by,
             threshold_chosen_on=record.thresholds.chosen_on,
-            weights_sha256=record.weights_sha256,
-            recoveries=record.recoveries,
-            latency_ms=record.latency_ms,
-            deadline=record.deadline,
-            times=record.times,
-            peak_rss_mb=record.peak_rss_mb,
         )
         if record.frames_scored:
             summary = self._scored(summary, [trial], self._run.unit_rule([record.recording]))
@@ -408,18 +397,13 @@ def _mismatched_degradations(records: Iterable[tuple[str, TrialRecord]]) -> list
 
     Each record comes with the returns that it requested: trials with other returns are compared among themselves.
     """
-    received = [
+    return unlike_most(
         (record.label, (points, kind, point.value), point.delivered)
         for points, record in records
         if record.robustness
         for kind, curve in record.robustness.kinds.items()
         for point in curve
-    ]
-    usual: dict[tuple[str, str, float], Counter[str]] = {}
-    for _, condition, digest in received:
-        usual.setdefault(condition, Counter())[digest] += 1
-    labels = (label for label, condition, digest in received if digest != usual[condition].most_common(1)[0][0])
-    return list(dict.fromkeys(labels))
+    )
 
 
 @dataclass(frozen=True)

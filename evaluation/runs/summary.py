@@ -84,17 +84,9 @@ class ScoreDescription(ResultModel):
     @classmethod
     def of(cls, score: ScoreDefinition) -> Self:
         """The description of a score."""
-        return cls(
-            name=score.name,
-            title=score.title,
-            about=score.about,
-            compared_with=score.compared_with,
-            thresholded=score.thresholded,
-            stratum=score.stratum,
-            horizons_s=score.horizons_s,
-            counted=score.events.name if score.events else "cells",
-            outputs=tuple(map(OutputDescription.of, score.outputs)),
-        )
+        same = {name: getattr(score, name) for name in cls.model_fields if name not in ("counted", "outputs")}
+        counted = score.events.name if score.events else "cells"
+        return cls(**same, counted=counted, outputs=tuple(map(OutputDescription.of, score.outputs)))
 
 
 class Estimate(ResultModel):
