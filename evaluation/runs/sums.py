@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -208,7 +208,7 @@ class TrialSums:
         self.path, self._kept = folder / SUMS_FILE, kept
         with _opened(self.path) as file:
             self._metadata = file.metadata
-            self.steps, self.layouts = _layouts_of(file)
+            self.steps, self.layouts = _layouts_of(self.path, file.schema_arrow)
 
     @property
     def scores(self) -> tuple[str, ...]:
@@ -294,7 +294,7 @@ class TrialSums:
     def _frames_in(self, group: int, rows_of_frame: int) -> tuple[NDArray[np.int64], NDArray[np.str_]]:
         """Stamp and hash of each frame of a row group, without its sums."""
         with _opened(self.path, self._metadata) as file:
-            table = file.read_row_group(group, columns=_OF_FRAMES).combine_chunks()
+            table = file.read_row_group(group, columns=_OF_FRAMES, use_threads=False).combine_chunks()
         stamps, delivered = (table.column(name).combine_chunks() for name in _OF_FRAMES)
         if not rows_of_frame or len(table) % rows_of_frame or stamps.null_count or delivered.null_count:
             raise ScoresError(f"{self.path}: a value or a row is missing; run it again")
@@ -312,7 +312,7 @@ class TrialSums:
 
     def _read(self, group: int, layout: Layout) -> _Rows:
         with _opened(self.path, self._metadata) as file:
-            table = file.read_row_group(group, columns=_OF_SUMS)
+            table = file.read_row_group(group, columns=_OF_SUMS, use_threads=False)  # most are small
         return _rows(self.path, table, layout)
 
     def _require_parts(self, rows: _Rows, layout: Layout) -> None:
@@ -368,43 +368,21 @@ def _add(unit, place, ends, parts, values, column, total):  # type: ignore[no-un
                     total[unit[row], place[row], column[parts[i]]] += values[i]
 
 
-def _opened(path: Path, metadata: Any = None) -> Any:
-    """The Parquet file; `metadata` spares reading them again. A thread that reads ahead costs more than it gains."""
+@contextmanager
+def _opened(path: Path, metadata: Any = None) -> Iterator[Any]:
+    """The Parquet file; every failure to read it in the block is a ScoresError.
+
+    `metadata` spares reading them again. A thread that reads ahead costs more than it gains.
+    """
     try:
-        return _Checked(parquet.ParquetFile(path, metadata=metadata, pre_buffer=False), path)
+        with parquet.ParquetFile(path, metadata=metadata, pre_buffer=False) as file:
+            yield file
     except (OSError, ArrowException) as error:
         raise _unreadable(path, error) from None
 
 
-class _Checked:
-    """A Parquet file; every failure to read it is a ScoresError."""
-
-    def __init__(self, file: Any, path: Path) -> None:
-        self._file = file
-        self.path, self.metadata = path, file.metadata
-
-    @property
-    def schema(self) -> Any:
-        """The columns, with the metadata of the table."""
-        return self._file.schema_arrow
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-    def read_row_group(self, group: int, columns: Sequence[str]) -> Any:
-        """The columns of a row group."""
-        try:
-            return self._file.read_row_group(group, columns=columns, use_threads=False)  # most are small
-        except (OSError, ArrowException) as error:
-            raise _unreadable(self.path, error) from None
-
-
-def _layouts_of(file: Any) -> tuple[int, dict[str, Layout]]:
+def _layouts_of(path: Path, schema: Any) -> tuple[int, dict[str, Layout]]:
     """The steps and the layout of each score, of a table with the columns of this version."""
-    path, schema = file.path, file.schema
     columns = {name: schema.field(name).type for name in schema.names}
     if columns != {name: kind for name, (kind, _) in COLUMNS.items()}:
         raise ScoresError(f"{path}: columns {', '.join(schema.names)}; expected {', '.join(COLUMNS)}: run it again")
