@@ -11,11 +11,10 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib import resources
-from itertools import chain
 from pathlib import Path
 from typing import Literal
 
-from gridtrack.common.errors import ConfigurationError, WeightsError
+from gridtrack.common.errors import WeightsError
 from gridtrack.common.files import atomic_write, naming_full_disk, sha256_of, user_data_folder
 from gridtrack.evaluation.referee.splits import EvaluationSplit, common_with
 from gridtrack.evaluation.runs.run_record import WeightsUsed
@@ -158,17 +157,6 @@ def _folders(override: Path | None) -> Iterator[Path]:
 def leaks_of(split: EvaluationSplit, weights: LearnedWeights | None) -> tuple[str, ...]:
     """The leaks of `weights` on the frames of `split`, a line for each stretch."""
     return tuple(dict.fromkeys(_leaks(split, weights))) if weights else ()
-
-
-def refuse_leaks(leaks: Iterable[tuple[str, ...]]) -> None:
-    """Raise ConfigurationError if any trial of a comparison has leaks; `leaks`: by trial."""
-    found = list(dict.fromkeys(chain.from_iterable(leaks)))
-    if found:
-        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
-        raise ConfigurationError(
-            f"{found[0]}{more}: compare on other frames, or with --allow-leak, which marks such rows and does not"
-            " rank them"
-        )
 
 
 def _leaks(split: EvaluationSplit, weights: LearnedWeights) -> Iterator[str]:

@@ -33,7 +33,6 @@ from gridtrack.evaluation.runs.learned import (
     copy_weights,
     find_weights,
     leaks_of,
-    refuse_leaks,
     weights_in,
 )
 from gridtrack.evaluation.runs.recorded_rows import check_recorded, hash_of_file, recorded_file, with_own_file
@@ -321,12 +320,17 @@ def _trials(
 
 
 def _leak_notices(settings: CompareSettings, trials: Sequence[Trial]) -> list[Notice]:
-    """A notice of each allowed leak. Raises the error of `refuse_leaks` for others."""
-    if settings.allow_leak:
-        kind = "not ranked: learned from frames of the comparison"
-        return [trial.notice(f"not ranked: {leak}", kind) for trial in trials for leak in trial.leaks]
-    refuse_leaks(trial.leaks for trial in trials)
-    return []
+    """A notice of each leak. Raises ConfigurationError if they are not allowed."""
+    found = [(trial, leak) for trial in trials for leak in trial.leaks]
+    leaks = list(dict.fromkeys(leak for _, leak in found))
+    if leaks and not settings.allow_leak:
+        more = f" (and {len(leaks) - 1} more)" if len(leaks) > 1 else ""
+        raise ConfigurationError(
+            f"{leaks[0]}{more}: compare on other frames, or with --allow-leak, which marks such rows and does not"
+            " rank them"
+        )
+    kind = "not ranked: learned from frames of the comparison"
+    return [trial.notice(f"not ranked: {leak}", kind) for trial, leak in found]
 
 
 def _notices(trials: Sequence[Trial]) -> Iterator[Notice]:
