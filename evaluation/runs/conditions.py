@@ -183,15 +183,16 @@ def measure_robustness(
     trial: Trial,
     degradation: Degradation,
     test: KeptMoments,
-    thresholds: ThresholdsUsed,
+    record: TrialRecord,
     folder: Path,
     on_frame: Callable[[], None],
-    began: Callable[[TrackerProcess], None],
+    began: Callable[[Callable[[], None]], None],
 ) -> Robustness:
     """Score the tracker on its `test` stretch with each kind of the degradation separately, at every strength.
 
-    `on_frame()` is called before each frame, and may raise to end the pass; `began` receives each process before it
-    starts. The log of the last process goes to `folder`. Raises TrialEnded.
+    At the thresholds of `record`. `on_frame()` is called before each frame, and may raise to end the pass; `began`
+    receives the function that ends a process, before each process starts. The log of the last one goes to `folder`.
+    Raises TrialEnded.
     """
 
     def at(kind: str, strength: float) -> AtStrength:
@@ -199,9 +200,9 @@ def measure_robustness(
         stream = test.stream.degraded(degrader(own, trial.seed))
         degraded = Delivery(moments(stream, test.regions), on_frame)
         process = trial.tracker_process(folder / ROBUSTNESS_LOG)
-        began(process)
+        began(process.kill)
         with process:
-            found = _replayed(_DegradedInput(process, degraded), test, trial, thresholds)
+            found = _replayed(_DegradedInput(process, degraded), test, trial, record.thresholds)
         return AtStrength(strength=strength, value=getattr(own, kind), delivered=degraded.digest, scores=found)
 
     kinds = {kind: tuple(at(kind, strength) for strength in STRENGTHS) for kind in degradation.kinds}

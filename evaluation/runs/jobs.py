@@ -221,9 +221,9 @@ class RobustnessJob(_RunJob):
         degradation = self._shared.settings.degrade
         assert degradation is not None, "the run requests no degraded input"
         test = self._shared.moments_of(self.split, self.trial.selection.points, monitor.check).test
-        used, began = self.record.thresholds, lambda process: self._begin(process.kill)
-        found = measure_robustness(self.trial, degradation, test, used, self._folder, monitor.check, began)
-        record = self.record.model_copy(update={"robustness": found})
+        trial, record, folder = self.trial, self.record, self._folder
+        found = measure_robustness(trial, degradation, test, record, folder, monitor.check, self._begin)
+        record = record.model_copy(update={"robustness": found})
         record.write(self._folder)
         return record
 

@@ -7,6 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from queue import SimpleQueue
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -132,8 +133,7 @@ class LiveScores:
         self._scores = ScoresSoFar(split, self._runs)
         self.step = min(split.steps, max(1, nearest_step(SHOWN_S, split.test.period_s)))
         """The step of the shown score."""
-        self._waiting: deque[tuple[Observation, Mapping[str, int]]] = deque()
-        self._changed = threading.Condition()
+        self._waiting: SimpleQueue[tuple[Observation, Mapping[str, int]] | None] = SimpleQueue()
         self._over = False
         self._thread = threading.Thread(target=self._work, name="live scores", daemon=True)
         self.problem = ""
@@ -145,18 +145,14 @@ class LiveScores:
 
     def stop(self) -> None:
         """End the thread; waiting forecasts are left out."""
-        with self._changed:
-            self._over = True
-            self._changed.notify_all()
+        self._over = True
+        self._waiting.put(None)
         if self._thread.is_alive():
             self._thread.join()
 
     def add(self, observation: Observation) -> None:
         """Add the next observation, after its deadline for every tracker."""
-        newest = {label: run.live.newest for label, run in self._runs.items()}
-        with self._changed:
-            self._waiting.append((observation, newest))
-            self._changed.notify_all()
+        self._waiting.put((observation, {label: run.live.newest for label, run in self._runs.items()}))
 
     def rows(self) -> list[LiveRow]:
         """The table, in the order of the trackers."""
@@ -174,15 +170,10 @@ class LiveScores:
         return float(f1_of(tally.confusion(run.chosen.bins))[self.step, tally.strata.index(SHOWN_STRATUM)])
 
     def _work(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: bool(self._waiting) or self._over)
-                if self._over:
-                    return
-                observation, newest = self._waiting.popleft()
-                scored = len(self._waiting) < MAX_FRAMES_WAITING
+        while (added := self._waiting.get()) is not None and not self._over:
+            observation, newest = added
             try:
-                self._scores.add(observation, newest, scored=scored)
+                self._scores.add(observation, newest, scored=self._waiting.qsize() < MAX_FRAMES_WAITING)
             except Exception as error:  # noqa: BLE001 the table is a view: the scores of the run are made at its end
                 self.problem = f"{type(error).__name__}: {error}"
                 return
