@@ -107,20 +107,26 @@ class StaticMapTracker(Tracker):
     def reset(self, seed: int) -> None:
         """A map does not change; counts of the stream begin again."""
         grid = self.stream.grid
-        self._rates: LearnedRates | RunningRates
-        if self._card.general:
-            self._rates = RunningRates(grid, self._overall, self.options.prior_frames)
-        else:
-            place = SiteMap(self.frequency, self._overall, grid.cell_m, self._card.map_pose, grid.size)
-            self._rates = LearnedRates(place)
+        self._counts = np.zeros((2, *grid.shape))
+        """Frames of the stream in which each cell was occupied, and visible (2, M, M)."""
+        self._window: SE2 | None = None
+        self._map = SiteMap(self.frequency, self._overall, grid.cell_m, self._card.map_pose, grid.size)
 
     def update(self, frame: GridFrame) -> None:
         """Move to the window of a frame, or count the frame if there is no map."""
-        self._rates.observe(frame)
+        if not self._card.general:
+            self._map.at(frame.world_T_grid)
+            return
+        shift = shift_between(self._window or frame.world_T_grid, frame.world_T_grid, self.stream.grid.cell_m)
+        self._window = frame.world_T_grid
+        self._counts = rolled(self._counts, shift, 0.0) + np.stack([frame.occupied, frame.visible])
 
     def predict(self, steps: int) -> Forecast:
         """The rates in the window (steps+1, M, M), the same for every step."""
-        return Forecast(np.tile(self._rates.in_window, (steps + 1, 1, 1)))
+        rates = self._map.in_window
+        if self._card.general:
+            rates = smoothed_rate(*self._counts, self._overall, self.options.prior_frames)
+        return Forecast(np.tile(rates, (steps + 1, 1, 1)))
 
     @classmethod
     def fit(cls, task: FitTask) -> None:
@@ -198,40 +204,6 @@ def _shape_of(weights: Weights, grid: GridSpec) -> tuple[int, int]:
     if occupied is None or occupied.ndim != 2:
         return grid.shape
     return max(occupied.shape[0], grid.size), max(occupied.shape[1], grid.size)
-
-
-class LearnedRates:
-    """The rates of a map; cells that are not on it have its overall rate."""
-
-    def __init__(self, place: SiteMap) -> None:
-        self._place = place
-        self.in_window = place.unmoved
-        """P(occupied) (M, M) float32; before the first frame in a window at the pose of the map."""
-
-    def observe(self, frame: GridFrame) -> None:
-        """Take the part of the map that lies in the window of a frame."""
-        self.in_window = self._place.at(frame.world_T_grid)
-
-
-class RunningRates:
-    """The rates of the stream so far, with the `overall` rate of other places as a prior of `prior_frames` frames."""
-
-    def __init__(self, grid: GridSpec, overall: float, prior_frames: float) -> None:
-        self._cell_m, self._overall, self._prior_frames = grid.cell_m, overall, prior_frames
-        self._visible, self._occupied = np.zeros((2, *grid.shape))
-        self._window: SE2 | None = None
-
-    def observe(self, frame: GridFrame) -> None:
-        """Count a frame; cells that come into the window were never seen."""
-        shift = shift_between(self._window or frame.world_T_grid, frame.world_T_grid, self._cell_m)
-        self._window = frame.world_T_grid
-        self._visible = rolled(self._visible, shift, 0.0) + frame.visible
-        self._occupied = rolled(self._occupied, shift, 0.0) + frame.occupied
-
-    @property
-    def in_window(self) -> NDArray[np.float32]:
-        """P(occupied) (M, M) float32."""
-        return smoothed_rate(self._occupied, self._visible, self._overall, self._prior_frames)
 
 
 def smoothed_rate(

@@ -36,10 +36,9 @@ class SiteMap:
         size: int | None = None,
     ) -> None:
         self._values, self._outside, self._cell_m, self._world_T_map = values, outside, cell_m, world_T_grid
-        self._size = size
-        self.unmoved = values if size is None else rolled(values, Shift(), outside, size=size)
-        """The values (..., M, M) in a window at the pose of the map, read-only."""
-        self._shift, self._in_window = Shift(), self.unmoved
+        self._size, self._shift = size, Shift()
+        self.in_window = values if size is None else rolled(values, Shift(), outside, size=size)
+        """The values (..., M, M) in the last window, at first in one at the pose of the map; read-only."""
 
     def at(self, world_T_grid: SE2) -> NDArray[Any]:
         """The values (..., M, M) in the window at this pose, read-only; the same array until the window moves.
@@ -50,8 +49,8 @@ class SiteMap:
             self._world_T_map = world_T_grid
         shift = shift_between(self._world_T_map, world_T_grid, self._cell_m)
         if shift != self._shift:
-            self._shift, self._in_window = shift, rolled(self._values, shift, self._outside, size=self._size)
-        return self._in_window
+            self._shift, self.in_window = shift, rolled(self._values, shift, self._outside, size=self._size)
+        return self.in_window
 
 
 def mean_of_cells(values: NDArray[np.floating]) -> NDArray[Any]:
