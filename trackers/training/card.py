@@ -6,7 +6,7 @@ weights: their card has no site and no grid, but the ranges of cell and period o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
 import numpy as np
@@ -163,7 +163,7 @@ def card_for(
     """
     return Card(
         tracker=tracker,
-        **(_ranges_of(task.train) if task.general else _place_of(tracker, task.train)),
+        **_place_of(tracker, task),
         seed=task.seed,
         command=task.command,
         train=_data_of(task.train),
@@ -173,32 +173,29 @@ def card_for(
     )
 
 
-def _ranges_of(sources: Sequence[FrameSource]) -> dict[str, Any]:
-    """The fields of a general card about its training data."""
-    cells, periods = ([source.grid.cell_m for source in sources], [source.period_s for source in sources])
-    return {
-        "site": GENERAL,
-        "cells_m": (min(cells), max(cells)),
-        "periods_s": (min(periods), max(periods)),
-    }
-
-
-def _place_of(tracker: str, sources: Sequence[FrameSource]) -> dict[str, Any]:
-    """The fields of a site's card about the place of its training. Raises WeightsError."""
-    kinds = {(str(s.grid), s.period_s, s.site) for s in sources}
+def _place_of(tracker: str, task: FitTask) -> dict[str, Any]:
+    """The fields of a card about the place of its training; of a general one, about its ranges. Raises WeightsError."""
+    if task.general:
+        cells, periods = ([source.grid.cell_m for source in task.train], [source.period_s for source in task.train])
+        return {
+            "site": GENERAL,
+            "cells_m": (min(cells), max(cells)),
+            "periods_s": (min(periods), max(periods)),
+        }
+    kinds = {(str(s.grid), s.period_s, s.site) for s in task.train}
     if len(kinds) != 1:
         raise WeightsError(
             f"{tracker}: train on recordings of one grid, period and site, or for any place with --general; found"
             f" {sorted(kinds)}"
         )
     (grid, period_s, site) = kinds.pop()
-    return {"site": site, "grid": grid, "period_s": period_s, "world_T_grid": _first_window(sources)}
-
-
-def _first_window(sources: Iterable[FrameSource]) -> tuple[float, float] | None:
-    """The position of the window of the first frame, metres, world frame; None without a frame."""
-    first = next((frame.world_T_grid for source in sources for frame in source), None)
-    return None if first is None else (first.x, first.y)
+    first = next((frame.world_T_grid for source in task.train for frame in source), None)
+    return {
+        "site": site,
+        "grid": grid,
+        "period_s": period_s,
+        "world_T_grid": None if first is None else (first.x, first.y),
+    }
 
 
 def with_classes(

@@ -150,7 +150,13 @@ def read_card(path: Path, sha256: str = "") -> Card:
         if sha256 and hashlib.sha256(text).hexdigest() != sha256:
             raise WeightsError(f"{path}: its sha256 is not the one in the request: the card was exchanged")
         table = parse_toml(text)
-        _refuse_other_schema(path, table.get("schema_version", CARD_SCHEMA))
+        if (schema := table.get("schema_version", CARD_SCHEMA)) != CARD_SCHEMA:
+            remedy = (
+                "rewrite it with gridtrack 0.2, `gridtrack trackers migrate`" if schema == 1 else "update gridtrack"
+            )
+            raise WeightsError(
+                f"{path}: schema {schema!r:.40}; this gridtrack reads {CARD_SCHEMA}: {remedy}, or train again"
+            )
         card = validated(Card, table, "weights card")
         if not card.general:
             GridSpec.parse(card.grid)
@@ -159,15 +165,6 @@ def read_card(path: Path, sha256: str = "") -> Card:
     except (ValueError, ConfigurationError) as error:
         raise WeightsError(f"{path}: not a weights card of gridtrack ({error})") from None
     return card
-
-
-def _refuse_other_schema(path: Path, schema: Any) -> None:
-    """Raises WeightsError unless the card is of CARD_SCHEMA."""
-    if schema != CARD_SCHEMA:
-        remedy = "rewrite it with gridtrack 0.2, `gridtrack trackers migrate`" if schema == 1 else "update gridtrack"
-        raise WeightsError(
-            f"{path}: schema {schema!r:.40}; this gridtrack reads {CARD_SCHEMA}: {remedy}, or train again"
-        )
 
 
 def load_weights(stream: StreamSpec, tracker: str) -> Weights:
@@ -192,36 +189,17 @@ def load_weights(stream: StreamSpec, tracker: str) -> Weights:
 def fitted_card(card: Card, path: Path, stream: StreamSpec) -> Card:
     """The card at `path` for the grid and period of `stream`; a general one fits any.
 
-    Raises WeightsError for another period, and for cells of another size or number, or between those of the grid.
+    If only the corner of the window differs, maps keep their place in the world. Raises WeightsError for another
+    period, and for cells of another size or number, or between those of the grid.
     """
     if card.period_s is None:
         return card
-    _check_period(card.period_s, stream, path)
-    return _laid_in(stream.grid, card, path)
-
-
-def load_start(path: Path, tracker: str) -> Weights:
-    """The general weights at `path`, for a training that starts from them. Raises WeightsError if they are not."""
-    card = read_card(path)
-    if not card.general or card.tracker != tracker:
-        raise WeightsError(f"{path}: weights of {card.tracker} for {card.site}, expected general ones of {tracker}")
-    return Weights(card, read_arrays(path.with_suffix(ARRAYS_SUFFIX), card.arrays_sha256))
-
-
-def _check_period(period_s: float, stream: StreamSpec, path: Path) -> None:
-    if abs(period_s - stream.period_s) > 1e-3 * period_s:
+    if abs(card.period_s - stream.period_s) > 1e-3 * card.period_s:
         raise WeightsError(
-            f"{path}: made for a period of {period_s:g} s ({1 / period_s:g} Hz), but this stream's is"
-            f" {stream.period_s:g} s: compare with --rate {1 / period_s:g}, or train for this rate"
+            f"{path}: made for a period of {card.period_s:g} s ({1 / card.period_s:g} Hz), but this stream's is"
+            f" {stream.period_s:g} s: compare with --rate {1 / card.period_s:g}, or train for this rate"
         )
-
-
-def _laid_in(grid: GridSpec, card: Card, path: Path) -> Card:
-    """The card for `grid`: if only the corner of the window differs, maps keep their place in the world.
-
-    Raises WeightsError for cells of another size or number, or cells that lie between the cells of `grid`.
-    """
-    made_for = GridSpec.parse(card.grid)
+    made_for, grid = GridSpec.parse(card.grid), stream.grid
     if made_for == grid:
         return card
     right_m, up_m = np.subtract(made_for.origin, grid.origin).tolist()
@@ -232,6 +210,14 @@ def _laid_in(grid: GridSpec, card: Card, path: Path) -> Card:
         raise WeightsError(f"{path}: made for grid {made_for}, but this is {grid}: train for this one")
     x, y = card.world_T_grid
     return card.model_copy(update={"grid": str(grid), "world_T_grid": (x + right_m, y + up_m)})
+
+
+def load_start(path: Path, tracker: str) -> Weights:
+    """The general weights at `path`, for a training that starts from them. Raises WeightsError if they are not."""
+    card = read_card(path)
+    if not card.general or card.tracker != tracker:
+        raise WeightsError(f"{path}: weights of {card.tracker} for {card.site}, expected general ones of {tracker}")
+    return Weights(card, read_arrays(path.with_suffix(ARRAYS_SUFFIX), card.arrays_sha256))
 
 
 def read_arrays(path: Path, sha256: str) -> dict[str, NDArray[Any]]:
