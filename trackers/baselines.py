@@ -123,9 +123,9 @@ class StaticMapTracker(Tracker):
 
     def predict(self, steps: int) -> Forecast:
         """The rates in the window (steps+1, M, M), the same for every step."""
-        rates = self._map.in_window
+        rates, (occupied, visible) = self._map.in_window, self._counts
         if self._card.general:
-            rates = smoothed_rate(*self._counts, self._overall, self.options.prior_frames)
+            rates = smoothed_rate(occupied, visible, self._overall, self.options.prior_frames)
         return Forecast(np.tile(rates, (steps + 1, 1, 1)))
 
     @classmethod

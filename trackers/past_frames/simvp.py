@@ -17,8 +17,14 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn.functional import conv2d, gelu
 
-from gridtrack.trackers.past_frames.network import PAST_STEPS, PastFramesNetwork, PastFramesTraining, StepsAhead, padded
-from gridtrack.trackers.past_frames.tracker import PastFramesTracker
+from gridtrack.trackers.past_frames.network import (
+    PAST_STEPS,
+    PastFramesNetwork,
+    PastFramesTracker,
+    PastFramesTraining,
+    StepsAhead,
+    padded,
+)
 from gridtrack.trackers.recurrent.network import ResolutionShift
 from gridtrack.trackers.recurrent.settings import ResolutionSettings
 

@@ -18,8 +18,13 @@ from torch import Tensor, nn
 
 from gridtrack.common.config import Settings
 from gridtrack.trackers.contract import MAX_FUTURES
-from gridtrack.trackers.past_frames.network import PastFramesNetwork, PastFramesTraining, StepsAhead, padded
-from gridtrack.trackers.past_frames.tracker import PastFramesTracker
+from gridtrack.trackers.past_frames.network import (
+    PastFramesNetwork,
+    PastFramesTracker,
+    PastFramesTraining,
+    StepsAhead,
+    padded,
+)
 from gridtrack.trackers.recurrent.conv_lstm import ConvLSTMLayer, no_state
 from gridtrack.trackers.recurrent.settings import ResolutionSettings
 from gridtrack.trackers.training.device import DeviceSettings

@@ -7,8 +7,7 @@ the window had contained it from the first frame on.
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from copy import copy, deepcopy
+from copy import deepcopy
 from functools import cached_property
 from typing import Any, cast
 
@@ -17,7 +16,6 @@ from torch import Tensor
 
 from gridtrack.common.grid import Shift, rolled
 from gridtrack.trackers.recurrent.network import (
-    DecodedLayers,
     Float32Array,
     Recurrence,
     RecurrentNetwork,
@@ -34,27 +32,15 @@ CONVERGED = 1e-6
 """Largest change of a converged state in one frame."""
 
 
-class StreamNetwork(Recurrence):
-    """A Recurrence for one stream, in a window that may move; it computes with another `network`."""
+class InferenceNetwork(Recurrence):
+    """A trained `network` for batches of one, without gradients, with a step for each frame.
 
-    def __init__(self, network: Any) -> None:
-        self.network = network
+    It computes as it was trained, on any device; the subclasses in `kernels` are faster, on a processor.
+    """
 
-    @property
-    def device(self) -> torch.device:
-        """The device of the states and the planes."""
-        return cast(torch.device, self.network.device)
-
-    def as_trained(self) -> StreamNetwork:
-        """The same network, computed by PyTorch's operations alone."""
-        found = copy(self)
-        found.network = self.network.as_trained()
-        return found
-
-    @property
-    def innermost(self) -> RecurrentNetwork:
-        """The network with the parameters."""
-        return cast(RecurrentNetwork, self.network.innermost)
+    def __init__(self, network: RecurrentNetwork) -> None:
+        self.network: Any = network
+        self._unseen = states_without_input(network)
 
     def initial(self, batch: int) -> State:
         """h_0."""
@@ -72,57 +58,12 @@ class StreamNetwork(Recurrence):
         """Logits of P(occupied), (1, M, M)."""
         return cast(Tensor, self.network.occupancy(features))
 
-    def class_planes(self, state: State, layers: DecodedLayers) -> Tensor:
-        """The part of the latent state that a class decoder reads, (1, C, M, M)."""
-        return cast(Tensor, self.network.class_planes(state, layers))
-
-    def semantics(self, state: State) -> Tensor | None:
-        """Logits of the K classes, (1, K, M, M); None without a class decoder."""
-        return cast(Tensor | None, self.network.semantics(state))
-
-    @abstractmethod
     def unseen(self, frames: int) -> State:
         """The state of a cell that no frame of `frames` has seen, far from every cell that was: arrays (C,)."""
-
-    @abstractmethod
-    def rolled(self, state: State, shift: Shift, frames: int) -> State:
-        """The `state` after `frames` frames, when the window moved by `shift`; cells that come in are `unseen`."""
-
-    def anchor(self, shift: Shift) -> None:
-        """Keep the maps at their places in the world: the window lies `shift` from where they begin."""
-        self.network.anchor(shift)
-
-
-class InferenceNetwork(StreamNetwork):
-    """A trained network for batches of one, without gradients, with a step for each frame.
-
-    It computes as it was trained, on any device; the subclasses in `kernels` are faster, on a processor.
-    """
-
-    def __init__(self, network: RecurrentNetwork) -> None:
-        super().__init__(network)
-        self._unseen = states_without_input(network)
-
-    @property
-    def device(self) -> torch.device:
-        """The device of the network."""
-        return self.innermost.output_bias.device
-
-    def as_trained(self) -> StreamNetwork:
-        """The network without kernels."""
-        return InferenceNetwork(self.network)
-
-    @property
-    def innermost(self) -> RecurrentNetwork:
-        """The network that was trained."""
-        return cast(RecurrentNetwork, self.network)
-
-    def unseen(self, frames: int) -> State:
-        """The state of a network with empty input all the time."""
         return self._unseen[min(frames, len(self._unseen) - 1)]
 
     def rolled(self, state: State, shift: Shift, frames: int) -> State:
-        """Each cell keeps its state at its place in the world."""
+        """The `state` after `frames` frames, when the window moved by `shift`; cells that come in are `unseen`."""
 
         def roll(h: Tensor, fill: Float32Array) -> Tensor:
             return as_tensor(rolled(as_cells(h.cpu()), shift, fill, axes=(0, 1))).to(h.device)
@@ -130,7 +71,10 @@ class InferenceNetwork(StreamNetwork):
         return map_state(roll, state, self.unseen(frames))
 
     def anchor(self, shift: Shift) -> None:
-        """Each cell takes the values of its place; outside a map these are its mean."""
+        """Keep the maps at their places in the world: the window lies `shift` from where they begin.
+
+        Each cell takes the values of its place; outside a map these are its mean.
+        """
         for bias, learned in self._learned_maps:
             mean = learned.mean(dim=(1, 2), keepdim=True)
             bias.copy_(torch.from_numpy(rolled(learned.numpy(), shift, mean.numpy())))

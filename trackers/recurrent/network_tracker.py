@@ -9,9 +9,17 @@ from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import Shift, shift_between
 from gridtrack.trackers.contract import FitTask, StreamSpec, Tracker
-from gridtrack.trackers.recurrent.network import Network, TrainedNetwork
+from gridtrack.trackers.recurrent.network import (
+    Network,
+    TrainedNetwork,
+    channels_last,
+    resolution_of,
+    set_resolution,
+)
+from gridtrack.trackers.recurrent.pacing import StepPace
 from gridtrack.trackers.recurrent.settings import InferenceSettings
 from gridtrack.trackers.registry import registered_name
+from gridtrack.trackers.training.device import device_name, inference_device
 from gridtrack.trackers.training.networks import restore_network, trained_settings
 from gridtrack.trackers.training.weights import Weights, load_weights
 
@@ -48,11 +56,25 @@ class NetworkTracker(Tracker):
 
     @classmethod
     @abstractmethod
+    def at_pace(cls, network: Any, pace: StepPace, options: Any) -> Any:
+        """The trained `network`, on its device, at the pace of a stream."""
+
+    @classmethod
     def inference_for(cls, network: Any, stream: StreamSpec, options: Any) -> Any:
         """The trained `network` for the grids of `stream`; a network without maps adapts to their size.
 
         Raises ConfigurationError if torch does not have the device of the `options`.
         """
+        device = inference_device(options.device)
+        network.size = stream.grid.size
+        pace = StepPace.of(stream.period_s, options.step_s)
+        set_resolution(network, resolution_of(stream.grid.cell_m, pace.step_s(stream.period_s)))
+        return cls.at_pace(channels_last(network.eval().to(device)), pace, options)
+
+    @property
+    def device(self) -> str:
+        """The name of the device of the network."""
+        return device_name(self.network.device)
 
     @classmethod
     def prepare_training(cls, network: Any, device: str) -> TrainedNetwork:

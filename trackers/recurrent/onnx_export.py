@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from gridtrack.common.errors import ConfigurationError
-from gridtrack.trackers.recurrent.inference import StreamNetwork
+from gridtrack.trackers.recurrent.inference import InferenceNetwork
 from gridtrack.trackers.recurrent.network import State, map_state, tensors_of
 from gridtrack.trackers.recurrent.network_tracker import MOST_MISSED
+from gridtrack.trackers.recurrent.pacing import PacedNetwork
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.training.exported import write_manifest, write_readme
 
@@ -48,10 +49,10 @@ HOW_TO_FORECAST = "step 0: decode the state; each later step: a step with planes
 class _OneArray(nn.Module):
     """A network with its state as one array (C, M, M)."""
 
-    def __init__(self, network: StreamNetwork) -> None:
+    def __init__(self, network: PacedNetwork) -> None:
         super().__init__()
         self.network, self.parameters_of = network, network.innermost
-        self.zero = network.initial(1)
+        self.zero = network.initial()
         if any(bool(part.any()) for part in tensors_of(self.zero)):
             raise ConfigurationError("the state of this network does not begin with zeros: it cannot be exported")
         ends = accumulate((part.shape[1] for part in tensors_of(self.zero)), initial=0)
@@ -83,7 +84,7 @@ class _Decoder(_OneArray):
     def forward(self, array: Tensor) -> tuple[Tensor, ...]:
         """P(occupied) (M, M), and P(class) (K, M, M)."""
         state = self.state_of(array)
-        occupancy = torch.sigmoid(self.network.occupancy(self.network.features(state)))[0]
+        occupancy = torch.sigmoid(self.network.occupancy(state))[0]
         logits = self.network.semantics(state)
         return (occupancy,) if logits is None else (occupancy, torch.softmax(logits, dim=1)[0])
 
@@ -94,7 +95,8 @@ def export_network(tracker: RecurrentTracker, folder: Path) -> str:
 
     Raises ConfigurationError for a network with a state that does not begin with zeros.
     """
-    stream, network = tracker.stream, tracker.network.as_trained()
+    stream, network = tracker.stream, tracker.network
+    network = PacedNetwork(InferenceNetwork(network.innermost), network.pace)  # PyTorch's operations alone
     size = stream.grid.size
     step, decoder = _Step(network), _Decoder(network)
     # each input is a tensor of its own: the exporter takes one that is given twice for one input
@@ -128,7 +130,7 @@ def export_network(tracker: RecurrentTracker, folder: Path) -> str:
     return f"{STEP_FILE}, {DECODER_FILE} for {pace}; the state has {step.channels} channels"
 
 
-def unseen_states(network: StreamNetwork) -> NDArray[np.float32]:
+def unseen_states(network: PacedNetwork) -> NDArray[np.float32]:
     """The state (F, C) of a cell that no frame has seen, after 0 to F - 1 frames; later ones are equal to the last."""
 
     def after(frames: int) -> NDArray[np.float32]:

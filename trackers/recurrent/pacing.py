@@ -9,15 +9,16 @@ it.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, cast
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from gridtrack.common.grid import Shift
-from gridtrack.trackers.recurrent.inference import StreamNetwork
-from gridtrack.trackers.recurrent.network import DecodedLayers, State
+from gridtrack.trackers.recurrent.inference import InferenceNetwork
+from gridtrack.trackers.recurrent.network import DecodedLayers, RecurrentNetwork, State
 
 
 class StepPace(NamedTuple):
@@ -82,76 +83,64 @@ def _nearest_number(ratio: float) -> int:
     return below if ratio * ratio <= below * (below + 1) else below + 1
 
 
-def paced(network: StreamNetwork, pace: StepPace) -> StreamNetwork:
-    """The `network`, which makes one step a frame, at this pace."""
-    if pace.substeps > 1:
-        return SubstepNetwork(network, pace.substeps)
-    return InterleavedNetwork(network, pace.phases) if pace.phases > 1 else network
+class PacedNetwork:
+    """A trained network on one stream, at this `pace`, in a window that may move.
 
-
-class SubstepNetwork(StreamNetwork):
-    """Makes `substeps` steps a frame, the last one with the frame as its input."""
-
-    def __init__(self, network: StreamNetwork, substeps: int) -> None:
-        super().__init__(network)
-        self._substeps = substeps
-
-    def step(self, x: Tensor | None, state: State) -> State:
-        """The state after the next frame x, or without it."""
-        for _ in range(self._substeps - 1):
-            state = self.network.step(None, state)
-        return self.network.step(x, state)
-
-    def unseen(self, frames: int) -> State:
-        """The state of a cell that no frame of `frames` has seen."""
-        return self.network.unseen(frames * self._substeps)
-
-    def rolled(self, state: State, shift: Shift, frames: int) -> State:
-        """The `state` after `frames` frames, when the window moved by `shift`."""
-        return self.network.rolled(state, shift, frames * self._substeps)
-
-
-class InterleavedNetwork(StreamNetwork):
-    """Has `phases` states; each takes one frame in `phases`.
-
-    Its State is a tuple of them; the last one has taken the last frame. A step without input forecasts the next frame
-    from the state that would take it, which is `phases` frames older.
+    Its State is a tuple of the states of the phases, each of which takes one frame in `phases`; the last one has taken
+    the last frame. The last of the `substeps` of a frame has it as its input. A step without input forecasts the next
+    frame from the state that would take it.
     """
 
-    def __init__(self, network: StreamNetwork, phases: int) -> None:
-        super().__init__(network)
-        self._phases = phases
+    def __init__(self, network: InferenceNetwork, pace: StepPace) -> None:
+        self.network, self.pace = network, pace
 
-    def initial(self, batch: int) -> State:
+    @property
+    def innermost(self) -> RecurrentNetwork:
+        """The network with the parameters."""
+        return cast(RecurrentNetwork, self.network.network)
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the states and the planes."""
+        return self.innermost.output_bias.device
+
+    def initial(self) -> State:
         """h_0 in every phase."""
-        return (self.network.initial(batch),) * self._phases
+        return (self.network.initial(1),) * self.pace.phases
 
     def step(self, x: Tensor | None, state: State) -> State:
-        """The states after the next frame x, or without it: the oldest one takes it."""
+        """The states after the next frame x (1, 2, M, M), or without it: the oldest one takes it."""
         oldest, *newer = state
+        for _ in range(self.pace.substeps - 1):
+            oldest = self.network.step(None, oldest)
         return (*newer, self.network.step(x, oldest))
 
-    def features(self, state: State) -> Tensor:
-        """The part of the last frame's state that the occupancy decoder reads."""
-        return super().features(state[-1])
+    def occupancy(self, state: State) -> Tensor:
+        """Logits of P(occupied) in the last frame, (1, M, M)."""
+        return self.network.occupancy(self.network.features(state[-1]))
 
     def class_planes(self, state: State, layers: DecodedLayers) -> Tensor:
-        """The part of the last frame's state that a class decoder reads."""
-        return super().class_planes(state[-1], layers)
+        """The part of the last frame's state that a class decoder reads, (1, C, M, M)."""
+        return self.innermost.class_planes(state[-1], layers)
 
     def semantics(self, state: State) -> Tensor | None:
-        """Logits of the classes in the last frame's state."""
-        return super().semantics(state[-1])
+        """Logits of the K classes in the last frame, (1, K, M, M); None without a class decoder."""
+        return self.innermost.semantics(state[-1])
 
     def unseen(self, frames: int) -> State:
-        """The state, in each phase, of a cell that no frame of `frames` has seen."""
+        """The state, in each phase, of a cell that no frame of `frames` has seen: arrays (C,)."""
         return tuple(self.network.unseen(steps) for steps in self._steps_of_phases(frames))
 
     def rolled(self, state: State, shift: Shift, frames: int) -> State:
-        """The `state` after `frames` frames, when the window moved by `shift`."""
+        """The `state` after `frames` frames, when the window moved by `shift`; cells that come in are `unseen`."""
         phases = zip(state, self._steps_of_phases(frames), strict=True)
         return tuple(self.network.rolled(phase, shift, steps) for phase, steps in phases)
 
+    def anchor(self, shift: Shift) -> None:
+        """Keep the maps at their places in the world: the window lies `shift` from where they begin."""
+        self.network.anchor(shift)
+
     def _steps_of_phases(self, frames: int) -> list[int]:
         """The number of steps that each phase has made after `frames` frames."""
-        return [(frames + number) // self._phases for number in range(self._phases)]
+        substeps, phases = self.pace
+        return [substeps * ((frames + number) // phases) for number in range(phases)]

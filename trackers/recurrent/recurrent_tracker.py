@@ -11,33 +11,28 @@ from torch import Tensor
 
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, Shift
-from gridtrack.trackers.contract import Forecast, StreamSpec
-from gridtrack.trackers.recurrent.inference import InferenceNetwork, StreamNetwork, is_map
-from gridtrack.trackers.recurrent.network import State, channels_last, resolution_of, set_resolution
+from gridtrack.trackers.contract import Forecast
+from gridtrack.trackers.recurrent.inference import InferenceNetwork, is_map
+from gridtrack.trackers.recurrent.network import State
 from gridtrack.trackers.recurrent.network_tracker import NetworkTracker
-from gridtrack.trackers.recurrent.pacing import StepPace, paced
-from gridtrack.trackers.training.device import device_name, inference_device, wait_for
+from gridtrack.trackers.recurrent.pacing import PacedNetwork, StepPace
+from gridtrack.trackers.training.device import wait_for
 
 
 class RecurrentTracker(NetworkTracker):
     """A recurrent network as a tracker; a subclass has `Options`, and builds the network."""
 
-    network: StreamNetwork
+    network: PacedNetwork
 
     @classmethod
     def prepare_inference(cls, network: Any, options: Any) -> InferenceNetwork:
         """The trained `network` for inference on its device, or a faster variant of it."""
         return InferenceNetwork(network)
 
-    @property
-    def device(self) -> str:
-        """The name of the device of the network."""
-        return device_name(self.network.device)
-
     def reset(self, seed: int) -> None:
         """Set the state to h_0; nothing is random, so the seed is not used."""
         super().reset(seed)
-        self.state: State = self.network.initial(1)
+        self.state: State = self.network.initial()
         self.network.anchor(Shift())
         self._updates = 0
 
@@ -100,18 +95,14 @@ class RecurrentTracker(NetworkTracker):
 
     def _decoded(self, state: State) -> tuple[Tensor, Tensor | None]:
         """P(occupied) (1, M, M), and P(class) (1, K, M, M) if the tracker has classes."""
-        occupancy = torch.sigmoid(self.network.occupancy(self.network.features(state)))
+        occupancy = torch.sigmoid(self.network.occupancy(state))
         logits = self.network.semantics(state) if self.classes else None
         return occupancy, None if logits is None else torch.softmax(logits, dim=1)
 
     @classmethod
-    def inference_for(cls, network: Any, stream: StreamSpec, options: Any) -> StreamNetwork:
-        """The trained `network`, at the pace of the `stream`."""
-        device = inference_device(options.device)
-        network.size = stream.grid.size
-        pace = StepPace.of(stream.period_s, options.step_s)
-        set_resolution(network, resolution_of(stream.grid.cell_m, pace.step_s(stream.period_s)))
-        return paced(cls.prepare_inference(channels_last(network.eval().to(device)), options), pace)
+    def at_pace(cls, network: Any, pace: StepPace, options: Any) -> PacedNetwork:
+        """The `network` at this pace, or a faster variant of it."""
+        return PacedNetwork(cls.prepare_inference(network, options), pace)
 
 
 def input_planes(frame: GridFrame) -> Tensor:

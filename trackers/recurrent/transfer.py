@@ -20,8 +20,8 @@ from gridtrack.common.errors import WeightsError
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, LabelledFrame, shift_between
 from gridtrack.trackers.contract import FitTask, FrameSource, StreamSpec, stream_of
-from gridtrack.trackers.recurrent.inference import StreamNetwork
 from gridtrack.trackers.recurrent.network import DecodedLayers, State
+from gridtrack.trackers.recurrent.pacing import PacedNetwork
 from gridtrack.trackers.recurrent.recurrent_tracker import RecurrentTracker
 from gridtrack.trackers.recurrent.seen_cells import PREFIX, SeenCells
 from gridtrack.trackers.recurrent.settings import DECODER_SETTINGS, TransferSettings
@@ -174,7 +174,7 @@ class PastStates:
                 self._states[k] = self._tracker.network.rolled(state, shift, first + k)
 
 
-def _forecast(network: StreamNetwork, state: State, steps: int) -> State:
+def _forecast(network: PacedNetwork, state: State, steps: int) -> State:
     for _ in range(steps):
         state = network.step(None, state)
     return state

@@ -15,7 +15,7 @@ import torch
 from gridtrack.common.errors import ConfigurationError
 from gridtrack.trackers import one_shot
 from gridtrack.trackers.one_shot import OneShotTracker
-from gridtrack.trackers.recurrent import recurrent_tracker
+from gridtrack.trackers.recurrent import network_tracker
 from gridtrack.trackers.recurrent.convgru_tracker import DilatedConvGRUTracker
 from gridtrack.trackers.recurrent.inference import InferenceNetwork
 from gridtrack.trackers.recurrent.network import tensors_of
@@ -74,7 +74,7 @@ def test_a_device_has_its_own_precision():
 
 @pytest.mark.parametrize(
     ("tracker", "module"),
-    [(TRACKERS[0], recurrent_tracker), (TRACKERS[1], recurrent_tracker), (OneShotTracker, one_shot)],
+    [(TRACKERS[0], network_tracker), (TRACKERS[1], network_tracker), (OneShotTracker, one_shot)],
 )
 def test_a_tracker_names_its_device(monkeypatch, tracker, module):
     monkeypatch.setattr(module, "device_name", lambda device: f"name of {device}")

@@ -26,7 +26,7 @@ def tracker_of(network, place=None):
     kind = DeepTrackingRNNTracker if isinstance(network, DeepTrackingRNN) else DilatedConvGRUTracker
     options = kind.Options()
     stream = StreamSpec(GridSpec(network.size, 0.5), PERIOD_S)
-    return kind(stream, options, kind.prepare_inference(network, options), place)
+    return kind(stream, options, kind.inference_for(network, stream, options), place)
 
 
 def frame(planes, row=0, column=0, number=0):
@@ -87,8 +87,8 @@ def test_the_maps_of_a_network_stay_at_their_place_in_the_world(settings, place)
         np.testing.assert_allclose(moving.predict(3).occupancy, expected.predict(3).occupancy, rtol=0, atol=1e-6)
         moving.update(frame(nothing, row=3, column=-30))
         expected = tracker_of(with_moved_maps(convgru(size, **settings), second))
-        expected.state = moving.network.initial(1)
-        moving.state = moving.network.initial(1)
+        expected.state = moving.network.initial()
+        moving.state = moving.network.initial()
         np.testing.assert_allclose(moving.predict(3).occupancy, expected.predict(3).occupancy, rtol=0, atol=1e-6)
 
 
@@ -157,13 +157,13 @@ def test_the_past_states_of_a_tracker_are_in_the_window_of_its_last_frame():
     past, kept = PastStates(tracker), []
     for number, planes in enumerate(random_world(6, size)):
         past.update(frame(planes, column=2 * number, number=number))
-        kept.append(tracker.state[0].clone())
+        kept.append(tracker.state[0][0].clone())
     assert past.before(6) is None
     for lead in range(6):
-        (found,), earlier = past.before(lead), kept[-1 - lead]
+        ((found,),), earlier = past.before(lead), kept[-1 - lead]
         assert torch.equal(found[..., : size - 2 * lead], earlier[..., 2 * lead :])
         if lead:
-            (unseen,) = tracker.network.unseen(6 - lead)
+            ((unseen,),) = tracker.network.unseen(6 - lead)
             assert np.array_equal(found[0, :, 3, -1].numpy(), unseen)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gridtrack.trackers.recurrent.pacing import StepPace, paced
+from gridtrack.trackers.recurrent.pacing import PacedNetwork, StepPace
 from tests.trackers.recurrent.sources import TRACKERS, convgru, rnn
 
 SIZE = 12
@@ -48,7 +48,7 @@ def test_the_frames_of_a_training_window_lie_at_the_steps_that_take_them_in_a_st
 def networks(tracker, pace):
     network = convgru(static_gates=()) if tracker is TRACKERS[0] else rnn()
     one = tracker.prepare_inference(network, tracker.Options())
-    return one, paced(one, pace)
+    return one, PacedNetwork(one, pace)
 
 
 def frames(count):
@@ -57,8 +57,7 @@ def frames(count):
     return [plane.contiguous(memory_format=torch.channels_last) for plane in planes]
 
 
-def run(network, planes, state=None):
-    state = network.initial(1) if state is None else state
+def run(network, planes, state):
     for x in planes:
         state = network.step(x, state)
     return state
@@ -69,11 +68,11 @@ def test_between_slow_frames_are_steps_without_input(tracker):
     one, substeps = networks(tracker, StepPace(3, 1))
     x = frames(2)
     with torch.inference_mode():
-        expected = run(one, [None, None, x[0], None, None, x[1], None, None, None])
-        found = run(substeps, [*x, None])
+        expected = run(one, [None, None, x[0], None, None, x[1], None, None, None], one.initial(1))
+        (found,) = state = run(substeps, [*x, None], substeps.initial())
         assert all(torch.equal(a, b) for a, b in zip(found, expected, strict=True))
-        assert torch.equal(substeps.features(found), one.features(expected))
-    assert all(np.array_equal(a, b) for a, b in zip(substeps.unseen(2), one.unseen(6), strict=True))
+        assert torch.equal(substeps.occupancy(state), one.occupancy(one.features(expected)))
+    assert all(np.array_equal(a, b) for a, b in zip(substeps.unseen(2)[0], one.unseen(6), strict=True))
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)
@@ -81,14 +80,17 @@ def test_two_phases_alternate_and_each_forecast_is_of_the_state_that_would_take_
     one, phases = networks(tracker, StepPace(1, 2))
     x = frames(5)
     with torch.inference_mode():
-        even, odd = run(one, x[0::2]), run(one, x[1::2])  # the last frame, number 4, is of the first one
-        state = run(phases, x)
-        assert torch.equal(phases.features(state), one.features(even))
+        even, odd = (
+            run(one, x[0::2], one.initial(1)),
+            run(one, x[1::2], one.initial(1)),
+        )  # the last frame, number 4, is of the first one
+        state = run(phases, x, phases.initial())
+        assert torch.equal(phases.occupancy(state), one.occupancy(one.features(even)))
         for step in range(1, 5):
             state = phases.step(None, state)
             own, count = (even, step // 2) if step % 2 == 0 else (odd, (step + 1) // 2)
             expected = run(one, [None] * count, own)
-            assert torch.equal(phases.features(state), one.features(expected)), step
+            assert torch.equal(phases.occupancy(state), one.occupancy(one.features(expected))), step
             assert all(torch.equal(a, b) for a, b in zip(state[-1], expected, strict=True))
 
 

@@ -355,7 +355,7 @@ def test_if_the_windows_differ_the_network_is_trained_without_static_memory_and_
     lines = fit(DilatedConvGRUTracker, card, sources, [Drive(15)], **BRIEF)
     assert "the windows of the training frames differ: trained without static memory (static_gates=[])" in lines
     assert read_card(card).settings["static_gates"] == []
-    assert trained(DilatedConvGRUTracker, card, Drive()).network.unseen(3)[0].shape == (4,)
+    assert trained(DilatedConvGRUTracker, card, Drive()).network.unseen(3)[0][0].shape == (4,)
 
 
 @pytest.mark.parametrize(

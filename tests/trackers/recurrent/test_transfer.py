@@ -72,7 +72,7 @@ def test_labels_are_learned_for_the_scan_and_for_forecasts_of_it_from_earlier_fr
     blind = tracker.state
     for _ in range(4):
         blind = tracker.network.step(None, blind)
-    torch.testing.assert_close(ahead.planes[0], blind[-1][0].permute(1, 2, 0).half(), msg="frame 20 from frame 16")
+    torch.testing.assert_close(ahead.planes[0], blind[-1][-1][0].permute(1, 2, 0).half(), msg="frame 20 from frame 16")
 
 
 def test_all_layers_of_the_state_can_be_decoded(tmp_path):
