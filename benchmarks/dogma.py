@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gridtrack.common.grid import GridFrame
 from gridtrack.recordings.stream import open_stream
 from gridtrack.trackers.contract import StreamSpec
-from gridtrack.trackers.dogma.settings import DogmaSettings
+from gridtrack.trackers.dogma.filter import DogmaSettings
 from gridtrack.trackers.dogma.tracker import DogmaTracker
 
 from benchmarks.timing import p50_p95

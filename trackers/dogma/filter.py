@@ -1,31 +1,117 @@
-"""The filter: masses and particles of a grid, updated with each frame (Nuss et al., IJRR 2018, section V)."""
+"""The filter: Dempster-Shafer masses and particles of a grid, updated with each frame.
+
+Equations of Nuss et al., "A random finite set approach for dynamic occupancy grid maps with real-time application"
+(IJRR 2018, arXiv 1605.02406), section V. Masses are (M, M) float32; the remaining mass 1 - m_O - m_F is unknown.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
 
+from gridtrack.common.config import Settings
 from gridtrack.common.grid import GridFrame, GridSpec, Mask, Shift, rolled, shift_between
 from gridtrack.trackers.cell_records import HiddenTime, OpenSpace
-from gridtrack.trackers.dogma.masses import Mass, Masses, combined, measured_masses, newborn_mass, predicted_free
 from gridtrack.trackers.dogma.particles import (
     Birth,
     Motion,
     Particles,
     Returns,
     predict_particles,
+    random_stream,
     resample_particles,
     sort_by_cell,
     weight_particles,
 )
-from gridtrack.trackers.dogma.random_numbers import random_stream
-from gridtrack.trackers.dogma.settings import DogmaSettings
 
 MAX_PREDICTED_MASS = np.float32(0.98)
 """Upper bound of predicted occupied mass: Dempster's rule never revises a mass of 1."""
 CLOSED_SHARE = 0.04
 """Cells that were open in a larger share of the recent frames are open space."""
+
+
+class DogmaSettings(Settings):
+    """Settings of the particle grid; the defaults are for the traffic of a junction."""
+
+    particles: int = Field(100_000, ge=100, le=10_000_000)
+    """Number of particles, persistent and newborn together."""
+
+    # Inverse sensor model
+    occupied_mass: float = Field(0.9, gt=0, lt=1)
+    """Mass of "occupied" in the measurement of a cell with a return."""
+    free_mass: float = Field(0.9, gt=0, lt=1)
+    """Mass of "free" in the measurement of a cell that beams crossed without a return."""
+    return_noise_m: float = Field(0.1, gt=0, le=10)
+    """Standard deviation of a return about the surface, along each axis; for cell centres, of their quantisation."""
+    association_probability: float = Field(0.5, ge=0, lt=1)
+    """Probability p_A that a return is informative about the position of the surface within its cell."""
+
+    # Birth and persistence
+    birth_probability: float = Field(0.005, gt=0, lt=1)
+    """Probability p_B that an object appears in a cell within a period."""
+    mean_lifetime_s: float = Field(10.0, gt=0, le=3600)
+    """Mean time that an unobserved object persists."""
+    free_decay_s: float = Field(3.0, gt=0, le=3600)
+    """Time constant with which free mass decays to unknown mass."""
+    static_share: float = Field(0.2, ge=0, le=1)
+    """Share of newborn particles that are at rest."""
+    birth_speed: float = Field(5.0, gt=0, le=100)
+    """Standard deviation of the velocity of the other newborn particles along each axis, m/s."""
+
+    # Process model
+    acceleration: float = Field(0.4, gt=0, le=100)
+    """White-noise acceleration of moving particles: square root of its density, m/s^2 per sqrt(Hz)."""
+    position_noise_m: float = Field(0.02, ge=0, le=10)
+    """Standard deviation of the position noise of moving particles, metres in a period."""
+    start_stop_speed: float = Field(0.5, gt=0, le=100)
+    """A particle slower than this can stop; a starting particle has about this speed, m/s."""
+    time_to_start_s: float = Field(30.0, gt=0, le=3600)
+    """Mean time at rest."""
+    time_to_stop_s: float = Field(10.0, gt=0, le=3600)
+    """Mean time until a slow particle stops."""
+
+
+Mass = NDArray[np.float32]
+
+
+class Masses(NamedTuple):
+    """Evidence of a grid: `occupied` and `free` (M, M) float32, each at least 0 and together at most 1."""
+
+    occupied: Mass
+    free: Mass
+
+
+def measured_masses(visible: Mask, occupied: Mask, occupied_mass: float, free_mass: float) -> Masses:
+    """Masses of a frame: `occupied_mass` in cells with a return, `free_mass` in cells that beams only crossed."""
+    hit = np.where(occupied, np.float32(occupied_mass), np.float32(0.0))
+    return Masses(hit, np.where(visible & ~occupied, np.float32(free_mass), np.float32(0.0)))
+
+
+def predicted_free(free: Mass, keep: float, occupied: Mass) -> Mass:
+    """Predicted free mass: the share `keep` of `free`, bounded by 1 less the predicted `occupied` mass."""
+    return np.asarray(np.minimum(free * np.float32(keep), 1 - occupied))
+
+
+def combined(prior: Masses, evidence: Masses) -> Masses:
+    """Dempster's rule of combination; the conflict must be below 1."""
+    unknown, ignorance = 1 - prior.occupied - prior.free, 1 - evidence.occupied - evidence.free
+    conflict = prior.occupied * evidence.free + prior.free * evidence.occupied
+    occupied = prior.occupied * (evidence.occupied + ignorance) + unknown * evidence.occupied
+    free = prior.free * (evidence.free + ignorance) + unknown * evidence.free
+    return Masses(occupied / (1 - conflict), free / (1 - conflict))
+
+
+def newborn_mass(occupied: Mass, predicted: Mass, birth_probability: float) -> Mass:
+    """Newborn part of the updated mass `occupied`, given the `predicted` occupied mass; the rest is persistent.
+
+    rho_b = m_O p_B (1 - m_O+) / (m_O+ + p_B (1 - m_O+))
+    """
+    born = np.float32(birth_probability) * (1 - predicted)
+    return np.asarray(occupied * born / (predicted + born), np.float32)
 
 
 class ParticleGrid:

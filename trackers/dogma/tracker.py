@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import ClassVar
 
 import numba
@@ -14,17 +13,12 @@ from gridtrack.common.config import Settings
 from gridtrack.common.geometry import SE2
 from gridtrack.common.grid import GridFrame, GridSpec
 from gridtrack.trackers.contract import FitTask, Forecast, FrameSource, StreamSpec
-from gridtrack.trackers.dogma.filter import MAX_PREDICTED_MASS, ParticleGrid
-from gridtrack.trackers.dogma.masses import Mass, predicted_free
-from gridtrack.trackers.dogma.particles import predict_particle
-from gridtrack.trackers.dogma.random_numbers import next_counter, random_stream
-from gridtrack.trackers.dogma.settings import DogmaSettings
-from gridtrack.trackers.registry import registered_name
+from gridtrack.trackers.dogma.filter import MAX_PREDICTED_MASS, DogmaSettings, Mass, ParticleGrid, predicted_free
+from gridtrack.trackers.dogma.particles import next_counter, predict_particle, random_stream
 from gridtrack.trackers.site_map import NO_MAP, SiteMap, count_anywhere, count_frames, mean_of_cells, posterior_rate
-from gridtrack.trackers.training.calibration import CalibratedTracker, Calibration
-from gridtrack.trackers.training.exported import export_settings
+from gridtrack.trackers.training.calibration import CalibratedTracker
 from gridtrack.trackers.training.searched_fit import SettingsSearch, fit_searched
-from gridtrack.trackers.training.weights import cell_probabilities, load_weights, tuned_settings
+from gridtrack.trackers.training.weights import cell_probabilities
 
 PARTICLE_DIVISOR = 4
 """Divisor of the number of particles during the search, for speed; the calibration and the result use all."""
@@ -49,18 +43,11 @@ class DogmaTracker(CalibratedTracker):
     """Dempster-Shafer masses of the cells, with particles that carry the occupied mass and have velocities."""
 
     Options: ClassVar[type[Settings]] = DogmaSettings
-    learns: ClassVar[bool] = True
-    learns_general: ClassVar[bool] = True
-    moving_sensor: ClassVar[bool] = True
 
     def __init__(self, stream: StreamSpec, options: DogmaSettings) -> None:
         """Raises WeightsError without weights for the stream's site, grid and period."""
         super().__init__(stream, options)
-        weights = load_weights(stream, registered_name(type(self)))
-        self._settings = tuned_settings(DogmaSettings, weights, options)
-        self._occupancy_rate = cell_probabilities(weights, "occupancy_rate", stream.grid)
-        self._world_T_map = weights.card.map_pose
-        self._calibration = Calibration.of(weights, stream.period_s)
+        self._occupancy_rate = cell_probabilities(self._weights, "occupancy_rate", stream.grid)
         compile_filter(stream.period_s)
         self.reset(seed=0)
 
@@ -93,10 +80,6 @@ class DogmaTracker(CalibratedTracker):
             occupancy, velocity = forecast(self._state, self._rate_in_window, steps), flow_now(self._state)
         self._calibration.apply(occupancy, self.hidden_s)
         return Forecast(occupancy, velocity=velocity)
-
-    def export(self, folder: Path) -> str:
-        """Write the tuned settings."""
-        return export_settings(folder, self.stream, self._settings)
 
     @classmethod
     def starts_from_general(cls, options: DogmaSettings) -> bool:

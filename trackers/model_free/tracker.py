@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -23,10 +22,8 @@ from gridtrack.trackers.model_free.pipeline import Pipeline, compile_pipeline
 from gridtrack.trackers.model_free.residence import residence_of
 from gridtrack.trackers.model_free.settings import ModelFreeSettings, PipelineSettings
 from gridtrack.trackers.model_free.tracks import Track, Window
-from gridtrack.trackers.registry import registered_name
-from gridtrack.trackers.training.calibration import CalibratedTracker, Calibration
-from gridtrack.trackers.training.exported import export_settings
-from gridtrack.trackers.training.weights import cell_probabilities, load_weights, tuned_settings
+from gridtrack.trackers.training.calibration import CalibratedTracker
+from gridtrack.trackers.training.weights import cell_probabilities
 
 
 class ModelFreeTracker(CalibratedTracker):
@@ -38,23 +35,17 @@ class ModelFreeTracker(CalibratedTracker):
     """
 
     Options: ClassVar[type[Settings]] = ModelFreeSettings
-    learns: ClassVar[bool] = True
-    learns_general: ClassVar[bool] = True
-    moving_sensor: ClassVar[bool] = True
     estimator: ClassVar[staticmethod[[Array, Array, MotionModel], MotionEstimator]]
     """Makes the motion estimator of a track: the only difference between the subclasses."""
 
     def __init__(self, stream: StreamSpec, options: PipelineSettings) -> None:
         """Raises WeightsError without a fitted background for the stream's site, grid and period."""
         super().__init__(stream, options)
-        weights = load_weights(stream, registered_name(type(self)))
-        self._settings = tuned_settings(ModelFreeSettings, weights, options)
+        weights = self._weights
         self._background = BackgroundMap(
             *(cell_probabilities(weights, name, stream.grid) for name in BackgroundMap._fields)
         )
-        self._world_T_map = weights.card.map_pose
         self._residence = residence_of(weights, stream.period_s)
-        self._calibration = Calibration.of(weights, stream.period_s)
         self.classes = weights.card.classes
         self._model = ClassModel.of(weights, stream.grid) if self.classes else None
         if self._settings.background == "none":
@@ -131,10 +122,6 @@ class ModelFreeTracker(CalibratedTracker):
     def recoveries(self) -> int:
         """Number of re-initialisations of estimators since `reset`, after numerical failures and divergences."""
         return self._pipeline.restarts
-
-    def export(self, folder: Path) -> str:
-        """Write the tuned settings."""
-        return export_settings(folder, self.stream, self._settings)
 
     @classmethod
     def starts_from_general(cls, options: ModelFreeSettings) -> bool:

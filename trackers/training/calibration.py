@@ -15,6 +15,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numba
 import numpy as np
@@ -22,11 +24,14 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, log_expit
 
+from gridtrack.common.config import Settings
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridFrame
-from gridtrack.trackers.contract import Tracker
+from gridtrack.trackers.contract import StreamSpec, Tracker
+from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.site_map import marks_in_window
-from gridtrack.trackers.training.weights import Weights, array
+from gridtrack.trackers.training.exported import export_settings
+from gridtrack.trackers.training.weights import Weights, array, load_weights, tuned_settings
 
 _Array = NDArray[np.float64]
 
@@ -47,7 +52,23 @@ MIN_SLOPE = 1e-3
 
 
 class CalibratedTracker(Tracker):
-    """A tracker with forecasts that are calibrated by the time for which a cell has been hidden."""
+    """A tracker with tuned settings, and forecasts that are calibrated by the time for which a cell has been hidden."""
+
+    learns: ClassVar[bool] = True
+    learns_general: ClassVar[bool] = True
+    moving_sensor: ClassVar[bool] = True
+
+    def __init__(self, stream: StreamSpec, options: Settings) -> None:
+        """Raises WeightsError without weights for the stream's site, grid and period."""
+        super().__init__(stream, options)
+        self._weights = load_weights(stream, registered_name(type(self)))
+        self._settings: Any = tuned_settings(self.Options, self._weights, options)
+        self._world_T_map = self._weights.card.map_pose
+        self._calibration = Calibration.of(self._weights, stream.period_s)
+
+    def export(self, folder: Path) -> str:
+        """Write the tuned settings."""
+        return export_settings(folder, self.stream, self._settings)
 
     @property
     @abstractmethod

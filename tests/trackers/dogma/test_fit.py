@@ -10,7 +10,7 @@ import pytest
 from gridtrack.common.errors import WeightsError
 from gridtrack.common.grid import GridSpec, Shift
 from gridtrack.trackers.contract import FitTask, StreamSpec
-from gridtrack.trackers.dogma.settings import DogmaSettings
+from gridtrack.trackers.dogma.filter import DogmaSettings
 from gridtrack.trackers.dogma.tracker import DogmaTracker, count_occupancy_rate
 from gridtrack.trackers.site_map import count_frames
 from gridtrack.trackers.training import searched_fit

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridtrack.trackers.dogma.masses import Masses, combined, measured_masses, newborn_mass, predicted_free
+from gridtrack.trackers.dogma.filter import Masses, combined, measured_masses, newborn_mass, predicted_free
 
 
 def cell(value: float) -> np.ndarray:

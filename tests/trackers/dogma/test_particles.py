@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 
 from gridtrack.trackers.dogma.particles import (
+    NORMAL,
     Birth,
     Motion,
     Particles,
     Returns,
+    hashed,
+    next_counter,
     predict_particles,
+    random_stream,
     resample_particles,
     sort_by_cell,
+    uniform,
     weight_particles,
 )
-from gridtrack.trackers.dogma.random_numbers import NORMAL, hashed, next_counter, random_stream, uniform
 
 SIZE = 5
 STILL = Motion(*map(np.float32, (1.0, 0.0, 0.0, 0.0, 0.0, 0.1)))

@@ -10,8 +10,7 @@ from gridtrack.common.grid import GridFrame, GridSpec, Shift, rolled
 from gridtrack.common.raycast import cast_scan
 from gridtrack.common.scan import Scan
 from gridtrack.trackers.contract import StreamSpec
-from gridtrack.trackers.dogma.filter import ParticleGrid
-from gridtrack.trackers.dogma.settings import DogmaSettings
+from gridtrack.trackers.dogma.filter import DogmaSettings, ParticleGrid
 from gridtrack.trackers.dogma.tracker import MIN_PARTICLES, DogmaTracker, flow_now, forecast
 from gridtrack.trackers.training.calibration import IDENTITY
 from gridtrack.trackers.training.weights import save_weights
