@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,7 @@ LEARN_AFTER, LEARN_EVERY_S = 20, 0.5
 DISTANCE_PRIOR_CELLS = 20.0
 """Weight, in cells, of the rate over all distances as a prior of the rate at one distance."""
 _NEVER_NS = np.iinfo(np.int64).min // 2
+_Made = TypeVar("_Made")
 
 
 class StationaryTracker(Tracker):
@@ -141,27 +143,47 @@ class CellPasts:
 def counts_of(source: FrameSource) -> NDArray[np.float64]:
     """Cells of each bin (2, horizons, bins) that were visible, and occupied, at each horizon after a forecast."""
     counts = np.zeros((2, len(TABLE_HORIZONS_S), np.prod(TABLE_BINS)))
-    steps = [nearest_step(horizon_s, source.period_s) for horizon_s in TABLE_HORIZONS_S]
-    every = max(1, nearest_step(LEARN_EVERY_S, source.period_s))
     past = CellPasts(source.grid)
-    recent: deque[tuple[int, SE2, NDArray[np.int64]]] = deque()
-    for index, frame in enumerate(source):
-        past.add(frame)
-        if index >= LEARN_AFTER and index % every == 0:
-            recent.append((index, frame.world_T_grid, past.bins()))
-        while recent and recent[0][0] + max(steps) < index:
-            recent.popleft()
-        for made_at, window, bins in recent:
-            at = [h for h, step in enumerate(steps) if step == index - made_at]
-            if at:
-                counts[:, at] += _counted(frame, window, bins, source.grid.cell_m)[:, None]
+    for bins, horizons, marks in observed_later(source, TABLE_HORIZONS_S, past.add, past.bins):
+        counted = [np.bincount(bins[mask], minlength=int(np.prod(TABLE_BINS))) for mask in marks]
+        counts[:, horizons] += np.stack(counted)[:, None]
     return counts
 
 
-def _counted(frame: GridFrame, window: SE2, bins: NDArray[np.int64], cell_m: float) -> NDArray[np.int64]:
-    """Visible and occupied cells (2, bins) of a frame by the bins (M, M) that they had in an earlier `window`."""
-    masks: Iterable[Mask] = marks_in_window(window, frame, np.stack([frame.visible, frame.occupied]), cell_m)
-    return np.stack([np.bincount(bins[mask], minlength=int(np.prod(TABLE_BINS))) for mask in masks])
+def observed_later(
+    source: FrameSource,
+    horizons_s: NDArray[np.float64],
+    observe: Callable[[GridFrame], None],
+    forecast: Callable[[], _Made],
+) -> Iterator[tuple[_Made, Sequence[int], Mask]]:
+    """Each `forecast` to learn from, the numbers of the `horizons_s` that a later frame has, and what it shows.
+
+    The visible and the occupied cells (2, M, M) of the later frame are in the window of the forecast. `observe` is
+    called with each frame.
+    """
+    steps = horizon_steps(horizons_s, source)
+    recent: deque[tuple[int, SE2, _Made]] = deque()
+    for index, frame in enumerate(source):
+        observe(frame)
+        if index >= LEARN_AFTER and index % frames_between(source) == 0:
+            recent.append((index, frame.world_T_grid, forecast()))
+        while recent and recent[0][0] + max(steps) < index:
+            recent.popleft()
+        for made_at, window, made in recent:
+            at = [horizon for horizon, step in enumerate(steps) if step == index - made_at]
+            if at:
+                marks = np.stack([frame.visible, frame.occupied])
+                yield made, at, marks_in_window(window, frame, marks, source.grid.cell_m)
+
+
+def horizon_steps(horizons_s: NDArray[np.float64], source: FrameSource) -> list[int]:
+    """The step nearest to each horizon; 0 for one that is nearer to the present."""
+    return [nearest_step(horizon_s, source.period_s) for horizon_s in horizons_s]
+
+
+def frames_between(source: FrameSource) -> int:
+    """Frames between two forecasts to learn from."""
+    return max(1, nearest_step(LEARN_EVERY_S, source.period_s))
 
 
 def smoothed_rates(occupied: NDArray[np.float64], visible: NDArray[np.float64]) -> NDArray[np.float32]:

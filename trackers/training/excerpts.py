@@ -59,11 +59,13 @@ class CachedSource:
         raise NotImplementedError("classes are not trained on cached frames")
 
 
-def excerpts(sources: Sequence[FrameSource]) -> list[FrameSource]:
-    """The sources for the search; a long one is replaced by EXCERPTS of EXCERPT_S, evenly distributed over it.
+def searched_excerpts(sources: Sequence[FrameSource], *, general: bool) -> list[FrameSource]:
+    """The sources for a search, their frames cached in memory; for general weights `excerpts_of_places`.
 
-    Their frames are cached in memory.
+    A long source is replaced by EXCERPTS of EXCERPT_S, evenly distributed over it.
     """
+    if general:
+        return excerpts_of_places(sources, SEARCHED_S)
     chosen: list[FrameSource] = []
     for source in sources:
         count = round(EXCERPT_S / source.period_s)
@@ -83,7 +85,9 @@ def excerpts_of_places(sources: Sequence[FrameSource], duration_s: float) -> lis
     """
     order = [n * PLACE_STRIDE % PLACES for n in range(PLACES)]
     chosen = [sources[n * len(sources) // PLACES] for n in order] if len(sources) > PLACES else sources
-    return [_middle(source, round(duration_s / source.period_s)) for source in chosen]
+    counts = [round(duration_s / source.period_s) for source in chosen]
+    firsts = [max(0, (len(source) - count) // 2) for source, count in zip(chosen, counts, strict=True)]
+    return [CachedSource.excerpt(*each) for each in zip(chosen, firsts, counts, strict=True)]
 
 
 def step_of(source: FrameSource, horizon_s: float) -> int:
@@ -110,7 +114,3 @@ def mean_of_defined(scores: Iterable[float]) -> float:
     """The mean of the scores that are defined, NaN without any. Without motion the F1 of dynamic cells is undefined."""
     defined = [score for score in scores if math.isfinite(score)]
     return float(np.mean(defined)) if defined else math.nan
-
-
-def _middle(source: FrameSource, count: int) -> CachedSource:
-    return CachedSource.excerpt(source, max(0, (len(source) - count) // 2), count)

@@ -8,22 +8,15 @@ observed, which are more often occupied than those that stay hidden.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, log_expit
 
-from gridtrack.common.geometry import SE2
-from gridtrack.common.grid import Mask, nearest_step
-from gridtrack.trackers.contract import FrameSource
-from gridtrack.trackers.site_map import marks_in_window
-from gridtrack.trackers.stationary import LEARN_AFTER, LEARN_EVERY_S
-from gridtrack.trackers.training.members import RunningMembers
+from gridtrack.common.grid import Mask
 
 POOL_HORIZONS_S = np.array([0.1, 0.25, 0.5, 1.0, 1.5, 2.0, 2.5])
 """Horizons of the weights; between them they are interpolated, and outside of them they stay."""
@@ -31,8 +24,6 @@ LEAST_ODDS = 1e-4
 """Probabilities are clipped to [LEAST_ODDS, 1 - LEAST_ODDS]: a forecast of 0 or 1 would decide alone."""
 LIKELY = 0.02
 """A cell is likely occupied if a forecast is above this."""
-SAMPLED, MOST_SAMPLED = 200, 4_000_000
-"""Cells of each kind, likely occupied and not, that are sampled at each horizon of a forecast, and most in total."""
 PRIOR_WEIGHT = 10.0
 """Weight, in cells, of the squared distance to the mean of the log odds."""
 
@@ -76,62 +67,13 @@ def log_odds(probabilities: NDArray[np.floating]) -> Odds:
     return np.asarray(np.log(p) - np.log1p(-p), np.float32)
 
 
-def most_per_kind(sources: Sequence[FrameSource]) -> int:
-    """How many cells of each kind to sample at each horizon of a forecast, so that MOST_SAMPLED are not exceeded."""
-    forecasts = sum(len(source) // _frames_between(source) for source in sources)
-    return max(1, min(SAMPLED, MOST_SAMPLED // (2 * len(POOL_HORIZONS_S) * max(forecasts, 1))))
-
-
-def _frames_between(source: FrameSource) -> int:
-    """Frames between two forecasts that are sampled."""
-    return max(1, nearest_step(LEARN_EVERY_S, source.period_s))
-
-
-def sampled_cells(
-    members: RunningMembers,
-    source: FrameSource,
-    most: int,
-    draw: np.random.Generator,
-    advance: Callable[[], None] = lambda: None,
+def sample(
+    odds: Odds, horizon: int, visible: Mask, occupied: Mask, most: int, draw: np.random.Generator
 ) -> SampledCells:
-    """Cells of the forecasts of the `members` on one source, about `most` of each kind; maybe none.
+    """At most about `most` of the visible cells that are likely occupied or occupied, and of the others.
 
-    A horizon that is nearer to the present than to the first step is left out. `advance` is called after each frame.
+    `odds` (N, M, M): of N forecasts at a `horizon`, at which the cells are `visible` and `occupied` (M, M).
     """
-    steps = [nearest_step(horizon_s, source.period_s) for horizon_s in POOL_HORIZONS_S]
-    parts = [SampledCells.empty(len(members.trackers))]
-    pending: deque[_Made] = deque()
-    members.reset(seed=0)
-    for index, frame in enumerate(source):
-        members.update(frame)
-        if index >= LEARN_AFTER and index % _frames_between(source) == 0:
-            made = log_odds(members.probabilities(max(steps))[:, steps])
-            pending.append(_Made(index, frame.world_T_grid, made))
-        while pending and pending[0].number + max(steps) < index:
-            pending.popleft()
-        for forecast in pending:
-            marks = np.stack([frame.visible, frame.occupied])
-            visible, occupied = marks_in_window(forecast.window, frame, marks, source.grid.cell_m)
-            for horizon, step in enumerate(steps):
-                if 0 < step == index - forecast.number:
-                    parts.append(_sample(forecast, horizon, visible, occupied, most, draw))
-        advance()
-    return SampledCells.together(parts)
-
-
-class _Made(NamedTuple):
-    """A forecast: the number of its frame, its window, and the log odds (N, K, M, M)."""
-
-    number: int
-    window: SE2
-    odds: Odds
-
-
-def _sample(
-    made: _Made, horizon: int, visible: Mask, occupied: Mask, most: int, draw: np.random.Generator
-) -> SampledCells:
-    """At most about `most` of the visible cells that are likely occupied or occupied, and of the others."""
-    odds = made.odds[:, horizon]
     likely = visible & (occupied | (odds.max(axis=0) > np.log(LIKELY / (1.0 - LIKELY))))
     parts = []
     for kind in (likely, visible & ~likely):

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +34,9 @@ from gridtrack.trackers.registry import registered_name
 from gridtrack.trackers.training.calibration import FITTED_S, IDENTITY, CalibratedTracker, fit_calibration
 from gridtrack.trackers.training.card import card_for
 from gridtrack.trackers.training.excerpts import (
-    SEARCHED_S,
     SELECTION_HORIZONS_S,
-    excerpts,
-    excerpts_of_places,
     mean_of_defined,
+    searched_excerpts,
     selection_curves,
     selection_scores,
     step_of,
@@ -94,19 +92,17 @@ def fit_searched(
     arrays, name = {**arrays, "calibration": IDENTITY}, registered_name(search.tracker)
     start, ranges = _begin(search, name, task, given)
     card = card_for(name, task, {})
-    searched = excerpts_of_places(task.train, SEARCHED_S) if task.general else excerpts(task.train)
+    searched = searched_excerpts(task.train, general=task.general)
     with TemporaryDirectory() as folder:
         draft: _Draft[_Searched] = _Draft(search.tracker, Path(folder) / f"{name}.toml", task)
         save_weights(draft.path, card, arrays)
-        target = SearchTarget[_Searched](
-            SELECTION_SCORE, lambda tried: draft.score_of_each(search.during(tried), searched)
+        finalists, reached = search_settings(
+            ranges, lambda tried: draft.score_of_each(search.during(tried), searched), start, task
         )
-        try:
-            finalists = search_settings(ranges, target, start, SEARCH_ITERATIONS, task)
-        except SearchInterrupted as stopped:
-            card = card_for(name, task, stopped.best.model_dump(), notes)
-            save_interrupted(task.out, card, arrays, f"{stopped.reached}, not calibrated")
-            raise
+        if reached:
+            card = card_for(name, task, finalists[0].model_dump(), notes)
+            save_interrupted(task.out, card, arrays, f"{reached}, not calibrated")
+            raise KeyboardInterrupt
         settings = _decided(search, draft, finalists, start, given)
         arrays["calibration"] = draft.calibration(settings, searched)
         save_weights(draft.path, card, arrays)
@@ -233,23 +229,6 @@ FEWEST_EXCERPTS, WORSE_P = 6, 0.02
 """After at least this many excerpts settings are pruned if a Wilcoxon signed-rank test against the best ones so far, on
 the same excerpts, has a lower p-value. Excerpts differ much more than settings do."""
 
-_Tuned = TypeVar("_Tuned", bound=Settings)
-
-
-class SearchTarget(NamedTuple, Generic[_Tuned]):
-    """A search maximises the mean of the scores `of` settings, one per excerpt; its `name` for reports."""
-
-    name: str
-    of: Callable[[_Tuned], Iterable[float]]
-
-
-class SearchInterrupted(KeyboardInterrupt):
-    """A search was interrupted: its `best` settings so far, and the last step that it `reached`."""
-
-    def __init__(self, best: Any, reached: str) -> None:
-        super().__init__(reached)
-        self.best, self.reached = best, reached
-
 
 class SearchLog:
     """The scores of the settings that a search tried, in a file.
@@ -258,12 +237,20 @@ class SearchLog:
     Optuna do not hold the state of its sampler: a search that continued from one would try other settings.
     """
 
-    def __init__(self, path: Path, search: Mapping[str, Any]) -> None:
-        """`search` describes the search; the scores of another one are ignored."""
-        self._path, self._search = path, json.loads(json.dumps(search))
+    def __init__(self, task: FitTask, ranges: Mapping[str, tuple[float, float]], start: Settings) -> None:
+        """The scores in `task.log_dir` of an interrupted search with the same arguments; without one there are none."""
+        self._path = task.log_dir / SEARCH_FILE
+        search = {
+            "objective": SELECTION_SCORE,
+            "ranges": ranges,
+            "start": start.model_dump(mode="json"),
+            "seed": task.seed,
+            "train": [[source.name, source.sha256, len(source)] for source in task.train],
+        }
+        self._search = json.loads(json.dumps(search))
         self._scores: dict[str, list[float]] = {}
         with suppress(FileNotFoundError, ValueError, AttributeError, KeyError, TypeError):
-            found = parse_json(read_bounded(path, MAX_LOG_BYTES, RecordingError))
+            found = parse_json(read_bounded(self._path, MAX_LOG_BYTES, RecordingError))
             if found.get("search") == self._search:
                 self._scores = {str(key): [float(score) for score in found["scores"][key]] for key in found["scores"]}
 
@@ -281,73 +268,58 @@ class SearchLog:
 
 def search_settings(
     ranges: Mapping[str, tuple[float, float]],
-    target: SearchTarget[_Tuned],
-    start: _Tuned,
-    iterations: int,
+    score_of_each: Callable[[_Searched], Iterable[float]],
+    start: _Searched,
     task: FitTask,
-) -> list[_Tuned]:
-    """The FINALISTS best settings of `iterations` of a Bayesian search, the best first.
+) -> tuple[list[_Searched], str]:
+    """The FINALISTS best settings of SEARCH_ITERATIONS of a Bayesian search, the best first.
 
-    A Gaussian process predicts the target, and the settings with the greatest logarithm of the expected improvement
-    are tried next (Jones, Schonlau and Welch, 1998; Ament et al., 2023); the first tries are `start` and random ones.
-    Each key of `ranges` is searched log-uniformly from low to high; the other settings are taken from `start`, which is
-    the only result if nothing is searched. Settings that are significantly worse than the best ones so far are not
-    scored on all excerpts. The same seed gives the same search. The scores of each iteration are written to
-    `task.log_dir`: an interrupted search with the same `task.train` continues there.
+    It maximises the mean of `score_of_each` excerpt. A Gaussian process predicts it, and the settings with the greatest
+    logarithm of the expected improvement are tried next (Jones, Schonlau and Welch, 1998; Ament et al., 2023); the
+    first tries are `start` and random ones. Each key of `ranges` is searched log-uniformly from low to high; the other
+    settings are taken from `start`, which is the only result if nothing is searched. Settings that are significantly
+    worse than the best ones so far are not scored on all excerpts. The same seed gives the same search. The scores of
+    each iteration are written to `task.log_dir`: an interrupted search with the same `task.train` continues there.
 
-    Raises RecordingError if the target is undefined, SearchInterrupted if it is interrupted after an iteration,
-    ConfigurationError without torch.
+    After an interrupt the result is the best one so far, and the last step that was reached, which else is "". Raises
+    KeyboardInterrupt before the first iteration is done, RecordingError if the score is undefined, ConfigurationError
+    without torch.
     """
     if not ranges:
-        return [start]
-    log = _log_of(ranges, target, start, task)
+        return [start], ""
+    log = SearchLog(task, ranges, start)
 
-    def with_tried(values: Mapping[str, float]) -> tuple[dict[str, float], _Tuned]:
-        tried = {key: three_digits(value) for key, value in values.items()}
+    def with_tried(values: Mapping[str, float]) -> tuple[dict[str, float], _Searched]:
+        tried = {key: float(f"{value:.3g}") for key, value in values.items()}  # as rounded as on the card
         return tried, type(start)(**{**start.model_dump(), **tried})
 
     def value_of(trial: optuna.Trial) -> float:
         tried, settings = with_tried({key: trial.suggest_float(key, *ranges[key], log=True) for key in ranges})
-        scores, value = _scored(trial, log.of(tried) or target.of(settings))
+        scores, value = _scored(trial, log.of(tried) or score_of_each(settings))
         log.add(tried, scores)
         if not math.isfinite(value):
             raise RecordingError(
-                f"{target.name} is not defined on the training recordings: no visible cell was occupied by a moving"
+                f"{SELECTION_SCORE} is not defined on the training recordings: no visible cell was occupied by a moving"
                 " object; use a longer stretch"
             )
         return value
 
     study = _study({key: clipped(getattr(start, key), *ranges[key]) for key in ranges}, task.seed)
     try:
-        with task.progress.stage("search iteration", iterations) as stage, warnings.catch_warnings():
+        with task.progress.stage("search iteration", SEARCH_ITERATIONS) as stage, warnings.catch_warnings():
             warnings.filterwarnings("ignore", "WilcoxonPruner finds steps")  # excerpts on which one is undefined
             study.optimize(
                 value_of,
-                n_trials=iterations,
-                callbacks=[lambda study, _: stage.advance(f"best {target.name} {study.best_value:.5f}")],
+                n_trials=SEARCH_ITERATIONS,
+                callbacks=[lambda study, _: stage.advance(f"best {SELECTION_SCORE} {study.best_value:.5f}")],
             )
     except KeyboardInterrupt:
         if not stage.done:
             raise
-        reached = f"search iteration {stage.done} of {iterations}"
-        raise SearchInterrupted(with_tried(study.best_params)[1], reached) from None
-    task.report(f"best of {iterations} search iterations: {target.name} {study.best_value:.5f}")
+        return [with_tried(study.best_params)[1]], f"search iteration {stage.done} of {SEARCH_ITERATIONS}"
+    task.report(f"best of {SEARCH_ITERATIONS} search iterations: {SELECTION_SCORE} {study.best_value:.5f}")
     best = sorted(study.get_trials(deepcopy=False), key=lambda trial: -trial.values[0])[:FINALISTS]
-    return [with_tried(trial.params)[1] for trial in best]
-
-
-def _log_of(
-    ranges: Mapping[str, tuple[float, float]], target: SearchTarget[_Tuned], start: _Tuned, task: FitTask
-) -> SearchLog:
-    """The scores of an interrupted search with the same task, or a new log."""
-    identity = {
-        "objective": target.name,
-        "ranges": {key: list(bounds) for key, bounds in ranges.items()},
-        "start": start.model_dump(mode="json"),
-        "seed": task.seed,
-        "train": [[source.name, source.sha256, len(source)] for source in task.train],
-    }
-    return SearchLog(task.log_dir / SEARCH_FILE, identity)
+    return [with_tried(trial.params)[1] for trial in best], ""
 
 
 def _study(start: dict[str, float], seed: int) -> optuna.Study:
@@ -387,8 +359,3 @@ def _scored(trial: optuna.Trial, scores: Iterable[float]) -> tuple[list[float], 
 def clipped(value: float, low: float, high: float) -> float:
     """The value within a range; a setting of general weights may lie outside the range of a search."""
     return min(max(value, low), high)
-
-
-def three_digits(value: float) -> float:
-    """Three significant digits: the search evaluates the rounded values that the card has."""
-    return float(f"{value:.3g}")
