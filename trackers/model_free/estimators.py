@@ -12,14 +12,14 @@ noise, and the noise a larger weight of the next wrong heading. A diverged estim
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol
 
 import numba
 import numpy as np
 
 from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.motion import MotionModel, Regimes, propagate, wrapped
+from gridtrack.trackers.model_free.motion import MotionModel, Regimes, discretise, propagate, wrapped
 
 POSE_JACOBIAN = np.eye(3, 6)
 """Jacobian of the measured pose by the state."""
@@ -27,51 +27,41 @@ IMPROBABLE = 0.02
 """Below this probability of a regime its estimator is re-initialised from the other."""
 
 
-class MotionEstimator(Protocol):
+class MotionEstimator(ABC):
     """Estimator of the state (6,) of one object: x, y, heading, vx, vy, turn rate, in the fixed frame.
 
-    Metres, radians and seconds; the heading is in [-pi, pi). A change of `mean` or `covariance` makes new arrays:
-    caches compare their identity.
+    Metres, radians and seconds; the heading is in [-pi, pi). A change of `mean` (6,) or `covariance` (6, 6) makes new
+    arrays: caches compare their identity. Raises ValueError as `update` does.
     """
 
-    @property
-    def mean(self) -> Array:
-        """State (6,)."""
-        ...
+    gate: float
+    """Limit of the squared Mahalanobis distance from the prediction; farther measured poses are gross errors. Infinite
+    for an estimator without robust measurements."""
+    restarts = 0
+    """Number of numerical failures, after which the estimator was re-initialised from its last valid estimate."""
+    mean: Array
+    covariance: Array
 
-    @property
-    def covariance(self) -> Array:
-        """Covariance (6, 6) of the state."""
-        ...
+    def __init__(self, pose: Array, covariance: Array, model: MotionModel) -> None:
+        """The estimator of a new track, from one measured pose (3,) and its covariance (3, 3)."""
+        self._step = discretise(model)
+        self.reinitialise(*initial_state(*validated_measurement(pose, covariance), model))
 
-    @property
-    def gate(self) -> float:
-        """Limit of the squared Mahalanobis distance from the prediction; farther measured poses are gross errors.
-
-        Infinite for an estimator without robust measurements.
-        """
-        ...
-
-    @property
-    def restarts(self) -> int:
-        """Number of numerical failures, after which the estimator was re-initialised from its last valid estimate."""
-        ...
-
+    @abstractmethod
     def predict(self) -> None:
         """Predict the state one period ahead."""
-        ...
 
+    @abstractmethod
     def update(self, pose: Array, covariance: Array) -> None:
         """Update with a measured pose (3,): x, y, heading, and its covariance (3, 3).
 
         An unobserved direction has a large variance. Raises ValueError for a pose that is not finite or a covariance
         that is not positive definite.
         """
-        ...
 
+    @abstractmethod
     def reinitialise(self, mean: Array, covariance: Array) -> None:
         """Replace the estimate by this state (6,) and its covariance (6, 6), without earlier measurements."""
-        ...
 
 
 MakeEstimator = Callable[[Array, Array, MotionModel], MotionEstimator]
@@ -141,7 +131,7 @@ def warm_up(make_estimator: MakeEstimator, model: MotionModel) -> None:
 
 
 class SwitchingEstimator:
-    """One estimator for each regime: a MotionEstimator with the `mean` and `covariance` of the mixture.
+    """One estimator for each regime, with the `mean` and `covariance` of the mixture.
 
     `probabilities` (2,): of the regimes. Raises ValueError as `update` of the estimators does.
     """

@@ -17,14 +17,13 @@ from gridtrack.common.geometry import wrap_angle
 from gridtrack.trackers.model_free.arrays import Array
 from gridtrack.trackers.model_free.estimators import (
     POSE_JACOBIAN,
-    initial_state,
+    MotionEstimator,
     is_positive_definite,
     validated_measurement,
 )
 from gridtrack.trackers.model_free.motion import (
     Discretisation,
     MotionModel,
-    discretise,
     predict_state,
     propagate_all,
     transition,
@@ -45,20 +44,18 @@ STATE_JACOBIAN = np.eye(6)
 """Jacobian of the state by itself."""
 
 
-class FactorGraphEstimator:
-    """Fixed-lag smoother: a MotionEstimator. `mean` (6,) and `covariance` (6, 6): at the newest frame.
+class FactorGraphEstimator(MotionEstimator):
+    """Fixed-lag smoother; `mean` (6,) and `covariance` (6, 6) are at the newest frame.
 
     `restarts` counts singular or indeterminate systems: the measurement of the frame is then ignored, and a new graph
-    starts from the prediction. Raises ValueError as `update` does.
+    starts from the prediction.
     """
 
     gate = GATE
 
     def __init__(self, pose: Array, covariance: Array, model: MotionModel) -> None:
-        self._step, self._period_s = discretise(model), model.period_s
-        self._frame = self.restarts = 0
-        self._store(*initial_state(*validated_measurement(pose, covariance), model))
-        self._reset_graph()
+        self._frame, self._period_s = 0, model.period_s
+        super().__init__(pose, covariance, model)
 
     def predict(self) -> None:
         """Predict the state one period ahead; the graph is extended by the next measurement."""

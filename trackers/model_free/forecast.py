@@ -17,7 +17,7 @@ from gridtrack.trackers.model_free.rasterise import Motions, Resident, Surfaces,
 from gridtrack.trackers.model_free.residence import probability_in_place
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import in_view, rotation, to_body
-from gridtrack.trackers.model_free.tracks import Status, Track, Window, boundaries_of, poses_of
+from gridtrack.trackers.model_free.tracks import Track, Window, boundaries_of, poses_of
 
 RETURN_PERSISTENCE = 0.9
 """P(a return that moves with its object is present in later frames)."""
@@ -140,7 +140,7 @@ def tracked_object(track: Track, window: Window) -> TrackedObject:
 
 def objects(tracks: Sequence[Track], window: Window) -> tuple[TrackedObject, ...]:
     """The confirmed and the coasting tracks as objects, in the grid frame of the `window`."""
-    return tuple(tracked_object(track, window) for track in tracks if track.status is not Status.TENTATIVE)
+    return tuple(tracked_object(track, window) for track in tracks if track.confirmed)
 
 
 def in_cells(positions: Array, grid: GridSpec) -> Array:
@@ -219,7 +219,7 @@ def flow_of(tracks: Sequence[Track], steps: int, model: MotionModel, grid: GridS
     `grid` has its corner in the fixed frame. At each step a cell belongs to the track with the nearest bounding box.
     Its velocity is the one of this rigid body at the cell's centre, predicted with the motion `model`.
     """
-    kept = [track for track in tracks if track.status is not Status.TENTATIVE]
+    kept = [track for track in tracks if track.confirmed]
     flow = np.full((steps + 1, 2, *grid.shape), np.nan, np.float32)
     if kept:
         means, covariances = propagate(

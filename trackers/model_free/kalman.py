@@ -10,24 +10,19 @@ from filterpy.kalman import update
 
 from gridtrack.common.geometry import wrap_angle
 from gridtrack.trackers.model_free.arrays import Array
-from gridtrack.trackers.model_free.estimators import POSE_JACOBIAN, initial_state, validated_measurement
-from gridtrack.trackers.model_free.motion import MotionModel, discretise, predict_state, wrapped
+from gridtrack.trackers.model_free.estimators import POSE_JACOBIAN, MotionEstimator, validated_measurement
+from gridtrack.trackers.model_free.motion import predict_state, wrapped
 from gridtrack.trackers.model_free.tracker import ModelFreeTracker
 
 
-class KalmanEstimator:
-    """Extended Kalman filter: a MotionEstimator. `mean` (6,) and `covariance` (6, 6): at the newest frame.
+class KalmanEstimator(MotionEstimator):
+    """Extended Kalman filter; `mean` (6,) and `covariance` (6, 6) are at the newest frame.
 
     The prediction is linearised at the mean. The measurement is linear; its heading is unwrapped to the heading of the
-    mean. Raises ValueError as `update` does.
+    mean.
     """
 
     gate = math.inf
-    restarts = 0
-
-    def __init__(self, pose: Array, covariance: Array, model: MotionModel) -> None:
-        self._step = discretise(model)
-        self.mean, self.covariance = initial_state(*validated_measurement(pose, covariance), model)
 
     def predict(self) -> None:
         """Predict the state one period ahead."""

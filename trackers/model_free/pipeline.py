@@ -24,7 +24,6 @@ from gridtrack.trackers.model_free.segmentation import BACKGROUND, Cluster, clus
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import Shape, in_view, to_body, to_grid
 from gridtrack.trackers.model_free.tracks import (
-    Status,
     Track,
     Window,
     boundaries_of,
@@ -357,7 +356,7 @@ class TrackMerger:
 
     def merged(self, tracks: Sequence[Track], periods: int) -> list[Track]:
         """The tracks, `periods` after the last call, without the younger track of each merged pair."""
-        seen = [track for track in tracks if track.status is Status.CONFIRMED]
+        seen = [track for track in tracks if track.confirmed and not track.unseen]
         together = {}
         merged: set[int] = set()
         for older, younger in _touching(seen, self._touch_m):

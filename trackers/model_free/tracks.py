@@ -1,10 +1,9 @@
-"""Tracks: their state, shape and existence; tentative at first, confirmed by detections, coasting while unobserved."""
+"""Tracks: their state, shape and existence; tentative until their detections confirm them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,14 +38,6 @@ class Window:
         return Window(self.grid, Shift(self.shift.rows + by.rows, self.shift.columns + by.columns))
 
 
-class Status(Enum):
-    """The state of a track in its management."""
-
-    TENTATIVE = "tentative"
-    CONFIRMED = "confirmed"
-    COASTING = "coasting"
-
-
 @dataclass(slots=True, eq=False)
 class Track:
     """One object followed over time; `existence` is the probability that there is an object."""
@@ -60,6 +51,7 @@ class Track:
     """The number of periods for which each return (N,) had been in place at that time."""
     existence: float
     confirmed: bool = False
+    """False of a tentative track; a confirmed track that is unseen is coasting."""
     unseen: int = 0
     """Periods since returns were last assigned to it."""
     stopped: int = 0
@@ -78,13 +70,6 @@ class Track:
     def boundary(self) -> Array:
         """Its boundary points (N, 2), metres, fixed frame."""
         return boundaries_of([self])[0]
-
-    @property
-    def status(self) -> Status:
-        """Tentative, confirmed or coasting."""
-        if not self.confirmed:
-            return Status.TENTATIVE
-        return Status.COASTING if self.unseen else Status.CONFIRMED
 
 
 def poses_of(tracks: Sequence[Track]) -> Array:

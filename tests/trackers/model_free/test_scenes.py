@@ -14,7 +14,6 @@ from gridtrack.trackers.model_free.pipeline import Pipeline
 from gridtrack.trackers.model_free.residence import table_shape
 from gridtrack.trackers.model_free.settings import PipelineSettings
 from gridtrack.trackers.model_free.shape import rotation
-from gridtrack.trackers.model_free.tracks import Status
 
 from scenes.frames import scanned
 
@@ -45,7 +44,7 @@ def pipeline_of(estimator, **settings) -> Pipeline:
 
 def at(pipeline, x, y):
     """The confirmed track with the boundary nearest to a position, and the distance."""
-    tracks = [track for track in pipeline.tracks if track.status is not Status.TENTATIVE]
+    tracks = [track for track in pipeline.tracks if track.confirmed]
     distances = [np.linalg.norm(track.boundary - np.array([x, y]), axis=1).min() for track in tracks]
     nearest = int(np.argmin(distances))
     return tracks[nearest], distances[nearest]
