@@ -75,46 +75,40 @@ class OneShotTracker(Tracker):
 
     @classmethod
     def fit(cls, task: FitTask) -> None:
-        """Train on labelled scans; settings that the options do not set are chosen on `task.validation`."""
-        fit_classifier(registered_name(cls), task)
+        """Train on labelled scans; settings that the options do not set are chosen on `task.validation`.
 
+        Raises ConfigurationError without labels, WeightsError if the stretches differ in grid, period or site.
+        """
+        options: OneShotSettings = task.options
+        labelled = draw_labelled(task.train, options, task.seed)
+        classes = labelled.classes
+        task.report(f"classes {', '.join(classes)} from {labelled.name}")
+        training_cells = scan_cells(labelled.scans(), classes, general=task.general)
+        validation_cells = scan_cells(
+            [(s, islice(s.labelled(), 0, None, VALIDATE_ON)) for s in task.validation], classes, general=task.general
+        )
 
-def fit_classifier(name: str, task: FitTask) -> None:
-    """Train classifiers with several settings and write the best on `task.validation` to `task.out`.
+        def build(settings: ClassifierSettings) -> CellClassifier:
+            return scan_classifier(settings.channels, len(classes), general=task.general)
 
-    Options that the user gave are fixed. `name`: the registered name of the tracker. Raises ConfigurationError
-    without labels, WeightsError if the stretches differ in grid, period or site.
-    """
-    options: OneShotSettings = task.options
-    labelled = draw_labelled(task.train, options, task.seed)
-    classes = labelled.classes
-    task.report(f"classes {', '.join(classes)} from {labelled.name}")
-    training_cells = scan_cells(labelled.scans(), classes, general=task.general)
-    validation_cells = scan_cells(
-        [(s, islice(s.labelled(), 0, None, VALIDATE_ON)) for s in task.validation], classes, general=task.general
-    )
-
-    def build(settings: ClassifierSettings) -> CellClassifier:
-        return scan_classifier(settings.channels, len(classes), general=task.general)
-
-    given = options.model_dump(include=set(ClassifierSettings.model_fields), exclude_unset=True)
-    best = best_classifier(build, given, training_cells, [validation_cells], task)
-    count = torch.bincount(training_cells.targets, minlength=len(classes)).tolist()
-    results: dict[str, Any] = {
-        "labelled": labelled.name,
-        "cells": dict(zip(classes, count, strict=True)),
-        "best_after_updates": best.update,
-        "temperature": best.temperature,
-        "validation_log_loss": round(best.log_loss, 5),
-    }
-    settings = options.model_dump(mode="json", exclude=set(DeviceSettings.model_fields)) | best.settings.model_dump(
-        mode="json"
-    )
-    settings["labelled_scans"] = labelled.count
-    card = card_for(name, task, settings, results)
-    arrays = {name: value.numpy() for name, value in best.classifier.state_dict().items()}
-    card = card.model_copy(update={"classes": classes})
-    if best.reached:
-        save_interrupted(task.out, card, arrays, best.reached)
-        raise KeyboardInterrupt
-    save_weights(task.out, card, arrays)
+        given = options.model_dump(include=set(ClassifierSettings.model_fields), exclude_unset=True)
+        best = best_classifier(build, given, training_cells, [validation_cells], task)
+        count = torch.bincount(training_cells.targets, minlength=len(classes)).tolist()
+        results: dict[str, Any] = {
+            "labelled": labelled.name,
+            "cells": dict(zip(classes, count, strict=True)),
+            "best_after_updates": best.update,
+            "temperature": best.temperature,
+            "validation_log_loss": round(best.log_loss, 5),
+        }
+        settings = options.model_dump(mode="json", exclude=set(DeviceSettings.model_fields)) | best.settings.model_dump(
+            mode="json"
+        )
+        settings["labelled_scans"] = labelled.count
+        card = card_for(registered_name(cls), task, settings, results)
+        arrays = {name: value.numpy() for name, value in best.classifier.state_dict().items()}
+        card = card.model_copy(update={"classes": classes})
+        if best.reached:
+            save_interrupted(task.out, card, arrays, best.reached)
+            raise KeyboardInterrupt
+        save_weights(task.out, card, arrays)

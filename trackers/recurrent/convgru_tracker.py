@@ -63,7 +63,7 @@ class DilatedConvGRUTracker(RecurrentTracker):
     def _restored(self, weights: Weights) -> Any:
         of_network = {name: value for name, value in weights.arrays.items() if not name.startswith(PREFIX)}
         network = super()._restored(replace(weights, arrays=of_network))
-        self._seen = seen_cells_of(weights, self.stream.grid)
+        self._seen = seen_cells_of(weights, self.stream)
         if self._seen is None and self._scan_is_given:
             raise WeightsError(
                 f"{self.stream.weights}: no classifier of scans for evidence=scan: train again with stage=classes"

@@ -17,7 +17,7 @@ from copy import deepcopy
 from datetime import timedelta
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import lightning
 import torch
@@ -45,7 +45,7 @@ from gridtrack.trackers.training.excerpts import (
     selection_scores,
     step_of,
 )
-from gridtrack.trackers.training.weights import Weights, load_start, save_interrupted, save_weights
+from gridtrack.trackers.training.weights import Weights, array, load_start, save_interrupted, save_weights
 
 FROM_GENERAL = {"updates": 600, "validate_every": 150, "warm_up": 50, "learning_rate": 1e-3}
 """Settings of a training that starts from general weights: minutes on a processor, at a learning rate at which the
@@ -67,10 +67,13 @@ def fit_network(kind: type[NetworkTracker], task: FitTask) -> None:
     start = None if task.start is None else load_start(task.start, name)
     options = task.options if start is None else settings_from_general(kind, task.options, start)
     if task.general:
-        options = general_options(options)
+        not_given = FOR_ANY_PLACE.keys() - options.model_fields_set
+        options = options.model_copy(update={name: FOR_ANY_PLACE[name] for name in not_given})
     devices = Devices.of(task.device, options.devices, options.batch)
     dataset = SequenceDataset(task.train, options, task.seed, step_s=options.step_s, general=task.general)
-    options = _for_windows_of(dataset, kind, options, task)
+    if task.general or not dataset.has_one_window:
+        why = "general weights know no place" if task.general else "the windows of the training frames differ"
+        options = kind.without_map(options, why, task)
     options = options.model_copy(update={"precision": training_precision(options, devices, task)})
     torch.manual_seed(task.seed)
     network = kind.build(dataset.size, options, classes=0)
@@ -90,23 +93,14 @@ def fit_network(kind: type[NetworkTracker], task: FitTask) -> None:
 
     module = TrainingModule(network, in_training, dataset, options, devices, validate)
     others = {*TransferSettings.model_fields, *kind.running.model_fields}
-    trained = train_network(module, task, options.model_dump(exclude=others), start)
+    scores, reached = train_network(module, task, options.model_dump(exclude=others), start)
     arrays = {name: value.contiguous().numpy() for name, value in network.to(STORED_AS).state_dict().items()}
     settings = options.model_dump(mode="json", exclude=set(kind.running.model_fields))
-    card = card_for(name, task, settings, trained.scores)
-    if trained.reached:
-        save_interrupted(task.out, card, arrays, trained.reached)
+    card = card_for(name, task, settings, scores)
+    if reached:
+        save_interrupted(task.out, card, arrays, reached)
         raise KeyboardInterrupt
     save_weights(task.out, card, arrays)
-
-
-def _for_windows_of(dataset: SequenceDataset, kind: type[NetworkTracker], options: Any, task: FitTask) -> Any:
-    """The options for these windows: without maps where they differ, and for general weights."""
-    if task.general:
-        return kind.without_map(options, "general weights know no place", task)
-    if not dataset.has_one_window:
-        return kind.without_map(options, "the windows of the training frames differ", task)
-    return options
 
 
 def as_stored(network: Network) -> Network:
@@ -121,12 +115,6 @@ def start_from_rate(network: Network, rate: float) -> None:
     About 2 % of the visible cells are occupied; the first updates of training need not learn that number.
     """
     network.output_bias.fill_(math.log(rate / (1.0 - rate)))
-
-
-def general_options(options: Any) -> Any:
-    """The `options`, with FOR_ANY_PLACE for options that were not given."""
-    not_given = FOR_ANY_PLACE.keys() - options.model_fields_set
-    return options.model_copy(update={name: FOR_ANY_PLACE[name] for name in not_given})
 
 
 def settings_from_general(kind: type[NetworkTracker], options: Any, weights: Weights) -> Any:
@@ -153,16 +141,10 @@ def begin_from(network: Network, weights: Weights) -> None:
 
     Their class decoder is left out. Raises WeightsError if an array is missing or has another shape.
     """
-    own, maps = network.state_dict(), network.maps()
-    for name, value in own.items():
-        found = weights.arrays.get(name)
+    maps = network.maps()
+    for name, value in network.state_dict().items():
         shape = (value.shape[0], 1, 1) if name in maps else tuple(value.shape)
-        if found is None or found.shape != shape:
-            state = "missing" if found is None else f"{found.shape}"
-            raise WeightsError(
-                f"general weights of {weights.card.tracker}: array '{name}' is {state}, expected {shape}"
-            )
-        value.copy_(torch.from_numpy(found))
+        value.copy_(torch.from_numpy(array(weights, name, shape)))
 
 
 def validation_scores(score: Callable[[FrameSource], StretchScore], sources: Sequence[FrameSource]) -> dict[str, float]:
@@ -200,18 +182,12 @@ IGNORED_WARNINGS = (
 """Warnings of Lightning, as patterns, that are of no use to the user of a training."""
 
 
-class TrainingResult(NamedTuple):
-    """The `scores` of the best weights; the progress that a training `reached` when interrupted, or ""."""
-
-    scores: dict[str, float]
-    reached: str
-
-
 def train_network(
     module: TrainingModule, task: FitTask, settings: Mapping[str, Any], start: Weights | None = None
-) -> TrainingResult:
+) -> tuple[dict[str, float], str]:
     """Train the network of `module` in place to the weights with the best validation score; a `start` is a candidate
-    too. `settings`: those that the training depends on.
+    too. `settings`: those that the training depends on. Returns the scores of these weights, and the progress that the
+    training reached when it was interrupted, or "".
 
     Logs (CSV, TensorBoard) and checkpoints are written to `task.log_dir`; checkpoints of the same training in it are
     resumed. An interrupt ends the training at the best weights so far. Raises ConfigurationError if the folder has
@@ -236,7 +212,7 @@ def train_network(
         network.load_state_dict(initial)
         scores = initial_scores
     reached = f"update {_updates_in(_checkpoint_in(task, LAST))} of {module.settings.updates}" if interrupted else ""
-    return TrainingResult(scores, reached)
+    return scores, reached
 
 
 def _train(module: TrainingModule, resumed: Path | None, task: FitTask) -> bool:

@@ -12,7 +12,6 @@ calibrates the latent state in these cells, where it is more certain than in oth
 from __future__ import annotations
 
 from itertools import product
-from typing import Any
 
 import numpy as np
 import torch
@@ -21,12 +20,14 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from gridtrack.common.errors import WeightsError
-from gridtrack.common.grid import GridFrame, GridSpec
+from gridtrack.common.grid import GridFrame
+from gridtrack.trackers.contract import StreamSpec
 from gridtrack.trackers.recurrent.settings import EvidenceOption
 from gridtrack.trackers.training.cell_classifier import CellClassifier, planes_of, scan_classifier
 from gridtrack.trackers.training.cell_training import LabelledCells, logits_of
 from gridtrack.trackers.training.labelled_scans import ClassifierSettings
-from gridtrack.trackers.training.weights import Weights, array
+from gridtrack.trackers.training.networks import restore_network
+from gridtrack.trackers.training.weights import Weights
 
 PREFIX = "seen_cells."
 """Prefix of the names of the arrays in a weights file."""
@@ -80,21 +81,16 @@ class SeenCells(nn.Module):
         by_cell[:, cells] = torch.softmax(logits, dim=1).T.numpy()
 
 
-def seen_cells_of(weights: Weights, grid: GridSpec) -> SeenCells | None:
-    """The module in `weights`, for this grid; None if they have none. Raises WeightsError."""
-    own = [name for name in weights.arrays if name.startswith(PREFIX)]
-    if not own:
+def seen_cells_of(weights: Weights, stream: StreamSpec) -> SeenCells | None:
+    """The module in `weights`, for the grid of this stream; None if they have none. Raises WeightsError."""
+    if not any(name.startswith(PREFIX) for name in weights.arrays):
         return None
     card = weights.card
     classifier = scan_classifier(ClassifierSettings().channels, len(card.classes), general=card.general)
-    found = SeenCells(classifier, grid.cell_m if card.general else None)
-    weights_of = f"weights of {weights.card.tracker}"
-    shapes = {name: tuple(value.shape) for name, value in found.state_dict().items()}
-    if unknown := sorted(name for name in own if name.removeprefix(PREFIX) not in shapes):
-        raise WeightsError(f"{weights_of}: unknown arrays {', '.join(unknown)}: train again")
-    arrays: dict[str, Any] = {name: array(weights, PREFIX + name, shape) for name, shape in shapes.items()}
-    found.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()})
-    for name in ("state_alone", "with_scan"):
-        if not 0.0 <= arrays[name].min() <= arrays[name].max() <= max(POWERS):
-            raise WeightsError(f"{weights_of}: array '{PREFIX}{name}' is not from 0 to {max(POWERS):g}: train again")
+    found = SeenCells(classifier, stream.grid.cell_m if card.general else None)
+    restore_network(found, stream, weights, PREFIX)
+    for name, powers in found.named_buffers():
+        if not 0.0 <= powers.min() <= powers.max() <= max(POWERS):
+            where = f"weights of {card.tracker}: array '{PREFIX}{name}'"
+            raise WeightsError(f"{where} is not from 0 to {max(POWERS):g}: train again")
     return found.eval()

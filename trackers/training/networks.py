@@ -36,15 +36,16 @@ def trained_settings(stream: StreamSpec, weights: Weights, given: Given, running
     return trained
 
 
-def restore_network(network: nn.Module, stream: StreamSpec, weights: Weights) -> None:
-    """Load `weights` into `network`.
+def restore_network(network: nn.Module, stream: StreamSpec, weights: Weights, prefix: str = "") -> None:
+    """Load the arrays of `weights` with names that begin with `prefix` into `network`.
 
     Raises WeightsError unless the network has the same arrays, with the same shapes.
     """
-    shapes = {name: tuple(value.shape) for name, value in network.state_dict().items()}
-    if unknown := sorted(weights.arrays.keys() - shapes.keys()):
+    shapes = {prefix + name: tuple(value.shape) for name, value in network.state_dict().items()}
+    if unknown := sorted(name for name in weights.arrays.keys() - shapes.keys() if name.startswith(prefix)):
         raise WeightsError(f"{stream.weights}: arrays that do not belong to the network on its card: {unknown}")
-    network.load_state_dict({name: torch.from_numpy(array(weights, name, shape)) for name, shape in shapes.items()})
+    found = {name: torch.from_numpy(array(weights, name, shape)) for name, shape in shapes.items()}
+    network.load_state_dict({name.removeprefix(prefix): value for name, value in found.items()})
 
 
 def cell_input(cell_m: float) -> float:

@@ -193,6 +193,7 @@ def test_without_labels_the_class_decoder_of_the_general_weights_is_left_out(gen
 
 CLASSES = ("pedestrian", "car", "static")
 GRID = GridSpec(SIZE, 0.5)
+STREAM = StreamSpec(GRID, 0.1, "toy")
 
 
 def frame_with(*cells):
@@ -289,15 +290,15 @@ def weights_with(seen, **changes):
         ("state_alone", lambda a: a - 9, "'seen_cells.state_alone' is not from 0 to 1.5"),
         ("state_alone", lambda a: a * np.nan, "'seen_cells.state_alone' is not finite"),
         ("with_scan", lambda a: a[:1], r"'seen_cells.with_scan' is \(1,\), expected \(2,\)"),
-        ("classifier.other", lambda a: np.zeros(2, np.float32), r"unknown arrays .*seen_cells.classifier.other"),
+        ("classifier.other", lambda a: np.zeros(2, np.float32), r"do not belong .*seen_cells.classifier.other"),
     ],
 )
 def test_damaged_arrays_are_refused_in_one_line(seen, name, change, message):
     state = {key: value.numpy() for key, value in seen.state_dict().items()}
     changed = {PREFIX + name: change(state.get(name))}
     with pytest.raises(WeightsError, match=message):
-        seen_cells_of(weights_with(seen, **changed), GRID)
-    assert seen_cells_of(weights_with(seen), GRID) is not None
+        seen_cells_of(weights_with(seen, **changed), STREAM)
+    assert seen_cells_of(weights_with(seen), STREAM) is not None
 
 
 def test_weights_without_a_classifier_of_scans_say_how_to_get_one(tmp_path):
