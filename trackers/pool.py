@@ -294,7 +294,10 @@ class PoolFit:
         for data in ("train", "validation"):
             update[data] = tuple(dict.fromkeys(chain(*(getattr(one, data) for one in (card, *cards.values())))))
         card = card.model_copy(update=update)
-        arrays = {"weights": weights.astype(np.float32), "offsets": offsets.astype(np.float32)}
+        arrays: dict[str, NDArray[Any]] = {
+            "weights": weights.astype(np.float32),
+            "offsets": offsets.astype(np.float32),
+        }
         for member in self._members:
             if member.arrays:
                 arrays[MEMBER_PREFIX + member.name] = np.frombuffer(member.arrays, np.uint8)
