@@ -5,7 +5,7 @@
     <!-- value: junction: kalman: f1 dynamic 1 s -->0.693<!-- /value -->
     <!-- value: trackers/dogma.json: time: processor time -->13<!-- /value -->
     <!-- table: trackers/dogma.json: velocity: table -->...<!-- /table -->
-    <!-- table: moving/drives.json: scores: dynamic: rows *, perfect -->...<!-- /table -->
+    <!-- table: moving/drives.json: scores: F1: rows [dk]* -->...<!-- /table -->
     <!-- table: junction: F1: kalman, dogma: f1 dynamic 1 s, f1 visible 1 s: intervals, best -->...<!-- /table -->
     <!-- table: junction: confusion: kalman: visible -->...<!-- /table -->
     <!-- table: junction: trainings: in-motion 1 s, dynamic 1 s -->...<!-- /table -->
