@@ -83,7 +83,8 @@ def test_an_estimate_grows_with_the_trials_as_between_the_two_largest_measuremen
     assert table is not None
     assert {row[0]: row[1:] for row in table.rows} == {
         "trials": ("10,000 x 20", "200,000"),
-        "nodes, slurm": ("200,000 x 1.50 s / 800 cores", "0.1 h"),
+        "core hours of the nodes, slurm": ("200,000 x 1.50 s", "83.3 h"),
+        "time of the nodes, slurm": ("the same / 800 cores", "6.2 min"),
         "the comparison's process, slurm": ("200,000 x 0.10 s", "5.6 h"),
         "memory of the comparison's process, local": ("318.0 MB + 199,980 x 1.000 MB", "200.3 GB"),
         "folder of the run, local": ("4.1 MB + 199,980 x 0.200 MB", "40.0 GB"),
