@@ -54,7 +54,7 @@ from gridtrack.trackers.contract import Role
 
 STARTED_BEFORE = "the tracker was started before, in a trial that did not end"
 AS_IN_RECORD = TrialSummary.model_fields.keys() & (TrialRecord.model_fields.keys() - {"thresholds", "robustness"})
-"""The fields of a trial in the summary that are those of its record."""
+"""The fields that the summary of a trial copies from its record."""
 LEAST_LEAD = 0.001
 """A row is ahead of another by at least this much in either order: less is not shown in a table."""
 

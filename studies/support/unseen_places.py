@@ -129,7 +129,7 @@ class PlaceScores:
         return PlaceScores(chosen, [one for one in self._trials if labels is None or one.record.label in labels])
 
     def replaced_by(self, others: PlaceScores) -> PlaceScores:
-        """These scores together with `others`, which replace those of the same rows on the same recordings."""
+        """These scores and `others`; a trial of `others` replaces the trial of the same row and recording."""
         replaced = {(trial.record.label, trial.record.recording) for trial in others._trials}
         kept = [one for one in self._trials if (one.record.label, one.record.recording) not in replaced]
         return PlaceScores({**self.described, **others.described}, [*kept, *others._trials])
